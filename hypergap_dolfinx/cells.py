@@ -1,0 +1,69 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What a mesher of Σ hands on: simplices between two surfaces, the same on every rank."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class Hosts:
+    """Where points of Σ lie on Γ0 and on Γ1.
+
+    A point at α has the displacement (1 − α) u₀ + α u₁, with u_i taken in its host facet on Γ_i.
+    """
+
+    alpha: npt.NDArray[np.float64]
+    """``(num_cells, num_points)``."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Host facets on both sides, ``(num_cells, num_points)`` each."""
+    X: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Reference coordinates in the host facets, ``(num_cells, num_points, n - 1)`` each."""
+
+    def __getitem__(self, cells) -> "Hosts":
+        """The hosts of some of the cells."""
+        return Hosts(
+            self.alpha[cells],
+            (self.facets[0][cells], self.facets[1][cells]),
+            (self.X[0][cells], self.X[1][cells]),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Hosts"]) -> "Hosts":
+        """The hosts of several lots of cells."""
+
+        def side(i, name):
+            return np.concatenate([getattr(part, name)[i] for part in parts])
+
+        return cls(
+            np.concatenate([part.alpha for part in parts]),
+            (side(0, "facets"), side(1, "facets")),
+            (side(0, "X"), side(1, "X")),
+        )
+
+
+@dataclass(frozen=True)
+class GapCells:
+    """Σ before it is distributed.
+
+    The cells are oriented such that pulling Γ1 away from Γ0 gives them a positive volume.
+    """
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, n)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices, ``(num_vertices,)``."""
+    cells: npt.NDArray[np.int64]
+    """Vertices of each cell, ``(num_cells, n + 1)``."""
+    normal: npt.NDArray[np.float64]
+    """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
+    rank: npt.NDArray[np.int32]
+    """The rank that each cell goes to: the owner of a body's cell beside it."""
+    hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
+    """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""

@@ -1,0 +1,247 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The constraint ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (eq. 4) as matrices on the bodies' own dofs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.gap_domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.surface import Surface
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One constraint for each multiplier: Σ_i B_i u_i = 0, for each component of u.
+
+    The matrices act on one component (a block of dofs counts as one); see :func:`expand`.
+    """
+
+    B: tuple[PETSc.Mat, ...]
+    """B₀ and B₁; with free interior nodes also B_Σ. ``(num_multipliers, num_dofs_i)``."""
+    R: tuple[PETSc.Mat, ...]
+    """R₀ and R₁, the pull-backs to the nodes of Σ: x_a = R₀ u₀ + R₁ u₁, interior nodes
+    interpolated. ``(num_nodes, num_dofs_i)``."""
+    R_A: PETSc.Mat
+    """Pull-back of the multipliers: λ_a = R_A λ. ``(num_nodes, num_multipliers)``."""
+    dofs: npt.NDArray[np.int64]
+    """Global dofs (blocks) of V₁ that carry a multiplier, sorted, the same on every rank."""
+    rows: npt.NDArray[np.int64]
+    """Row of B of each of ``dofs``."""
+
+    def destroy(self):
+        """Destroy the PETSc matrices. Collective."""
+        for matrix in (*self.B, *self.R, self.R_A):
+            matrix.destroy()
+
+
+def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
+    """An AIJ matrix from (row, column, value) triplets, which are added up. Collective.
+
+    Args:
+        comm: Communicator.
+        sizes: Local numbers of rows and columns.
+        i: Global rows, on any rank.
+        j: Global columns.
+        values: Values.
+
+    Returns:
+        The assembled matrix.
+    """
+    rows, columns = sizes
+    A = PETSc.Mat().createAIJ(((rows, None), (columns, None)), comm=comm)
+    A.setPreallocationCOO(
+        np.asarray(i).astype(PETSc.IntType).ravel(), np.asarray(j).astype(PETSc.IntType).ravel()
+    )
+    A.setValuesCOO(np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel())
+    A.assemble()
+    return A
+
+
+def create_constraint(
+    domain: GapDomain, spaces: tuple[fem.FunctionSpace, fem.FunctionSpace], free_interior: bool
+) -> Constraint:
+    """Assemble G_ab = ∫∫ ∂φ_a/∂α ∂φ_b/∂α dΓ_α dα and pull it back to the bodies. Collective.
+
+    Args:
+        domain: Σ.
+        spaces: V₀ and V₁.
+        free_interior: Whether interior nodes (0 < α < 1) are unknowns with rows of their own, as
+            in eq. (22), or take (1 − α) u₀ + α u₁.
+
+    Returns:
+        B_i = R_Aᵀ G R_i.
+    """
+    comm = domain.mesh.comm
+    dofmap, hosts = domain.space.dofmap, domain.hosts
+    index_map = dofmap.index_map
+    cell_dofs = dofmap.list
+    owned = index_map.size_local
+
+    # Each node of Σ once, on the rank that owns it
+    node, first = np.unique(cell_dofs.ravel(), return_index=True)
+    node, first = node[node < owned], first[node < owned]
+    row = node + index_map.local_range[0]
+    alpha = hosts.alpha.ravel()[first]
+    interior = (alpha > 1e-10) & (alpha < 1 - 1e-10)
+    free = interior & free_interior
+    entries: list[tuple] = []
+    for surface, facets, X, weight in zip(
+        domain.surfaces, hosts.facets, hosts.X, (1 - alpha, alpha), strict=True
+    ):
+        X = X.reshape(-1, X.shape[-1])[first]
+        use = weight > 1e-10
+        point, dof, value = interpolation_weights(
+            surface, facets.ravel()[first[use]], X[use], weight[use]
+        )
+        entries.append((row[use][point], dof, value))
+    sizes = [V.dofmap.index_map.size_local for V in spaces]
+    R = tuple(coo_matrix(comm, (owned, n), *entry) for n, entry in zip(sizes, entries))
+    R_B = list(R)
+    if free_interior:
+        bound = [np.isin(i, row[~free]) for i, _, _ in entries]
+        entries = [tuple(part[keep] for part in e) for e, keep in zip(entries, bound)]
+        R_B = [coo_matrix(comm, (owned, n), *entry) for n, entry in zip(sizes, entries)]
+
+    # Multipliers: the dofs of Γ1 that Σ touches, then the rank's free interior nodes
+    i1, dof1, value1 = entries[1]
+    dofs = np.unique(np.concatenate(comm.allgather(np.unique(dof1))))
+    ends = np.searchsorted(dofs, domain.surfaces[1].dof_range)
+    num_free = np.array(comm.allgather(int(free.sum())))
+    offset = np.append(0, np.cumsum(num_free))  # free interior nodes of lower ranks
+    rank_of = np.searchsorted(ends[1:], np.arange(len(dofs)), side="right")
+    rows = np.arange(len(dofs)) + offset[rank_of]
+    r = comm.rank
+    num_rows = int(ends[r + 1] - ends[r] + num_free[r])
+    own = np.arange(num_free[r])
+    i = np.concatenate((i1, row[free]))
+    j = np.concatenate((rows[np.searchsorted(dofs, dof1)], ends[r + 1] + offset[r] + own))
+    value = np.concatenate((value1, np.ones(num_free[r])))
+    R_A = coo_matrix(comm, (owned, num_rows), i, j, value)
+    if free_interior:
+        entry = (row[free], offset[r] + own, np.ones(num_free[r]))
+        R_B.append(coo_matrix(comm, (owned, num_free[r]), *entry))
+
+    global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
+    G_e = domain.gap_matrices()
+    I = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
+    J = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
+    G = coo_matrix(comm, (owned, owned), I, J, G_e)
+    B = []
+    for R_i in R_B:
+        GR = G.matMult(R_i)
+        B.append(R_A.transposeMatMult(GR))
+        GR.destroy()
+        if R_i not in R:
+            R_i.destroy()
+    G.destroy()
+    return Constraint(tuple(B), R, R_A, dofs, rows)
+
+
+def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:
+    """B ⊗ I: the same constraint for each component. Collective.
+
+    Args:
+        B: Matrix on one component.
+        block_size: Number of components; they alternate in the result's rows and columns.
+
+    Returns:
+        A new matrix.
+    """
+    if block_size == 1:
+        return B.copy()
+    i, j, value = triplets(B)
+    component = np.arange(block_size)
+    (rows, _), (columns, _) = B.getSizes()
+    return coo_matrix(
+        B.comm.tompi4py(),
+        (rows * block_size, columns * block_size),
+        i[:, None] * block_size + component,
+        j[:, None] * block_size + component,
+        np.repeat(value, block_size),
+    )
+
+
+def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Global rows, global columns and values of this rank's rows."""
+    start, end = B.getOwnershipRange()
+    indptr, columns, values = B.getValuesCSR()
+    return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values
+
+
+def independent_rows(
+    constraint: Constraint, surface: Surface, prescribed: npt.NDArray[np.bool_]
+) -> PETSc.Mat | None:
+    """Constraints that remain where displacements of Γ1 are prescribed. Collective.
+
+    The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it
+    would lose rank. Its multiplier follows its neighbours instead: in its facet λ becomes a
+    polynomial of degree k − 1, so that tractions up to that degree are still carried.
+
+    Args:
+        constraint: The constraint.
+        surface: Γ1.
+        prescribed: Which components of ``constraint.dofs`` are prescribed,
+            ``(num_dofs, block_size)``, the same on every rank.
+
+    Returns:
+        E with λ = E λ', λ' the multipliers that remain, or None if all do.
+    """
+    if not prescribed.any():
+        return None
+    comm = constraint.R_A.comm.tompi4py()
+    block_size = prescribed.shape[1]
+    start, end = (block_size * r for r in constraint.R_A.getOwnershipRangeColumn())
+    row = constraint.rows[:, None] * block_size + np.arange(block_size)  # (dof, component)
+    dropped = np.sort(row[prescribed])
+
+    def kept(rows):
+        """Number of a row among those that remain."""
+        return rows - np.searchsorted(dropped, rows)
+
+    mine = np.arange(start, end)
+    mine = mine[~np.isin(mine, dropped)]
+    i, j, value = [mine], [kept(mine)], [np.ones(len(mine))]
+    position = np.searchsorted(constraint.dofs, surface.dofs)
+    position = np.minimum(position, len(constraint.dofs) - 1)
+    used = constraint.dofs[position] == surface.dofs  # (facet, dof)
+    for dof, component in np.argwhere(prescribed):
+        if not start <= row[dof, component] < end:
+            continue
+        facets = np.flatnonzero(((position == dof) & used).any(axis=1))
+        free = used[facets] & ~prescribed[position[facets], component]
+        best = free.sum(axis=1).argmax()
+        local = int(np.argmax(surface.dofs[facets[best]] == constraint.dofs[dof]))
+        weights = _extension(surface, local, tuple(free[best]))
+        neighbours = position[facets[best]][free[best]]
+        i.append(np.full(len(neighbours), row[dof, component]))
+        j.append(kept(row[neighbours, component]))
+        value.append(weights)
+    sizes = (end - start, len(mine))
+    return coo_matrix(comm, sizes, *(np.concatenate(part) for part in (i, j, value)))
+
+
+def _extension(surface: Surface, local: int, free: Sequence[bool]) -> npt.NDArray[np.float64]:
+    """Weights of a facet's free dofs that extend a polynomial of degree k − 1 to another dof."""
+    points, free = surface.element.points, np.asarray(free)
+    if not free.any():
+        return np.empty(0)
+    exponents = np.indices((surface.element.degree,) * points.shape[1]).reshape(points.shape[1], -1)
+    total = exponents.sum(axis=0)
+    for degree in range(surface.element.degree - 1, -1, -1):
+        powers = exponents[:, total <= degree]
+        P = np.prod(points[:, :, None] ** powers, axis=1)  # (dof, monomial)
+        if np.linalg.matrix_rank(P[free]) == powers.shape[1]:
+            break
+    return P[local] @ np.linalg.pinv(P[free])
+
+

@@ -1,0 +1,215 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The gap domain Σ as a distributed DOLFINx mesh with the field α."""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import basix.ufl
+import dolfinx
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx import kernel
+from hypergap_dolfinx.cells import GapCells, Hosts
+from hypergap_dolfinx.strip import mesh_strip
+from hypergap_dolfinx.surface import Surface, raise_on_all, tabulate
+
+
+@dataclass(frozen=True)
+class GapDomain:
+    """Σ: simplices with nodes (x, α), and where its nodes lie on the bodies' surfaces.
+
+    The rows of the arrays are the cells of this rank, in the order of ``mesh``.
+    """
+
+    surfaces: tuple[Surface, Surface]
+    """Γ0 and Γ1."""
+    mesh: Mesh
+    """n-dimensional mesh with coordinates x; its cells have no volume where Γ0 and Γ1 coincide."""
+    alpha: fem.Function
+    """α, linear on each cell."""
+    space: fem.FunctionSpace
+    """The scalar Lagrange space of the φ_a."""
+    x: npt.NDArray[np.float64]
+    """Geometry nodes, ``(num_cells, num_geometry_nodes, n)``."""
+    alpha_vertices: npt.NDArray[np.float64]
+    """α at the vertices, ``(num_cells, n + 1)``."""
+    normal: npt.NDArray[np.float64]
+    """Reference normals from Γ0 to Γ1, ``(num_cells, n)``."""
+    curved: npt.NDArray[np.bool_]
+    """Which cells have a curved edge, ``(num_cells,)``."""
+    hosts: Hosts
+    """Hosts of the nodes of ``space``."""
+
+    @property
+    def geometry(self) -> basix.finite_element.FiniteElement:
+        """Basix element of the cells' geometry."""
+        return self.mesh.ufl_domain().ufl_coordinate_element().basix_element
+
+    @property
+    def element(self) -> basix.finite_element.FiniteElement:
+        """Basix element of the φ_a."""
+        return self.space.ufl_element().basix_element
+
+    def quadrature(self, degree: int) -> kernel.GapElement:
+        """Tables of the gap element at the points of a Gauss rule."""
+        return kernel.GapElement.with_quadrature(self.geometry, self.element, degree)
+
+    def gap_matrices(self) -> npt.NDArray[np.float64]:
+        """Element matrices G_ab = ∫∫ ∂φ_a/∂α ∂φ_b/∂α dΓ_α dα. Collective.
+
+        Returns:
+            ``(num_cells, num_nodes, num_nodes)``.
+
+        Raises:
+            InvertedCellError: A cell is turned over.
+        """
+        k, g, nodes = self.element.degree, self.geometry.degree, self.element.dim
+        G = np.empty((len(self.x), nodes, nodes))
+        straight, curved = ~self.curved, self.curved
+        error = None
+        try:
+            if straight.any():
+                vertices = self.x[straight][:, : self.x.shape[2] + 1]
+                G[straight] = kernel.affine_gap_matrices(
+                    self.quadrature(2 * k - 2),
+                    vertices,
+                    self.alpha_vertices[straight],
+                    self.normal[straight],
+                )
+            if curved.any():
+                G[curved] = kernel.curved_gap_matrices(
+                    self.quadrature(2 * (k + g)),
+                    self.x[curved],
+                    self.alpha_vertices[curved],
+                    self.normal[curved],
+                )
+        except kernel.InvertedCellError as e:
+            error = str(e)
+        raise_on_all(self.mesh.comm, error, kernel.InvertedCellError)
+        return G
+
+
+def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
+    """Mesh Σ between two surfaces and distribute it. Collective.
+
+    The φ_a have the higher of the two sides' degrees.
+
+    Raises:
+        InterfaceError: The surfaces don't form an interface.
+    """
+    gap = mesh_strip(surface0, surface1)
+    tdim = gap.x.shape[1]
+    cell = {2: "triangle", 3: "tetrahedron"}[tdim]
+    degree = max(surface.element.degree for surface in (surface0, surface1))
+    mine = np.flatnonzero(gap.rank == comm.rank)
+
+    # Geometry: vertices are enough unless a surface is curved
+    surfaces = (surface0, surface1)
+    g = max(s.geometry.degree if s.curved.any() else 1 for s in surfaces)
+    coordinates = basix.ufl.element(
+        "Lagrange", cell, g, lagrange_variant=basix.LagrangeVariant.equispaced, shape=(tdim,)
+    )
+    cells, x = gap.cells, gap.x
+    if g > 1:
+        points = coordinates.basix_element.points
+        cells, first = _number_nodes(gap.cells, np.rint(points * g).astype(np.int64), g)
+        hosts = gap.hosts(points, np.arange(len(cells)))
+        x = _interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
+    nodes = x if comm.rank == 0 else np.empty((0, tdim))
+
+    def stay(comm, num_parts, cell_types, cells) -> dolfinx.cpp.graph.AdjacencyList_int32:
+        return dolfinx.graph.adjacencylist(
+            np.full((len(mine), 1), comm.rank, dtype=np.int32)
+        )._cpp_object
+
+    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], coordinates, nodes, stay)
+    start = comm.exscan(len(mine)) or 0
+    order = mine[mesh.topology.original_cell_index - start]
+
+    alpha_vertices = gap.alpha[gap.cells[order]]
+    linear = fem.functionspace(mesh, ("Lagrange", 1))
+    alpha = fem.Function(linear, name="alpha")
+    alpha.x.array[linear.dofmap.list] = alpha_vertices
+    space = fem.functionspace(mesh, ("Lagrange", degree)) if degree > 1 else linear
+    x_cells = x[cells[order]]
+    return GapDomain(
+        surfaces=surfaces,
+        mesh=mesh,
+        alpha=alpha,
+        space=space,
+        x=x_cells,
+        alpha_vertices=alpha_vertices,
+        normal=gap.normal[order],
+        curved=_curved(x_cells, coordinates.basix_element.points, np.abs(x).max()),
+        hosts=gap.hosts(space.ufl_element().basix_element.points, order),
+    )
+
+
+def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
+    """Which cells' geometry nodes leave the vertex simplex, ``(num_cells,)``."""
+    n = x.shape[2]
+    if x.shape[1] == n + 1:
+        return np.zeros(len(x), dtype=bool)
+    weights = np.column_stack((1 - points.sum(axis=1), points))
+    deviation = np.abs(weights @ x[:, : n + 1] - x).max(axis=(1, 2))
+    size = np.ptp(x, axis=1).max(axis=1)
+    return deviation > 1e-12 * size + 8 * np.finfo(float).eps * magnitude
+
+
+def _interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
+    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
+    shape = hosts.alpha.shape
+    x0, x1 = (
+        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
+        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
+    )
+    alpha = hosts.alpha[..., None]
+    return (1 - alpha) * x0 + alpha * x1
+
+
+def _number_nodes(cells, lattice, degree: int):
+    """Number the Lagrange nodes of a mesh; a shared node gets one number.
+
+    A node is told by its vertices and their barycentric weights, so no coordinates are compared.
+
+    Args:
+        cells: Vertices, ``(num_cells, n + 1)``.
+        lattice: Nodes of the reference simplex times the degree, ``(num_nodes, n)``.
+        degree: Degree of the nodes.
+
+    Returns:
+        Nodes of each cell, ``(num_cells, num_nodes)``, and for each number the first place (in
+        the flattened cells) that has it.
+    """
+    weights = np.column_stack((degree - lattice.sum(axis=1), lattice))  # (node, vertex)
+    key = cells[:, None, :] * (degree + 1) + weights
+    key = np.sort(np.where(weights > 0, key, -1), axis=2).reshape(-1, cells.shape[1])
+    _, first, number = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return number.reshape(len(cells), -1).astype(np.int64), first
+
+
+def interpolation_weights(surface: Surface, facet, X, weight):
+    """Rows of a pull-back R_i: values of the trace's basis, times a weight.
+
+    Args:
+        surface: Γ_i.
+        facet: Host facet of each point, ``(num_points,)``.
+        X: Reference coordinates, ``(num_points, n - 1)``.
+        weight: 1 − α on Γ0, α on Γ1; ``(num_points,)``.
+
+    Returns:
+        The point, the global dof (block) and the value of each nonzero entry.
+    """
+    values = tabulate(surface.element, X) * weight[:, None]
+    # A node that is a dof takes one 1: round-off must not spread it over its facet
+    point, local = np.nonzero(np.abs(values) > 1e-13)
+    return point, surface.dofs[facet[point], local], values[point, local]

@@ -1,0 +1,160 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Fields on Σ: the traction λ, the gap and the slip, and integrals over Σ."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx import fem
+from hypergap_dolfinx import kernel
+from hypergap_dolfinx.gap_domain import GapDomain
+from hypergap_dolfinx.surface import tabulate
+
+if TYPE_CHECKING:
+    from hypergap_dolfinx.tie import Tie
+
+
+@dataclass(frozen=True)
+class GapQuadrature:
+    """Gauss points on this rank's cells of Σ."""
+
+    comm: MPI.Comm
+    """Communicator of Σ."""
+    X: npt.NDArray[np.float64]
+    """Reference points, ``(num_points, n)``."""
+    x: npt.NDArray[np.float64]
+    """Positions, ``(num_cells, num_points, n)``."""
+    normal: npt.NDArray[np.float64]
+    """Unit normals of Γ_α, from Γ0 to Γ1, ``(num_cells, num_points, n)``."""
+    weights: npt.NDArray[np.float64]
+    """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``."""
+
+    def evaluate(self, f: fem.Function) -> npt.NDArray[np.float64]:
+        """Values of a function on Σ, ``(num_cells, num_points, block_size)``."""
+        V = f.function_space
+        nodal = f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list]
+        return np.einsum("pa,cai->cpi", tabulate(V.ufl_element().basix_element, self.X), nodal)
+
+    def integrate(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
+        """∫∫ f dΓ_α dα of values at the points, ``(num_cells, num_points, ...)``. Collective."""
+        local = np.einsum("cp,cp...->...", self.weights, values)
+        return self.comm.allreduce(local)
+
+
+def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
+    """Gauss points on Σ (eqs. 10–13)."""
+    points, _ = basix.make_quadrature(domain.element.cell_type, degree)
+    element = domain.quadrature(degree)
+    N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
+    length = np.linalg.norm(N, axis=2)
+    x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
+    return GapQuadrature(
+        domain.mesh.comm, points, x, N / length[..., None], element.weights * length
+    )
+
+
+def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray[np.float64]:
+    """R applied to each component, at the nodes of this rank's cells. Collective.
+
+    Args:
+        domain: Σ.
+        R: Pull-back with a row for each node.
+        values: This rank's owned values, ``(num_columns, block_size)``.
+
+    Returns:
+        ``(num_cells, num_nodes, block_size)``.
+    """
+    x, y = R.createVecs()
+    f = fem.Function(domain.space)
+    dofs, owned = domain.space.dofmap.list, domain.space.dofmap.index_map.size_local
+    nodal = np.empty((*dofs.shape, values.shape[1]))
+    for component in range(values.shape[1]):
+        x.array[:] = values[:, component]
+        R.mult(x, y)
+        f.x.array[:owned] = y.array
+        f.x.scatter_forward()
+        nodal[:, :, component] = f.x.array[dofs]
+    x.destroy()
+    y.destroy()
+    return nodal
+
+
+def alpha_derivative(domain: GapDomain, nodal, points):
+    """∂x/∂α of eq. (19) and the unit normals at reference points.
+
+    Args:
+        domain: Σ.
+        nodal: Values at the nodes, ``(num_cells, num_nodes, block_size)``.
+        points: Reference points, ``(num_points, n)``.
+
+    Returns:
+        ``(num_cells, num_points, block_size)`` and ``(num_cells, num_points, n)``.
+    """
+    weights = np.ones(len(points))
+    element = kernel.GapElement.at(domain.geometry, domain.element, points, weights)
+    N, v = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
+    dphi = kernel.alpha_derivatives(element, v)
+    return dphi @ nodal, N / np.linalg.norm(N, axis=2, keepdims=True)
+
+
+def _discontinuous(domain: GapDomain, shape: tuple[int, ...], name: str) -> fem.Function:
+    """A function on Σ without continuity, of the degree of the φ_a."""
+    element = ("Discontinuous Lagrange", domain.element.degree, shape)
+    return fem.Function(fem.functionspace(domain.mesh, element), name=name)
+
+
+def _points(f: fem.Function) -> npt.NDArray[np.float64]:
+    return f.function_space.ufl_element().basix_element.points
+
+
+def _set(f: fem.Function, values: npt.NDArray):
+    V = f.function_space
+    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] = values
+
+
+def traction(tie: "Tie", multipliers: npt.NDArray) -> fem.Function:
+    """λ = Σ_a λ_a ∂φ_a/∂α (eq. 20) on Σ. Collective.
+
+    Args:
+        tie: The tie.
+        multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
+    """
+    domain = tie.domain
+    f = _discontinuous(domain, tie.spaces[0].value_shape, "traction")
+    nodal = nodal_values(domain, tie.constraint.R_A, multipliers)
+    _set(f, alpha_derivative(domain, nodal, _points(f))[0])
+    return f
+
+
+def gap(tie: "Tie", u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
+    """Normal gap and tangential slip (eq. 17) on Σ. Collective."""
+    domain, shape = tie.domain, tie.spaces[0].value_shape
+    nodal = sum(
+        nodal_values(domain, R, owned_values(u)) for R, u in zip(tie.constraint.R, (u0, u1))
+    )
+    normal_gap = _discontinuous(domain, (), "gap")
+    dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
+    if shape == ():
+        _set(normal_gap, dx)
+        return normal_gap, None
+    opening = np.einsum("cpi,cpi->cp", dx, n)[..., None]
+    slip = _discontinuous(domain, shape, "slip")
+    _set(normal_gap, opening)
+    _set(slip, dx - opening * n)
+    return normal_gap, slip
+
+
+def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
+    """This rank's owned values, ``(num_dofs, block_size)``."""
+    dofmap = u.function_space.dofmap
+    return u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]

@@ -1,0 +1,89 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The saddle system [K Bᵀ; B 0] as a PETSc MatNest, and how it is solved."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+DIRECT = {
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_14": 100,  # 20 % of workspace to spare is too little for saddle systems
+}
+"""MUMPS's LU of the whole system: the default. ``facts`` behind it: LDLᵀ needs 2 × 2 pivots."""
+
+
+class SolveError(RuntimeError):
+    """The linear solver failed; nothing that it returned may be used."""
+
+
+def saddle_matrix(
+    K: Sequence[PETSc.Mat], B: Sequence[Sequence[PETSc.Mat | None]]
+) -> tuple[PETSc.Mat, list[PETSc.Mat]]:
+    """The nested matrix of several bodies and ties. Collective.
+
+    Args:
+        K: Stiffness of each body.
+        B: For each tie, its block on each body, or None.
+
+    Returns:
+        [K Bᵀ; B 0], and the transposes that it is made of.
+    """
+    transposes = [[b and b.copy().transpose() for b in row] for row in B]
+    blocks: list[list[PETSc.Mat | None]] = [
+        [K[i] if i == j else None for j in range(len(K))] + [Bt[i] for Bt in transposes]
+        for i in range(len(K))
+    ]
+    for t, row in enumerate(B):
+        blocks.append([*row, *[None] * t, _zero_diagonal(row), *[None] * (len(B) - t - 1)])
+    # Not assembled here: that would drop the entries that K has room for but no values yet
+    A = PETSc.Mat().createNest(blocks, comm=K[0].comm)
+    return A, [b for row in transposes for b in row if b]
+
+
+def _zero_diagonal(row: Sequence[PETSc.Mat | None]) -> PETSc.Mat:
+    block = next(b for b in row if b)
+    return zero_matrix(block.getSizes()[0], block.comm)
+
+
+def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
+    """A square matrix with nothing but a stored diagonal of zeros. Collective.
+
+    Args:
+        size: Local and global number of rows.
+        comm: Communicator.
+    """
+    return PETSc.Mat().createConstantDiagonal((size, size), 0.0, comm=comm).convert("aij")
+
+
+def check_solved(ksp: PETSc.KSP):
+    """Raise if a solve did not converge. Collective.
+
+    A singular matrix makes MUMPS return NaN without an exception.
+
+    Raises:
+        SolveError: With the KSP's reason and MUMPS's INFOG.
+    """
+    reason = ksp.getConvergedReason()
+    if reason > 0:
+        return
+    names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
+    message = f"the linear solve failed: KSP reason {reason} ({names.get(reason, 'unknown')})"
+    pc = ksp.getPC()
+    if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
+        factor = pc.getFactorMatrix()
+        infog = factor.getMumpsInfog(1), factor.getMumpsInfog(2)
+        message += f", MUMPS INFOG(1) = {infog[0]}, INFOG(2) = {infog[1]}"
+        if infog[0] == -10:
+            message += (
+                "; the matrix is singular: is every body held, by boundary conditions or by a tie "
+                "to one that is, and is each constraint given once?"
+            )
+        elif infog[0] in (-8, -9, -11, -13, -14, -19):
+            message += "; out of memory: raise mat_mumps_icntl_14 or use more ranks"
+    raise SolveError(message + ".")

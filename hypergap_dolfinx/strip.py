@@ -1,0 +1,385 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Σ in two dimensions: the strip of triangles between two chains of edges.
+
+The chains are parametrised by arc length and triangulated by the Delaunay rule: the apex of an
+edge is the node of the other chain that is nearest to its midpoint. Merging the sorted edge
+midpoints of both chains is all that takes.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.cells import GapCells, Hosts
+from hypergap_dolfinx.surface import InterfaceError, Surface
+
+TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
+END = 1e-7  # ends this close (in facet lengths) are no partial overlap
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Edges of a surface, one behind the other, in the direction of travel along Γ0."""
+
+    facets: npt.NDArray[np.int32]
+    """Facet of each edge, ``(num_edges,)``."""
+    X: npt.NDArray[np.float64]
+    """Where each edge starts and ends in its facet's reference coordinate, ``(num_edges, 2)``."""
+    x: npt.NDArray[np.float64]
+    """Node coordinates, ``(num_edges + 1, 2)``; a closed chain's last node is its first."""
+    closed: bool
+
+    @property
+    def arc(self) -> npt.NDArray[np.float64]:
+        """Arc length at the nodes, from 0 to 1, ``(num_edges + 1,)``."""
+        s = np.append(0, np.cumsum(np.linalg.norm(np.diff(self.x, axis=0), axis=1)))
+        return s / s[-1]
+
+    @property
+    def reversed(self) -> "Chain":
+        """The same edges, travelled the other way."""
+        return replace(self, facets=self.facets[::-1], X=self.X[::-1, ::-1], x=self.x[::-1])
+
+    def rolled(self, node: int) -> "Chain":
+        """The same closed chain, starting at another node."""
+        x = np.roll(self.x[:-1], -node, axis=0)
+        return replace(
+            self,
+            facets=np.roll(self.facets, -node),
+            X=np.roll(self.X, -node, axis=0),
+            x=np.vstack((x, x[:1])),
+        )
+
+    def project(self, point: npt.NDArray[np.float64]) -> tuple[int, float, float]:
+        """The edge, the position on it (0 to 1) and the distance of the point nearest to one."""
+        a, t = self.x[:-1], np.diff(self.x, axis=0)
+        position = np.clip(np.einsum("ei,ei->e", point - a, t) / (t**2).sum(axis=1), 0, 1)
+        distance = np.linalg.norm(a + position[:, None] * t - point, axis=1)
+        edge = int(distance.argmin())
+        return edge, float(position[edge]), float(distance[edge])
+
+    def clipped(self, start: tuple[int, float], end: tuple[int, float], surface: Surface):
+        """The part between two points, each an edge and a position on it (0 to 1)."""
+        (first, a), (last, b) = start, end
+        facets, X = self.facets[first : last + 1], self.X[first : last + 1].copy()
+        x = self.x[first : last + 2].copy()
+        ends = X[0, 0] + a * (X[0, 1] - X[0, 0]), X[-1, 0] + b * (X[-1, 1] - X[-1, 0])
+        X[0, 0], X[-1, 1] = ends
+        if a > 0:
+            x[:1] = surface.points(facets[:1], np.reshape(ends[0], (1, 1)))
+        if b < 1:
+            x[-1:] = surface.points(facets[-1:], np.reshape(ends[1], (1, 1)))
+        return Chain(facets, X, x, closed=False)
+
+
+def chains(surface: Surface) -> list[Chain]:
+    """Order the edges of a surface into chains, the body on the left.
+
+    Raises:
+        InterfaceError: The edges branch.
+    """
+    start, end = surface.facets.T
+    for ends in (start, end):
+        count = np.bincount(ends, minlength=len(surface.x))
+        if (count > 1).any():
+            raise InterfaceError(
+                f"{surface.name} branches at {surface.x[count.argmax()]}: its facets must form "
+                "chains (make one tie for each branch)."
+            )
+    edge_from = np.full(len(surface.x), -1)
+    edge_from[start] = np.arange(len(start))
+    # Open chains begin at a node that no edge enters; what is left over are loops
+    heads = np.setdiff1d(start, end)
+    following, edges = end.tolist(), edge_from.tolist()
+    left = np.ones(len(start), dtype=bool)
+    found = []
+    for closed in (False, True):
+        for head in heads if not closed else start:
+            edge, chain = edges[head], []
+            if not left[edge]:
+                continue
+            while edge >= 0 and (not chain or edge != chain[0]):
+                chain.append(edge)
+                edge = edges[following[edge]]
+            left[chain] = False
+            nodes = np.append(start[chain], end[chain[-1]])
+            X = np.tile((0.0, 1.0), (len(chain), 1))
+            found.append(Chain(np.array(chain, dtype=np.int32), X, surface.x[nodes], closed))
+    return found
+
+
+def facing(surface0: Surface, surface1: Surface) -> list[tuple[Chain, Chain]]:
+    """Pairs of chains, cut to the parts that face each other.
+
+    Raises:
+        InterfaceError: Nothing of Γ1 faces Γ0.
+    """
+    chains0 = chains(surface0)
+    chains1 = [chain.reversed for chain in chains(surface1)]
+    # One chain each may stand as far apart as they are long; of several, those in reach
+    alone = len(chains0) == len(chains1) == 1
+    h = max(surface0.size.max(), surface1.size.max())
+    pairs = []
+    for c0 in chains0:
+        for c1 in chains1:
+            reach = np.ptp(c0.x, axis=0).max() if alone else h
+            apart = np.maximum(c0.x.min(0) - c1.x.max(0), c1.x.min(0) - c0.x.max(0))
+            if apart.max() <= reach and (pair := _overlap(c0, c1, surface0, surface1, reach)):
+                pairs.append(pair)
+    if not pairs:
+        raise InterfaceError(_why_not_facing(surface0, surface1, chains0, chains1))
+    return pairs
+
+
+def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: float):
+    """The parts of two chains that face each other, or None."""
+    if c0.closed and c1.closed:
+        # Start where the chains share a node, else at the node nearest to Γ0's first
+        shared0, shared1 = _shared_nodes(c0.x[:-1], c1.x[:-1])
+        if len(shared0):
+            c0, c1 = c0.rolled(int(shared0[0])), c1.rolled(int(shared1[0]))
+        else:
+            c1 = c1.rolled(int(np.linalg.norm(c1.x[:-1] - c0.x[0], axis=1).argmin()))
+        return (c0, c1) if _aligned(c0, c1) and c0.project(c1.x[0])[2] <= reach else None
+    # A closed chain facing an open one is opened at the node farthest from it
+    if c0.closed:
+        middle = c1.x[len(c1.x) // 2]
+        c0 = c0.rolled(int(np.linalg.norm(c0.x[:-1] - middle, axis=1).argmax()))
+    if c1.closed:
+        middle = c0.x[len(c0.x) // 2]
+        c1 = c1.rolled(int(np.linalg.norm(c1.x[:-1] - middle, axis=1).argmax()))
+
+    cuts: list[list[tuple[int, float]]] = [[], []]  # [chain][start, end]
+    for end in (0, -1):
+        hits = [c0.project(c1.x[end]), c1.project(c0.x[end])]
+        inside = []
+        for chain, (edge, position, distance) in zip((c0, c1), hits):
+            length = np.linalg.norm(np.diff(chain.x[edge : edge + 2], axis=0))
+            arc = chain.arc * np.linalg.norm(np.diff(chain.x, axis=0), axis=1).sum()
+            s = arc[edge] + position * length
+            inset = s if end == 0 else arc[-1] - s
+            # Across a gap the foot of an end may lie beside the other end: that is no overlap
+            inside.append(inset > max(END * length, distance) and distance <= reach)
+        for i, chain in enumerate((c0, c1)):
+            edge, position, _ = hits[i]
+            cut = inside[i] and not inside[1 - i]
+            whole = (0, 0.0) if end == 0 else (len(chain.facets) - 1, 1.0)
+            cuts[i].append(_snapped(edge, position, end) if cut else whole)
+        if not any(inside) and min(hit[2] for hit in hits) > reach:
+            return None
+        if not any(inside) and np.linalg.norm(c0.x[end] - c1.x[end]) > reach + END * reach:
+            return None
+    if any(start[0] + start[1] >= end[0] + end[1] for start, end in cuts):
+        return None
+    c0, c1 = c0.clipped(*cuts[0], surface0), c1.clipped(*cuts[1], surface1)
+    return (c0, c1) if _aligned(c0, c1) else None
+
+
+def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
+    """A cut that leaves no sliver: a node is a node."""
+    if end == 0 and position > 1 - END:
+        return edge + 1, 0.0
+    if end == -1 and position < END:
+        return edge - 1, 1.0
+    return edge, position if END < position < 1 - END else round(position)
+
+
+def _aligned(c0: Chain, c1: Chain) -> bool:
+    """Whether two chains run side by side in the same direction."""
+    s = (np.arange(64) + 0.5) / 64
+    tangents = [
+        np.diff(c.x, axis=0)[np.searchsorted(c.arc[1:-1], s)]
+        / np.linalg.norm(np.diff(c.x, axis=0), axis=1)[np.searchsorted(c.arc[1:-1], s), None]
+        for c in (c0, c1)
+    ]
+    return bool(np.einsum("si,si->s", *tangents).mean() > 0)
+
+
+def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
+    c0, c1 = chains0[0], chains1[0]
+    distance = min(c0.project(x)[2] for x in c1.x)
+    for i, j in ((i, j) for i in chains0 for j in chains1):
+        if _overlap(i, j.reversed, surface0, surface1, np.ptp(i.x, axis=0).max()):
+            return (
+                "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
+                "wrong side of its body, or the same surface given twice?"
+            )
+    return (
+        f"Γ0 and Γ1 don't face each other: no part of Γ1 (around {surface1.x.mean(axis=0)}, "
+        f"{distance:.3g} away) lies opposite Γ0 (around {surface0.x.mean(axis=0)}); check the tags."
+    )
+
+
+def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Nodes of two chains at the same place: their indices, increasing in both."""
+    origin, size = x0.min(axis=0), np.ptp(x0, axis=0).max()
+    cell = 1e-9 * size + 32 * np.finfo(float).eps * np.abs(x0).max()
+    # The odd shift keeps round coordinates off the borders of the rounding
+    z0, z1 = (np.rint((x - origin) / cell + 0.2718) @ (1, 1j) for x in (x0, x1))
+    _, i, j = np.intersect1d(z0, z1, return_indices=True)
+    order = np.argsort(i)
+    i, j = i[order], j[order]
+    forward = j == np.maximum.accumulate(j) if len(j) else j
+    return i[forward], j[forward]
+
+
+def parametrise(c0: Chain, c1: Chain) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Parameters from 0 to 1 of the nodes of two facing chains; equal where nodes coincide."""
+    s0, s1 = c0.arc, c1.arc
+    i, j = _shared_nodes(c0.x[1:-1], c1.x[1:-1]) if len(s0) > 2 and len(s1) > 2 else ([], [])
+    at0 = np.concatenate(([0.0], s0[1:-1][i], [1.0]))
+    at1 = np.concatenate(([0.0], s1[1:-1][j], [1.0]))
+    s1 = np.interp(s1, at1, at0)
+    if c0.closed and not len(i) and not np.allclose(c0.x[0], c1.x[0]):
+        # No shared node: Γ1's first node sits where it projects on Γ0, a little off 0
+        edge, position, _ = c0.project(c1.x[0])
+        shift = s0[edge] + position * (s0[edge + 1] - s0[edge])
+        s1 = s1 + (shift if shift < 0.5 else shift - 1)
+    return s0, s1
+
+
+def triangulate(s0, s1):
+    """Delaunay triangles between two parametrised chains.
+
+    Args:
+        s0: Increasing parameters of the nodes of Γ0, ``(num_edges0 + 1,)``.
+        s1: The same for Γ1.
+
+    Returns:
+        For each triangle, in the order of travel: the side of its base edge (0 or 1), the index
+        of that edge, and the index of its apex on the other chain; ``(num_edges0 + num_edges1,)``
+        each.
+    """
+    m0, m1 = (s0[1:] + s0[:-1]) / 2, (s1[1:] + s1[:-1]) / 2 + TIE
+    side = np.repeat((0, 1), (len(m0), len(m1)))
+    edge = np.concatenate((np.arange(len(m0)), np.arange(len(m1))))
+    apex = np.concatenate((np.searchsorted(m1, m0), np.searchsorted(m0, m1)))
+    order = np.argsort(np.concatenate((m0, m1)), kind="stable")
+    return side[order], edge[order], apex[order]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The triangles between two chains, and which points of the surfaces belong to them."""
+
+    chains: tuple[Chain, Chain]
+    s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Parameters of the chains' nodes."""
+    side: npt.NDArray[np.intp]
+    edge: npt.NDArray[np.intp]
+    apex: npt.NDArray[np.intp]
+
+    @classmethod
+    def between(cls, c0: Chain, c1: Chain) -> "Strip":
+        """Mesh the strip between two facing chains."""
+        s = parametrise(c0, c1)
+        return cls((c0, c1), s, *triangulate(*s))
+
+    @property
+    def cell_nodes(self) -> npt.NDArray[np.intp]:
+        """Chain nodes of each triangle: a base's two, then the apex, ``(num_cells, 3)``.
+
+        Γ1 lies to the right of the direction of travel, so a base on Γ0 is turned round for
+        counterclockwise triangles.
+        """
+        a = self.edge + (self.side == 0)
+        return np.column_stack((a, 2 * self.edge + 1 - a, self.apex))
+
+    @property
+    def cells(self) -> npt.NDArray[np.int64]:
+        """Vertices of each triangle: Γ0's nodes first, then Γ1's, ``(num_cells, 3)``."""
+        c0, c1 = self.chains
+        n0, n1 = (len(c.facets) + (not c.closed) for c in (c0, c1))
+        on1 = np.column_stack((self.side, self.side, 1 - self.side)).astype(bool)
+        return np.where(on1, n0 + self.cell_nodes % n1, self.cell_nodes % n0)
+
+    @property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Vertex coordinates, ``(num_vertices, 2)``."""
+        return np.vstack([c.x[:-1] if c.closed else c.x for c in self.chains])
+
+    @property
+    def alpha(self) -> npt.NDArray[np.float64]:
+        """α at the vertices, ``(num_vertices,)``."""
+        return np.repeat((0.0, 1.0), [len(c.facets) + (not c.closed) for c in self.chains])
+
+    @property
+    def base(self) -> npt.NDArray[np.int32]:
+        """Facet (on its side) of each triangle's base, ``(num_cells,)``."""
+        facets = [c.facets for c in self.chains]
+        base = np.empty(len(self.side), dtype=np.int32)
+        for i in (0, 1):
+            base[self.side == i] = facets[i][self.edge[self.side == i]]
+        return base
+
+    def hosts(self, points: npt.NDArray[np.float64]) -> Hosts:
+        """Where points of the reference triangle lie on both surfaces.
+
+        Nodes of Γ0 and Γ1 are found through their edge, points between them through the common
+        parameter of the chains: there is nothing to project or to search for.
+
+        Args:
+            points: Reference points, ``(num_points, 2)``.
+        """
+        weights = np.column_stack((1 - points.sum(axis=1), points))
+        on_base = np.isclose(weights[:, 2], 0)
+        at_apex = np.isclose(weights[:, 2], 1)
+        # Base nodes are (end, start) on Γ0 and (start, end) on Γ1
+        along = np.where(self.side[:, None] == 0, weights[:, 0], weights[:, 1])  # (cell, point)
+        s_nodes = np.empty((len(self.side), 3))
+        for i in (0, 1):
+            mine = self.side == i
+            s_nodes[mine, :2] = self.s[i][self.cell_nodes[mine, :2]]
+            s_nodes[mine, 2] = self.s[1 - i][self.apex[mine]]
+        s_points = s_nodes @ weights.T
+        if self.chains[0].closed:
+            s_points %= 1
+        facets, X = [], []
+        for i in (0, 1):
+            c, s = self.chains[i], self.s[i]
+            at = np.mod(s_points - s[0], 1) + s[0] if c.closed else s_points
+            edge = np.searchsorted(s[1:-1], at, side="right")
+            position = (at - s[edge]) / (s[edge + 1] - s[edge])
+            mine = self.side == i
+            exact = mine[:, None] & on_base
+            edge[exact] = np.broadcast_to(self.edge[:, None], edge.shape)[exact]
+            position[exact] = along[exact]
+            exact = ~mine[:, None] & at_apex
+            last = np.minimum(self.apex, len(c.facets) - 1)
+            edge[exact] = np.broadcast_to(last[:, None], edge.shape)[exact]
+            position[exact] = np.broadcast_to((self.apex - last)[:, None], edge.shape)[exact]
+            facets.append(c.facets[edge])
+            X.append((c.X[edge, 0] + position * (c.X[edge, 1] - c.X[edge, 0]))[..., None])
+        alpha_nodes = np.where(self.side[:, None] == 0, (0.0, 0.0, 1.0), (1.0, 1.0, 0.0))
+        return Hosts(alpha_nodes @ weights.T, tuple(facets), tuple(X))
+
+
+def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
+    """Mesh Σ between two surfaces in the plane.
+
+    Raises:
+        InterfaceError: Edges that don't form chains, or don't face each other.
+    """
+    strips = [Strip.between(*pair) for pair in facing(surface0, surface1)]
+    offsets = np.cumsum([0] + [len(strip.x) for strip in strips])
+    side = np.concatenate([strip.side for strip in strips])
+    base = np.concatenate([strip.base for strip in strips])
+    normal = np.empty((len(base), 2))
+    rank = np.empty(len(base), dtype=np.int32)
+    for i, surface in enumerate((surface0, surface1)):
+        mine = side == i
+        normal[mine] = (1 - 2 * i) * surface.normals[base[mine]]
+        rank[mine] = surface.owner[base[mine]]
+    return GapCells(
+        x=np.vstack([strip.x for strip in strips]),
+        alpha=np.concatenate([strip.alpha for strip in strips]),
+        cells=np.vstack([strip.cells + offset for strip, offset in zip(strips, offsets)]),
+        normal=normal,
+        rank=rank,
+        hosts=lambda X, cells: Hosts.concatenate([strip.hosts(X) for strip in strips])[cells],
+    )

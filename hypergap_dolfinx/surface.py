@@ -1,0 +1,303 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The trace of a function space on its interface facets, gathered over the ranks."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx import fem
+from hypergap_dolfinx import compat
+
+
+class InterfaceError(ValueError):
+    """The facets or spaces given to a tie can't form an interface.
+
+    Raised with the same message on every rank.
+    """
+
+
+def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):
+    """Raise the lowest rank's message on every rank, if any rank has one. Collective."""
+    first = next((m for m in comm.allgather(message) if m), None)
+    if first:
+        raise error(first)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One side Γ_i of an interface: the same arrays on every rank.
+
+    The vertices of a facet are ordered such that its normal points out of the body: in 2D the
+    body is on the left, in 3D the vertices turn counterclockwise seen from outside.
+    """
+
+    name: str
+    """What messages call it, Γ0 or Γ1."""
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, n)``."""
+    facets: npt.NDArray[np.int32]
+    """Vertices of each facet, ``(num_facets, n)``."""
+    nodes: npt.NDArray[np.float64]
+    """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
+    dofs: npt.NDArray[np.int64]
+    """Global dofs (blocks) of each facet in the order of ``element``, ``(num_facets, num_dofs)``."""
+    owner: npt.NDArray[np.int32]
+    """Rank that owns the body's cell at the facet, ``(num_facets,)``."""
+    geometry: basix.finite_element.FiniteElement
+    """Lagrange element of the facets' geometry."""
+    element: basix.finite_element.FiniteElement
+    """Lagrange element of the trace."""
+    dof_range: npt.NDArray[np.int64]
+    """Offsets of the ranks' owned dofs (blocks) of the space, ``(num_ranks + 1,)``."""
+
+    @property
+    def gdim(self) -> int:
+        """Geometric dimension n."""
+        return self.x.shape[1]
+
+    @cached_property
+    def size(self) -> npt.NDArray[np.float64]:
+        """Diameter of each facet (longest edge), ``(num_facets,)``."""
+        v = self.x[self.facets]
+        edges = v - np.roll(v, 1, axis=1)
+        return np.linalg.norm(edges, axis=2).max(axis=1)
+
+    @cached_property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit outward normals of the facets' vertex simplices, ``(num_facets, n)``."""
+        return _normals(self.x[self.facets])
+
+    @cached_property
+    def curved(self) -> npt.NDArray[np.bool_]:
+        """Which facets' geometry nodes leave the vertex simplex, ``(num_facets,)``."""
+        straight = _barycentric(self.geometry.points) @ self.x[self.facets]
+        deviation = np.abs(self.nodes - straight).max(axis=(1, 2))
+        # Coordinates carry a rounding error of their own, which grows away from the origin
+        noise = 8 * np.finfo(float).eps * np.abs(self.x).max()
+        return deviation > 1e-12 * self.size + noise
+
+    def points(self, facet, X) -> npt.NDArray[np.float64]:
+        """Coordinates of reference points.
+
+        Args:
+            facet: Facet of each point, ``(num_points,)``.
+            X: Reference coordinates, ``(num_points, n - 1)``.
+
+        Returns:
+            Coordinates, ``(num_points, n)``.
+        """
+        return np.einsum("pa,pai->pi", tabulate(self.geometry, X), self.nodes[facet])
+
+
+def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.float64]:
+    """Values of a scalar element's basis at reference points, ``(num_points, num_dofs)``."""
+    return element.tabulate(0, np.ascontiguousarray(X))[0, :, :, 0]
+
+
+def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Barycentric coordinates of points of a reference simplex, ``(num_points, dim + 1)``."""
+    return np.column_stack((1 - X.sum(axis=1), X))
+
+
+def _normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Unit normals of simplices ``(num, n, n)`` in n dimensions: right of an edge, up for a
+    counterclockwise triangle."""
+    t = v[:, 1:] - v[:, :1]
+    if v.shape[2] == 2:
+        normal = np.column_stack((t[:, 0, 1], -t[:, 0, 0]))
+    else:
+        normal = np.cross(t[:, 0], t[:, 1])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal / np.where(length > 0, length, 1)
+
+
+def _match(points, reference) -> npt.NDArray[np.intp] | None:
+    """Index in ``reference`` of each of ``points``, or None if one is missing."""
+    distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
+    index = distance.argmin(axis=1)
+    return index if distance[np.arange(len(points)), index].max() < 1e-10 else None
+
+
+def _facet_tables(cell_type, element, facet_element):
+    """Cell node under each facet node, for each local facet and both turns of its vertices.
+
+    Returns:
+        ``(num_local_facets, 2, num_facet_nodes)``.
+    """
+    fdim = len(basix.topology(cell_type)) - 2
+    vertices = basix.geometry(cell_type)
+    tables = []
+    for facet in basix.topology(cell_type)[fdim]:
+        for turned in (facet, [facet[0], *facet[:0:-1]] if fdim == 2 else facet[::-1]):
+            v = vertices[turned[: fdim + 1]]
+            tables.append(_match(_barycentric(facet_element.points) @ v, element.points))
+            assert tables[-1] is not None
+    return np.reshape(tables, (-1, 2, len(facet_element.points)))
+
+
+def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteElement, str | None]:
+    """The scalar Lagrange element under a space, or the reason why there is none.
+
+    Returns:
+        The element, and None or a message.
+    """
+    try:
+        element = V.ufl_element().basix_element
+    except (NotImplementedError, AttributeError):
+        return None, "is mixed; tie its collapsed subspaces instead"
+    if V.component():
+        return None, "is a subspace; tie the whole space or its collapsed copy"
+    if (
+        element.family != basix.ElementFamily.P
+        or element.discontinuous
+        or element.degree < 1
+        or V.value_size != V.dofmap.index_map_bs
+    ):
+        return None, f"({V.ufl_element()!r}) is not a continuous Lagrange space of degree ≥ 1"
+    return element, None
+
+
+def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Surface:
+    """Gather the trace of a Lagrange space on facets of its mesh. Collective.
+
+    Args:
+        V: Lagrange space of degree k ≥ 1, scalar or blocked.
+        facets: Exterior facets (indices local to this rank); a facet that several ranks know may
+            be given on any of them.
+        name: What messages call the surface.
+
+    Returns:
+        The surface, the same on every rank.
+
+    Raises:
+        InterfaceError: Not a Lagrange space; no, interior, duplicate or out-of-range facets; NaN
+            coordinates.
+    """
+    mesh = V.mesh
+    comm, n, fdim = mesh.comm, mesh.geometry.dim, mesh.topology.dim - 1
+    element, reason = lagrange_element(V)
+    raise_on_all(comm, reason and f"the space of {name} {reason}.")
+    if mesh.topology.dim != n or n not in (2, 3):
+        raise InterfaceError(
+            f"{name} lies on a {mesh.topology.dim}-dimensional mesh in {n} dimensions; "
+            "bodies must be 2D in the plane or 3D in space."
+        )
+    topology = mesh.topology
+    topology.create_entities(fdim)
+    topology.create_connectivity(fdim, fdim + 1)
+    topology.create_connectivity(fdim + 1, fdim)
+    facets = np.asarray(facets)
+    raise_on_all(comm, _facet_error(mesh, facets, name))
+    facets = facets.astype(np.int32)
+    if comm.allreduce(len(facets)) == 0:
+        raise InterfaceError(
+            f"{name} has no facets on any rank; does the tag exist (ft.find(tag), ft.values)?"
+        )
+
+    # Local facet number of each facet in its one cell
+    offsets = topology.connectivity(fdim, fdim + 1).offsets
+    cells = topology.connectivity(fdim, fdim + 1).array[offsets[facets]]
+    cell_type = getattr(basix.CellType, topology.cell_name())
+    num_facets = len(basix.topology(cell_type)[fdim])
+    cell_facets = topology.connectivity(fdim + 1, fdim).array.reshape(-1, num_facets)
+    local = np.argmax(cell_facets[cells] == facets[:, None], axis=1)
+
+    # Order the vertices of each facet such that its normal points out of the cell
+    cmap = compat.coordinate_element(mesh)
+    facet_type = basix.cell.subentity_types(cell_type)[fdim][0]
+    simplex = facet_type in (basix.CellType.interval, basix.CellType.triangle)
+    if not simplex:
+        raise InterfaceError(
+            f"{name} has {facet_type.name} facets; 3D interfaces need tetrahedral bodies so far."
+        )
+    P = basix.ElementFamily.P
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    cell_geometry = basix.create_element(P, cell_type, cmap.degree, variant)
+    geometry = basix.create_element(P, facet_type, cmap.degree, variant)
+    trace = basix.create_element(P, facet_type, element.degree, element.lagrange_variant)
+    cell_nodes = compat.geometry_dofmap(mesh)[cells]
+    x = mesh.geometry.x[:, :n]
+    tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
+    nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
+    vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
+    centre = x[cell_nodes].mean(axis=1)
+    v = x[nodes[:, 0][:, vertex_nodes]]
+    turn = (np.einsum("fi,fi->f", _normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
+    each = np.arange(len(facets))
+    nodes = nodes[each, turn]
+    tables = _facet_tables(cell_type, element, trace)[local, turn]
+    dofs = np.take_along_axis(V.dofmap.list[cells], tables, axis=1)
+
+    # Gather: facets are told apart by their global number, vertices by their global node
+    def gather(a):
+        return np.concatenate(comm.allgather(np.ascontiguousarray(a)))
+
+    index_map = V.dofmap.index_map
+    cell_map = topology.index_map(fdim + 1)
+    ranges = np.append(0, np.cumsum(comm.allgather(cell_map.size_local)))
+    global_cells = cell_map.local_to_global(cells)
+    key = gather(global_cells * num_facets + local)
+    _, first = np.unique(key, return_index=True)
+    owner = np.searchsorted(ranges, key[first] // num_facets, side="right") - 1
+    nodes_x = gather(x[nodes])[first]
+    dofs = gather(index_map.local_to_global(dofs.ravel()).reshape(dofs.shape))[first]
+    global_nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
+    vertices = gather(global_nodes[:, vertex_nodes])[first]
+    if not np.isfinite(nodes_x).all():
+        raise InterfaceError(f"{name} has NaN or infinite coordinates.")
+
+    # Number by position: node numbers depend on the number of ranks, coordinates don't
+    _, at, vertices = np.unique(vertices, return_index=True, return_inverse=True)
+    vertices = vertices.reshape(-1, n)
+    vertex_x = nodes_x[:, vertex_nodes].reshape(-1, n)[at]
+    order = np.lexsort(vertex_x.T[::-1])
+    rank_of = np.empty_like(order)
+    rank_of[order] = np.arange(len(order))
+    vertices = rank_of[vertices]
+    facet_order = np.lexsort(np.sort(vertices, axis=1).T[::-1])
+    return Surface(
+        name=name,
+        x=vertex_x[order],
+        facets=vertices[facet_order].astype(np.int32),
+        nodes=nodes_x[facet_order],
+        dofs=dofs[facet_order],
+        owner=owner[facet_order].astype(np.int32),
+        geometry=geometry,
+        element=trace,
+        dof_range=np.append(0, np.cumsum(comm.allgather(index_map.size_local))),
+    )
+
+
+def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
+    """What is wrong with this rank's facets, or None."""
+    fdim = mesh.topology.dim - 1
+    if facets.ndim != 1 or (len(facets) and not np.issubdtype(facets.dtype, np.integer)):
+        return f"the facets of {name} must be a flat array of local facet indices (ft.find(tag))."
+    facet_map = mesh.topology.index_map(fdim)
+    num_facets = facet_map.size_local + facet_map.num_ghosts
+    bad = facets[(facets < 0) | (facets >= num_facets)]
+    if len(bad):
+        return (
+            f"facet {bad[0]} of {name} is out of range (rank {mesh.comm.rank} has {num_facets} "
+            "facets); give local facet indices, as ft.find(tag) does."
+        )
+    unique, count = np.unique(facets, return_counts=True)
+    if (count > 1).any():
+        return f"facet {unique[count > 1][0]} of {name} is given twice; pass each facet once."
+    num_cells = np.diff(mesh.topology.connectivity(fdim, fdim + 1).offsets)[facets]
+    interior = (num_cells != 1) | np.isin(facets, mesh.topology.interprocess_facets())
+    if interior.any():
+        return (
+            f"facet {facets[interior][0]} of {name} has a cell on both sides; an interface lies "
+            "on the boundary of its body (split the mesh along it)."
+        )
+    return None

@@ -1,0 +1,175 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The tie between two surfaces: the user's door to Σ and the constraint."""
+
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy.typing as npt
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx import results
+from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
+from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface
+
+
+class Tie:
+    """Ties two surfaces whose meshes don't match.
+
+    Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
+    Γ1. The tie asks that ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
+    ∂φ_a/∂α (eq. 20).
+
+    Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
+    softer) side. Everything here is collective.
+
+    Example::
+
+        tie = Tie((V0, facets0), (V1, facets1))
+        problem = TiedProblem([a0, a1], [L0, L1], bcs=bcs, ties=[tie])
+        u0, u1 = problem.solve()
+
+    Args:
+        side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
+            exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them.
+        side1: Γ1: the same; the mesh may be the same one too.
+        interior: What nodes between the surfaces (0 < α < 1; the middles of cross edges for k ≥ 2)
+            do. ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier a dof
+            of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in eq. (22).
+
+    Raises:
+        InterfaceError: Facets or spaces that form no interface; the message says which and why.
+        InvertedCellError: The surfaces differ so much in shape that Σ folds over.
+    """
+
+    def __init__(
+        self,
+        side0: tuple[fem.FunctionSpace, npt.ArrayLike],
+        side1: tuple[fem.FunctionSpace, npt.ArrayLike],
+        *,
+        interior: str = "interpolated",
+    ):
+        if interior not in ("interpolated", "free"):
+            raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
+        (V0, facets0), (V1, facets1) = side0, side1
+        comm = V0.mesh.comm
+        if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+            raise InterfaceError(
+                "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
+            )
+        if V0.value_shape != V1.value_shape:
+            raise InterfaceError(
+                f"the spaces of Γ0 and Γ1 have different value shapes, {V0.value_shape} and "
+                f"{V1.value_shape}; tie like with like."
+            )
+        if V0.mesh.geometry.dim != V1.mesh.geometry.dim:
+            raise InterfaceError(
+                f"the mesh of Γ0 has {V0.mesh.geometry.dim} coordinates, that of Γ1 "
+                f"{V1.mesh.geometry.dim}; they must be equal."
+            )
+        self._interior = interior
+        self._spaces = (V0, V1)
+        surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
+        self._domain = create_gap_domain(comm, *surfaces)
+        self._blocks: tuple[PETSc.Mat, ...] = ()
+
+    def __del__(self):
+        """Destroy the PETSc matrices."""
+        for matrix in getattr(self, "_blocks", ()):
+            matrix.destroy()
+        if "constraint" in self.__dict__:
+            self.constraint.destroy()
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+        return self._spaces
+
+    @property
+    def block_size(self) -> int:
+        """Number of components of the displacement."""
+        return self._spaces[0].dofmap.index_map_bs
+
+    @property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1, gathered on every rank."""
+        return self._domain.surfaces
+
+    @property
+    def domain(self) -> GapDomain:
+        """Σ with its arrays."""
+        return self._domain
+
+    @property
+    def sigma(self) -> Mesh:
+        """Σ's mesh. Its cells may have no volume: never integrate over it with ``ufl.dx``."""
+        return self._domain.mesh
+
+    @property
+    def alpha(self) -> fem.Function:
+        """The field α on Σ, from 0 on Γ0 to 1 on Γ1."""
+        return self._domain.alpha
+
+    @property
+    def free_interior(self) -> bool:
+        """Whether Σ's interior nodes are unknowns."""
+        return self._interior == "free"
+
+    @cached_property
+    def constraint(self) -> Constraint:
+        """The constraint on one component, assembled when it is first asked for."""
+        return create_constraint(self._domain, self._spaces, self.free_interior)
+
+    def blocks(self) -> tuple[PETSc.Mat, ...]:
+        """The matrices of Σ_i B_i u_i = 0, for systems of your own.
+
+        Returns:
+            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs; with
+            ``interior="free"`` also B_Σ for the displacements of Σ's interior nodes. A row for
+            each dof of Γ1 in reach of Γ0 (and each free interior one); prescribed displacements
+            are not taken into account. The tie owns them.
+        """
+        if not self._blocks:
+            self._blocks = tuple(expand(B, self.block_size) for B in self.constraint.B)
+        return self._blocks
+
+    def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
+        """Normal gap and tangential slip, eq. (17), of the displacements.
+
+        Args:
+            u0: Displacement of Γ0's body.
+            u1: Displacement of Γ1's body.
+
+        Returns:
+            n · ∂u/∂α, positive where the surfaces part, and ∂u/∂α without its normal part; both on
+            Σ, discontinuous, in units of the displacement. For scalars ∂u/∂α takes the place of
+            the first, and the second is None.
+        """
+        return results.gap(self, u0, u1)
+
+    def traction(self, problem) -> fem.Function:
+        """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
+
+        Args:
+            problem: A :class:`TiedProblem` with this tie.
+
+        Returns:
+            λ on Σ, discontinuous; force per area (2D: per length and unit depth). It is the
+            traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ.
+        """
+        return results.traction(self, problem.multipliers(self))
+
+    def quadrature(self, degree: int) -> results.GapQuadrature:
+        """Gauss points on Σ with the measure dΓ_α dα, to integrate there.
+
+        Args:
+            degree: Degree of the Gauss rule.
+        """
+        return results.create_quadrature(self._domain, degree)
