@@ -1,0 +1,138 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Structured meshes: a mapped unit square or cube, and sectors of a ring."""
+
+from collections.abc import Callable, Sequence
+from itertools import permutations, product
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+
+LEFT, RIGHT, BOTTOM, TOP, BACK, FRONT = 1, 2, 3, 4, 5, 6
+INNER, OUTER, START, END = 1, 2, 3, 4
+
+# Corners of the cells that a unit square or cube is cut into, all of positive orientation
+_CELLS = {
+    "triangle": [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]],
+    "quadrilateral": [[(0, 0), (1, 0), (0, 1), (1, 1)]],
+    "hexahedron": [[corner[::-1] for corner in product((0, 1), repeat=3)]],
+    "tetrahedron": [  # from one end of the diagonal to the other, an axis at a time (Kuhn)
+        [(0, 0, 0), *np.cumsum(np.eye(3, dtype=int)[list(axes)], axis=0).tolist()]
+        for axes in permutations(range(3))
+    ],
+}
+
+
+def block(
+    comm: MPI.Comm,
+    n: Sequence[int],
+    mapping: Callable[[npt.NDArray], npt.NDArray] | None = None,
+    *,
+    cell: str = "quadrilateral",
+    degree: int = 1,
+    periodic: bool = False,
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
+    """A unit square or cube of equal cells, mapped.
+
+    Args:
+        comm: Communicator.
+        n: Number of cells along each axis, ``(2,)`` or ``(3,)``.
+        mapping: Takes node coordinates in the unit square or cube, ``(num_nodes, dim)``, to the
+            nodes' places; the identity if not given. Applied to all nodes, so cells of degree 2
+            and more are curved.
+        cell: ``"triangle"``, ``"quadrilateral"``, ``"tetrahedron"`` or ``"hexahedron"``.
+        degree: Degree of the geometry.
+        periodic: Whether the end of the second axis is its start, as in a ring.
+
+    Returns:
+        The mesh and its facet tags: LEFT and RIGHT where the first coordinate of the unit square
+        or cube is 0 and 1, BOTTOM and TOP for the second, BACK and FRONT for the third.
+    """
+    dim = len(n)
+    element = basix.ufl.element(
+        "Lagrange", cell, degree, lagrange_variant=basix.LagrangeVariant.equispaced, shape=(dim,)
+    )
+    points = element.basix_element.points
+    linear = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 1)
+    weights = linear.tabulate(0, points)[0, :, :, 0]
+    shape = degree * np.asarray(n) + 1
+    wraps = shape - 1 if periodic else shape + 1
+    if comm.rank == 0:
+        corners = np.array(_CELLS[cell])
+        if cell == "tetrahedron":
+            odd = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+            corners[odd] = corners[odd][:, [0, 2, 1, 3]]
+        inside = np.rint(degree * (weights @ corners)).astype(np.int64)  # (cell, node, dim)
+        origins = np.indices(n).reshape(dim, -1).T * degree
+        lattice = origins[:, None, None] + inside
+        if periodic:
+            lattice[..., 1] %= wraps[1]
+        cells = np.ravel_multi_index(np.moveaxis(lattice, -1, 0), shape).reshape(-1, len(points))
+        x = np.indices(shape).reshape(dim, -1).T / (shape - 1)
+        used, cells = np.unique(cells, return_inverse=True)
+        x, cells = x[used], cells.reshape(-1, len(points))
+    else:
+        x, cells = np.empty((0, dim)), np.empty((0, len(points)), dtype=np.int64)
+    mesh = dolfinx.mesh.create_mesh(comm, cells, element, x)
+
+    facets, tags = [], []
+    for axis, end in product(range(dim), (0, 1)):
+        if periodic and axis == 1:
+            continue
+        found = dolfinx.mesh.locate_entities_boundary(
+            mesh, dim - 1, lambda x: np.isclose(x[axis], end)
+        )
+        facets.append(found)
+        tags.append(np.full(len(found), 2 * axis + end + 1, dtype=np.int32))
+    order = np.argsort(np.concatenate(facets))
+    facet_tags = dolfinx.mesh.meshtags(
+        mesh, dim - 1, np.concatenate(facets)[order], np.concatenate(tags)[order]
+    )
+    if mapping is not None:
+        mesh.geometry.x[:, :dim] = mapping(mesh.geometry.x[:, :dim].copy())
+    return mesh, facet_tags
+
+
+def ring_sector(
+    comm: MPI.Comm,
+    n_hoop: int,
+    n_radial: int,
+    r_inner: float,
+    r_outer: float,
+    *,
+    angle: float = np.pi / 2,
+    cell: str = "quadrilateral",
+    degree: int = 1,
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
+    """A sector of a ring around the origin, from the x axis on; closed if ``angle`` is 2π.
+
+    Args:
+        comm: Communicator.
+        n_hoop: Number of cells around.
+        n_radial: Number of cells across.
+        r_inner: Inner radius.
+        r_outer: Outer radius.
+        angle: Angle of the sector.
+        cell: ``"triangle"`` or ``"quadrilateral"``.
+        degree: Degree of the geometry.
+
+    Returns:
+        The mesh and its facet tags INNER, OUTER and, of an open ring, START and END.
+    """
+
+    def polar(x):
+        r = r_inner + (r_outer - r_inner) * x[:, 0]
+        theta = angle * x[:, 1]
+        return np.column_stack((r * np.cos(theta), r * np.sin(theta)))
+
+    closed = np.isclose(angle, 2 * np.pi)
+    n = (n_radial, n_hoop)
+    return block(comm, n, polar, cell=cell, degree=degree, periodic=closed)
