@@ -225,6 +225,19 @@ class TiedProblem:
         """
         self.assemble_matrix()
         self.assemble_vector()
+        return self.solve_system()
+
+    def solve_system(self) -> list[fem.Function]:
+        """Solve with A and b as they are; an A that didn't change is not factorised again.
+
+        For time loops: assemble A once, then assemble b and solve in each step. Collective.
+
+        Returns:
+            The solution of each body, the same functions as in ``u``.
+
+        Raises:
+            SolveError: The solver failed; says how.
+        """
         self._solver.solve(self._b, self._x)
         saddle.check_solved(self._solver)
         for u, x in zip(self._u, self._x.getNestSubVecs()):
