@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 DIRECT = {
-    "ksp_type": "preonly",
+    "ksp_type": "richardson",  # the factors, and a step of refinement for the digits they lose
+    "ksp_norm_type": "none",
+    "ksp_max_it": 2,
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_14": 100,  # 20 % of workspace to spare is too little for saddle systems

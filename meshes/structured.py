@@ -22,6 +22,12 @@ INNER, OUTER, START, END = 1, 2, 3, 4
 # Corners of the cells that a unit square or cube is cut into, all of positive orientation
 _CELLS = {
     "triangle": [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]],
+    "crossed": [  # four triangles that meet in the middle
+        [(0, 0), (1, 0), (0.5, 0.5)],
+        [(1, 0), (1, 1), (0.5, 0.5)],
+        [(1, 1), (0, 1), (0.5, 0.5)],
+        [(0, 1), (0, 0), (0.5, 0.5)],
+    ],
     "quadrilateral": [[(0, 0), (1, 0), (0, 1), (1, 1)]],
     "hexahedron": [[corner[::-1] for corner in product((0, 1), repeat=3)]],
     "tetrahedron": [  # from one end of the diagonal to the other, an axis at a time (Kuhn)
@@ -38,6 +44,7 @@ def block(
     *,
     cell: str = "quadrilateral",
     degree: int = 1,
+    crossed: bool = False,
     periodic: bool = False,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """A unit square or cube of equal cells, mapped.
@@ -50,6 +57,7 @@ def block(
             and more are curved.
         cell: ``"triangle"``, ``"quadrilateral"``, ``"tetrahedron"`` or ``"hexahedron"``.
         degree: Degree of the geometry.
+        crossed: Whether each square is cut into four triangles instead of two.
         periodic: Whether the end of the second axis is its start, as in a ring.
 
     Returns:
@@ -63,18 +71,18 @@ def block(
     points = element.basix_element.points
     linear = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 1)
     weights = linear.tabulate(0, points)[0, :, :, 0]
-    shape = degree * np.asarray(n) + 1
-    wraps = shape - 1 if periodic else shape + 1
+    steps = 2 * degree if crossed else degree  # of the lattice of nodes, in a cell
+    shape = steps * np.asarray(n) + 1
     if comm.rank == 0:
-        corners = np.array(_CELLS[cell])
+        corners = np.array(_CELLS["crossed" if crossed else cell])
         if cell == "tetrahedron":
             odd = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
             corners[odd] = corners[odd][:, [0, 2, 1, 3]]
-        inside = np.rint(degree * (weights @ corners)).astype(np.int64)  # (cell, node, dim)
-        origins = np.indices(n).reshape(dim, -1).T * degree
+        inside = np.rint(steps * (weights @ corners)).astype(np.int64)  # (cell, node, dim)
+        origins = np.indices(n).reshape(dim, -1).T * steps
         lattice = origins[:, None, None] + inside
         if periodic:
-            lattice[..., 1] %= wraps[1]
+            lattice[..., 1] %= shape[1] - 1
         cells = np.ravel_multi_index(np.moveaxis(lattice, -1, 0), shape).reshape(-1, len(points))
         x = np.indices(shape).reshape(dim, -1).T / (shape - 1)
         used, cells = np.unique(cells, return_inverse=True)
@@ -111,6 +119,7 @@ def ring_sector(
     angle: float = np.pi / 2,
     cell: str = "quadrilateral",
     degree: int = 1,
+    crossed: bool = False,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """A sector of a ring around the origin, from the x axis on; closed if ``angle`` is 2π.
 
@@ -123,6 +132,7 @@ def ring_sector(
         angle: Angle of the sector.
         cell: ``"triangle"`` or ``"quadrilateral"``.
         degree: Degree of the geometry.
+        crossed: Whether each square is cut into four triangles instead of two.
 
     Returns:
         The mesh and its facet tags INNER, OUTER and, of an open ring, START and END.
@@ -135,4 +145,5 @@ def ring_sector(
 
     closed = np.isclose(angle, 2 * np.pi)
     n = (n_radial, n_hoop)
-    return block(comm, n, polar, cell=cell, degree=degree, periodic=closed)
+    options = {"cell": cell, "degree": degree, "crossed": crossed}
+    return block(comm, n, polar, **options, periodic=closed)
