@@ -65,5 +65,11 @@ class GapCells:
     """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
     rank: npt.NDArray[np.int32]
     """The rank that each cell goes to: the owner of a body's cell beside it."""
+    patch: npt.NDArray[np.int32]
+    """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
+
+    λ jumps where two pieces meet, as the traction does at a kink. So the pieces' parts of Σ share
+    no vertex there: each has its own, at the same place, and nodes on Γ1 have hosts in their own
+    piece."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""

@@ -5,8 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The constraint ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (eq. 4) as matrices on the bodies' own dofs."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,6 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from dolfinx import fem
 from hypergap_dolfinx.gap_domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.surface import Surface
@@ -34,9 +35,12 @@ class Constraint:
     R_A: PETSc.Mat
     """Pull-back of the multipliers: λ_a = R_A λ. ``(num_nodes, num_multipliers)``."""
     dofs: npt.NDArray[np.int64]
-    """Global dofs (blocks) of V₁ that carry a multiplier, sorted, the same on every rank."""
+    """Global dof (block) of V₁ under each multiplier, sorted, the same on every rank. A dof that
+    several patches of Γ1 share has a multiplier in each."""
+    patch: npt.NDArray[np.int64]
+    """Patch of Γ1 that each multiplier belongs to."""
     rows: npt.NDArray[np.int64]
-    """Row of B of each of ``dofs``."""
+    """Row of B of each multiplier."""
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
@@ -112,9 +116,13 @@ def create_constraint(
         entries = [tuple(part[keep] for part in e) for e, keep in zip(entries, bound)]
         R_B = [coo_matrix(comm, (owned, n), *entry) for n, entry in zip(sizes, entries)]
 
-    # Multipliers: the dofs of Γ1 that Σ touches, then the rank's free interior nodes
+    # Multipliers: the dofs of Γ1 that Σ touches, in each patch; then the rank's free interior nodes
     i1, dof1, value1 = entries[1]
-    dofs = np.unique(np.concatenate(comm.allgather(np.unique(dof1))))
+    num_patches = int(domain.patch.max()) + 1
+    patch_of = domain.patch[hosts.facets[1].ravel()[first]]  # of each owned node
+    key = dof1 * num_patches + patch_of[np.searchsorted(row, i1)]
+    keys = np.unique(np.concatenate(comm.allgather(np.unique(key))))
+    dofs, patch = keys // num_patches, keys % num_patches
     ends = np.searchsorted(dofs, domain.surfaces[1].dof_range)
     num_free = np.array(comm.allgather(int(free.sum())))
     offset = np.append(0, np.cumsum(num_free))  # free interior nodes of lower ranks
@@ -124,7 +132,7 @@ def create_constraint(
     num_rows = int(ends[r + 1] - ends[r] + num_free[r])
     own = np.arange(num_free[r])
     i = np.concatenate((i1, row[free]))
-    j = np.concatenate((rows[np.searchsorted(dofs, dof1)], ends[r + 1] + offset[r] + own))
+    j = np.concatenate((rows[np.searchsorted(keys, key)], ends[r + 1] + offset[r] + own))
     value = np.concatenate((value1, np.ones(num_free[r])))
     R_A = coo_matrix(comm, (owned, num_rows), i, j, value)
     if free_interior:
@@ -144,7 +152,7 @@ def create_constraint(
         if R_i not in R:
             R_i.destroy()
     G.destroy()
-    return Constraint(tuple(B), R, R_A, dofs, rows)
+    return Constraint(tuple(B), R, R_A, dofs, patch, rows)
 
 
 def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:
@@ -179,30 +187,56 @@ def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
 
 
 def independent_rows(
-    constraint: Constraint, surface: Surface, prescribed: npt.NDArray[np.bool_]
-) -> PETSc.Mat | None:
-    """Constraints that remain where displacements of Γ1 are prescribed. Collective.
+    constraint: Constraint,
+    domain: GapDomain,
+    prescribed: npt.NDArray[np.bool_],
+    shared: npt.NDArray[np.bool_],
+) -> tuple[PETSc.Mat | None, npt.NDArray[np.int64]]:
+    """The multipliers that remain where dofs of Γ1 are prescribed or belong to several patches.
 
     The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it
-    would lose rank. Its multiplier follows its neighbours instead: in its facet λ becomes a
-    polynomial of degree k − 1, so that tractions up to that degree are still carried.
+    would lose rank. Where patches or ties meet, a dof can't have one in each. In both cases λ
+    follows its neighbours instead: in its facet it becomes a polynomial of degree k − 1, so that
+    tractions up to that degree are still carried, and may jump from patch to patch.
 
     Args:
         constraint: The constraint.
-        surface: Γ1.
-        prescribed: Which components of ``constraint.dofs`` are prescribed,
-            ``(num_dofs, block_size)``, the same on every rank.
+        domain: Σ.
+        prescribed: Which components of the multipliers' dofs are prescribed,
+            ``(num_multipliers, block_size)``, the same on every rank.
+        shared: Which of the multipliers' dofs belong to another tie too, ``(num_multipliers,)``.
 
     Returns:
-        E with λ = E λ', λ' the multipliers that remain, or None if all do.
+        E with λ = E λ', λ' the multipliers that remain, or None if all do; and the rows (of the
+        blocked B) that have no multiplier in reach, because everything there is prescribed.
     """
-    if not prescribed.any():
-        return None
+    surface = domain.surfaces[1]
+    _, at, count = np.unique(constraint.dofs, return_inverse=True, return_counts=True)
+    shared = shared | (count[at] > 1)
+    drop = prescribed | shared[:, None]
+    nothing = np.empty(0, dtype=np.int64)
+    if not drop.any():
+        return None, nothing
     comm = constraint.R_A.comm.tompi4py()
     block_size = prescribed.shape[1]
     start, end = (block_size * r for r in constraint.R_A.getOwnershipRangeColumn())
-    row = constraint.rows[:, None] * block_size + np.arange(block_size)  # (dof, component)
-    dropped = np.sort(row[prescribed])
+    row = constraint.rows[:, None] * block_size + np.arange(block_size)  # (multiplier, component)
+
+    # Multiplier at each dof of each facet, −1 where Σ doesn't reach
+    num_patches = int(domain.patch.max()) + 1
+    keys = constraint.dofs * num_patches + constraint.patch
+    wanted = surface.dofs * num_patches + domain.patch[:, None]
+    multiplier = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
+    multiplier[keys[multiplier] != wanted] = -1
+
+    # A patch without any other multiplier keeps a constant one, at a dof that is not prescribed
+    for component in range(block_size):
+        left = np.bincount(constraint.patch[~drop[:, component]], minlength=num_patches)
+        for p in np.flatnonzero(left == 0):
+            found = np.flatnonzero((constraint.patch == p) & ~prescribed[:, component])
+            drop[found[:1], component] = False
+
+    dropped = np.sort(row[drop])
 
     def kept(rows):
         """Number of a row among those that remain."""
@@ -211,37 +245,65 @@ def independent_rows(
     mine = np.arange(start, end)
     mine = mine[~np.isin(mine, dropped)]
     i, j, value = [mine], [kept(mine)], [np.ones(len(mine))]
-    position = np.searchsorted(constraint.dofs, surface.dofs)
-    position = np.minimum(position, len(constraint.dofs) - 1)
-    used = constraint.dofs[position] == surface.dofs  # (facet, dof)
-    for dof, component in np.argwhere(prescribed):
-        if not start <= row[dof, component] < end:
-            continue
-        facets = np.flatnonzero(((position == dof) & used).any(axis=1))
-        free = used[facets] & ~prescribed[position[facets], component]
+    lost = []
+    facets_of = _inverse(multiplier, len(keys))
+    for m, component in np.argwhere(drop & (start <= row) & (row < end)):
+        facets, local = facets_of(m)
+        free = (multiplier[facets] >= 0) & ~drop[multiplier[facets], component]  # (facet, dof)
         best = free.sum(axis=1).argmax()
-        local = int(np.argmax(surface.dofs[facets[best]] == constraint.dofs[dof]))
-        weights = _extension(surface, local, tuple(free[best]))
-        neighbours = position[facets[best]][free[best]]
-        i.append(np.full(len(neighbours), row[dof, component]))
+        if free[best].any():
+            weights = _extension(surface.element, int(local[best]), tuple(free[best]))
+            neighbours = multiplier[facets[best]][free[best]]
+        else:
+            weights, neighbours = _nearest(surface, domain, multiplier, drop[:, component], m)
+            if prescribed[multiplier[facets], component].all():
+                lost.append(row[m, component])
+        i.append(np.full(len(neighbours), row[m, component]))
         j.append(kept(row[neighbours, component]))
         value.append(weights)
     sizes = (end - start, len(mine))
-    return coo_matrix(comm, sizes, *(np.concatenate(part) for part in (i, j, value)))
+    E = coo_matrix(comm, sizes, *(np.concatenate(part) for part in (i, j, value)))
+    return E, np.array(lost, dtype=np.int64)
 
 
-def _extension(surface: Surface, local: int, free: Sequence[bool]) -> npt.NDArray[np.float64]:
+def _inverse(multiplier, num_multipliers: int):
+    """A lookup of the facets that have a multiplier, and its place in them."""
+    facet, local = np.nonzero(multiplier >= 0)
+    value = multiplier[facet, local]
+    order = np.argsort(value, kind="stable")
+    offsets = np.searchsorted(value[order], np.arange(num_multipliers + 1))
+
+    def facets_of(m):
+        part = order[offsets[m] : offsets[m + 1]]
+        return facet[part], local[part]
+
+    return facets_of
+
+
+def _nearest(surface: Surface, domain: GapDomain, multiplier, drop, m: int):
+    """The remaining multiplier of the same patch in the facet nearest to a dropped one's."""
+    patch_facets = domain.patch == domain.patch[np.nonzero((multiplier == m).any(axis=1))[0][0]]
+    free = (multiplier >= 0) & ~drop[multiplier] & patch_facets[:, None]
+    facets = np.flatnonzero(free.any(axis=1))
+    if not len(facets):
+        return np.empty(0), np.empty(0, dtype=np.int64)
+    centres = surface.nodes.mean(axis=1)
+    own = centres[(multiplier == m).any(axis=1)].mean(axis=0)
+    facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
+    return np.ones(1), multiplier[facet][free[facet]][:1]
+
+
+@lru_cache(maxsize=1024)
+def _extension(
+    element: basix.finite_element.FiniteElement, local: int, free: tuple[bool, ...]
+) -> npt.NDArray[np.float64]:
     """Weights of a facet's free dofs that extend a polynomial of degree k − 1 to another dof."""
-    points, free = surface.element.points, np.asarray(free)
-    if not free.any():
-        return np.empty(0)
-    exponents = np.indices((surface.element.degree,) * points.shape[1]).reshape(points.shape[1], -1)
+    points, where = element.points, np.asarray(free)
+    exponents = np.indices((element.degree,) * points.shape[1]).reshape(points.shape[1], -1)
     total = exponents.sum(axis=0)
-    for degree in range(surface.element.degree - 1, -1, -1):
+    for degree in range(element.degree - 1, -1, -1):
         powers = exponents[:, total <= degree]
         P = np.prod(points[:, :, None] ** powers, axis=1)  # (dof, monomial)
-        if np.linalg.matrix_rank(P[free]) == powers.shape[1]:
+        if np.linalg.matrix_rank(P[where]) == powers.shape[1]:
             break
-    return P[local] @ np.linalg.pinv(P[free])
-
-
+    return P[local] @ np.linalg.pinv(P[where])

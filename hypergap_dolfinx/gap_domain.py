@@ -48,6 +48,8 @@ class GapDomain:
     """Which cells have a curved edge, ``(num_cells,)``."""
     hosts: Hosts
     """Hosts of the nodes of ``space``."""
+    patch: npt.NDArray[np.int32]
+    """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``."""
 
     @property
     def geometry(self) -> basix.finite_element.FiniteElement:
@@ -151,6 +153,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         normal=gap.normal[order],
         curved=_curved(x_cells, coordinates.basix_element.points, np.abs(x).max()),
         hosts=gap.hosts(space.ufl_element().basix_element.points, order),
+        patch=gap.patch,
     )
 
 

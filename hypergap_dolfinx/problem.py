@@ -17,6 +17,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat, saddle
 from hypergap_dolfinx.constraint import independent_rows
+from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
 
 
@@ -45,6 +46,7 @@ class TiedProblem:
     Raises:
         ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
             belongs to no body.
+        InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
     """
 
     def __init__(
@@ -128,7 +130,7 @@ class TiedProblem:
         prescribed = [self._prescribed(body) for body in range(len(self._spaces))]
         num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
         interior = len(self._spaces)
-        for tie, bodies in zip(self._ties, self._bodies):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True)):
             comm, constraint = tie.sigma.comm, tie.constraint
             fields = [*bodies, interior] if tie.free_interior else bodies
             interior += tie.free_interior
@@ -138,8 +140,10 @@ class TiedProblem:
             own = constraint.dofs[(constraint.dofs >= start) & (constraint.dofs < end)] - start
             marker = prescribed[bodies[1]].reshape(-1, tie.block_size)[own]
             marker = np.concatenate(comm.allgather(marker))
-            E = independent_rows(constraint, tie.surfaces[1], marker)
+            shared = np.isin(constraint.dofs, self._dofs_of_other_ties(t, bodies[1]))
+            E, lost = independent_rows(constraint, tie.domain, marker, shared)
             self._rows.append(E)
+            self._check_lost_rows(t, lost, prescribed[bodies[0]])
             row: list[PETSc.Mat | None] = [None] * num_fields
             for i, B in zip(fields, tie.blocks()):
                 B = E.transposeMatMult(B) if E else B.copy()
@@ -156,6 +160,36 @@ class TiedProblem:
                 mask.destroy()
             self._B_full.append(row)
             self._B.append(free)
+
+    def _dofs_of_other_ties(self, t: int, body: int) -> npt.NDArray[np.int64]:
+        """Dofs (blocks) of a body that ties other than one touch, the same on every rank."""
+        touched = [
+            surface.dofs.ravel()
+            for other, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True))
+            for surface, b in zip(tie.surfaces, bodies, strict=True)
+            if other != t and b == body
+        ]
+        return np.unique(np.concatenate(touched)) if touched else np.empty(0, dtype=np.int64)
+
+    def _check_lost_rows(self, t: int, lost, prescribed0):
+        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
+        tie = self._ties[t]
+        B0 = tie.blocks()[0].copy()
+        mask = B0.createVecRight()
+        mask.array[:] = ~prescribed0
+        B0.diagonalScale(R=mask)
+        start, _ = B0.getOwnershipRange()
+        indptr, _, values = B0.getValuesCSR()
+        size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
+        untied = (size[lost - start] > 1e-12 * size.max(initial=0)).sum()
+        mask.destroy()
+        B0.destroy()
+        untied = tie.sigma.comm.allreduce(int(untied))
+        if untied:
+            raise InterfaceError(
+                f"{untied} displacements of Γ1 of tie {t} are prescribed on whole facets while "
+                "Γ0 can move there, so nothing would tie it; swap the sides of the tie."
+            )
 
     def _set_options(self, prefix: str, options: dict | None):
         if not prefix:

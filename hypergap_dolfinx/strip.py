@@ -20,6 +20,7 @@ from hypergap_dolfinx.surface import InterfaceError, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
 END = 1e-7  # ends this close (in facet lengths) are no partial overlap
+KINK = np.pi / 3  # a turn that is a corner whatever is beside it
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,12 @@ class Chain:
         return Chain(facets, X, x, closed=False)
 
 
-def chains(surface: Surface) -> list[Chain]:
+def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> list[Chain]:
     """Order the edges of a surface into chains, the body on the left.
+
+    Args:
+        surface: The surface.
+        breaks: Vertices at which a chain ends and the next one begins, ``(num_vertices,)``.
 
     Raises:
         InterfaceError: The edges branch.
@@ -96,6 +101,9 @@ def chains(surface: Surface) -> list[Chain]:
     # Open chains begin at a node that no edge enters; what is left over are loops
     heads = np.setdiff1d(start, end)
     following, edges = end.tolist(), edge_from.tolist()
+    if breaks is not None:
+        heads = np.union1d(heads, start[breaks[start]])
+        following = np.where(breaks[end], -1, end).tolist()
     left = np.ones(len(start), dtype=bool)
     found = []
     for closed in (False, True):
@@ -105,7 +113,8 @@ def chains(surface: Surface) -> list[Chain]:
                 continue
             while edge >= 0 and (not chain or edge != chain[0]):
                 chain.append(edge)
-                edge = edges[following[edge]]
+                node = following[edge]
+                edge = edges[node] if node >= 0 else -1
             left[chain] = False
             nodes = np.append(start[chain], end[chain[-1]])
             X = np.tile((0.0, 1.0), (len(chain), 1))
@@ -113,14 +122,62 @@ def chains(surface: Surface) -> list[Chain]:
     return found
 
 
-def facing(surface0: Surface, surface1: Surface) -> list[tuple[Chain, Chain]]:
+def kinks(surface: Surface) -> npt.NDArray[np.bool_]:
+    """Vertices where a surface has a corner: it turns there, and hardly beside it.
+
+    A polygon that stands for a smooth curve turns at all of its vertices about as much.
+
+    Returns:
+        ``(num_vertices,)``.
+    """
+    start, end = surface.facets.T
+    before, after = (np.full(len(surface.x), -1) for _ in range(2))
+    before[end] = after[start] = np.arange(len(start))
+    inner = np.flatnonzero((before >= 0) & (after >= 0))
+    n0, n1 = surface.normals[before[inner]], surface.normals[after[inner]]
+    turn = np.zeros(len(surface.x))
+    cross = n0[:, 0] * n1[:, 1] - n0[:, 1] * n1[:, 0]
+    turn[inner] = np.arctan2(np.abs(cross), np.einsum("vi,vi->v", n0, n1))
+    beside = np.zeros(len(surface.x))
+    beside[inner] = np.maximum(turn[start[before[inner]]], turn[end[after[inner]]])
+    noise = 64 * np.finfo(float).eps * np.abs(surface.x).max() / surface.size.min()
+    return (turn > KINK) | (turn > np.maximum(4 * beside, 1e-8 + noise))
+
+
+def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:
+    """The smooth pieces of both surfaces, all travelled in the direction of Γ0.
+
+    One ends and the next begins where both surfaces have a node at a kink.
+
+    Raises:
+        InterfaceError: The edges branch.
+    """
+    surfaces = (surface0, surface1)
+    breaks = [np.zeros(len(surface.x), dtype=bool) for surface in surfaces]
+    at = [np.flatnonzero(kinks(surface)) for surface in surfaces]
+    if len(at[0]) and len(at[1]):
+        pairs = _coincident(surface0.x[at[0]], surface1.x[at[1]])
+        for b, vertices, found in zip(breaks, at, pairs, strict=True):
+            b[vertices[found]] = True
+    c0, c1 = (chains(surface, b) for surface, b in zip(surfaces, breaks, strict=True))
+    return c0, [chain.reversed for chain in c1]
+
+
+def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: list[Chain]):
     """Pairs of chains, cut to the parts that face each other.
+
+    Args:
+        surface0: Γ0.
+        surface1: Γ1.
+        chains0: Pieces of Γ0.
+        chains1: Pieces of Γ1, in Γ0's direction of travel.
+
+    Returns:
+        Pairs of :class:`Chain`.
 
     Raises:
         InterfaceError: Nothing of Γ1 faces Γ0.
     """
-    chains0 = chains(surface0)
-    chains1 = [chain.reversed for chain in chains(surface1)]
     # One chain each may stand as far apart as they are long; of several, those in reach
     alone = len(chains0) == len(chains1) == 1
     h = max(surface0.size.max(), surface1.size.max())
@@ -215,15 +272,22 @@ def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
     )
 
 
+def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Indices of the points of two sets that lie at the same place."""
+    origin, size = x0.min(axis=0), np.ptp(np.vstack((x0, x1)), axis=0).max()
+    cell = 2e-9 * size + 64 * np.finfo(float).eps * np.abs(x0).max()
+    found = set()
+    for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):  # off the borders of one is in another
+        z0, z1 = (np.rint((x - origin) / cell + shift) @ (1, 1j) for x in (x0, x1))
+        _, i, j = np.intersect1d(z0, z1, return_indices=True)
+        found.update(zip(i.tolist(), j.tolist(), strict=True))
+    i, j = np.array(sorted(found), dtype=np.intp).reshape(-1, 2).T
+    return i, j
+
+
 def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Nodes of two chains at the same place: their indices, increasing in both."""
-    origin, size = x0.min(axis=0), np.ptp(x0, axis=0).max()
-    cell = 1e-9 * size + 32 * np.finfo(float).eps * np.abs(x0).max()
-    # The odd shift keeps round coordinates off the borders of the rounding
-    z0, z1 = (np.rint((x - origin) / cell + 0.2718) @ (1, 1j) for x in (x0, x1))
-    _, i, j = np.intersect1d(z0, z1, return_indices=True)
-    order = np.argsort(i)
-    i, j = i[order], j[order]
+    i, j = _coincident(x0, x1)
     forward = j == np.maximum.accumulate(j) if len(j) else j
     return i[forward], j[forward]
 
@@ -365,7 +429,12 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
     Raises:
         InterfaceError: Edges that don't form chains, or don't face each other.
     """
-    strips = [Strip.between(*pair) for pair in facing(surface0, surface1)]
+    chains0, chains1 = pieces(surface0, surface1)
+    pairs = facing(surface0, surface1, chains0, chains1)
+    strips = [Strip.between(*pair) for pair in pairs]
+    patch = np.empty(len(surface1.facets), dtype=np.int32)
+    for i, chain in enumerate(chains1):
+        patch[chain.facets] = i
     offsets = np.cumsum([0] + [len(strip.x) for strip in strips])
     side = np.concatenate([strip.side for strip in strips])
     base = np.concatenate([strip.base for strip in strips])
@@ -381,5 +450,6 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
         cells=np.vstack([strip.cells + offset for strip, offset in zip(strips, offsets)]),
         normal=normal,
         rank=rank,
+        patch=patch,
         hosts=lambda X, cells: Hosts.concatenate([strip.hosts(X) for strip in strips])[cells],
     )
