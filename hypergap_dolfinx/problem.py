@@ -198,7 +198,8 @@ class TiedProblem:
         self._A.setOptionsPrefix(f"{prefix}A_")
         database = PETSc.Options()
         database.prefixPush(prefix)
-        options = saddle.DIRECT if options is None else options
+        if options is None:  # the defaults, where the command line doesn't say otherwise
+            options = {k: v for k, v in saddle.DIRECT.items() if not database.hasName(prefix + k)}
         for key, value in options.items():
             database[key] = value
         self._solver.setFromOptions()
