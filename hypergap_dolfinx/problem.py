@@ -16,8 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat, saddle
-from hypergap_dolfinx.constraint import independent_rows
-from hypergap_dolfinx.surface import InterfaceError
+from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.tie import Tie
 
 
@@ -75,7 +74,6 @@ class TiedProblem:
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._L], bcs)
         self._ties = list(ties)
         self._u = list(u) if u is not None else [fem.Function(V) for V in spaces]
-        self._bodies = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
         if orphans:
             raise ValueError(
@@ -83,18 +81,15 @@ class TiedProblem:
                 "make them on the spaces of the forms."
             )
 
+        self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
-        self._rows: list[PETSc.Mat | None] = []
-        self._B_full: list[list[PETSc.Mat | None]] = []
-        self._B: list[list[PETSc.Mat | None]] = []
-        self._constrain()
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
-        interiors = [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
-        self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in interiors]
-        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], self._B)
+        sizes = self._constraints.interior_sizes
+        self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], self._constraints.free)
         self._b_bodies = [compat.create_vector(V) for V in spaces]
         self._b_interiors = [zero.createVecLeft() for zero in self._zeros]
-        self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._B]
+        self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
         self._b = PETSc.Vec().createNest(
             [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
         )
@@ -102,94 +97,6 @@ class TiedProblem:
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._set_options(petsc_options_prefix, petsc_options)
-
-    def _bodies_of(self, t: int, tie: Tie) -> tuple[int, int]:
-        """The bodies on both sides of a tie."""
-        found = []
-        for side, V in enumerate(tie.spaces):
-            body = next((i for i, W in enumerate(self._spaces) if W == V), None)
-            if body is None:
-                raise ValueError(
-                    f"Γ{side} of tie {t} is on a space that is in no form; make the tie and the "
-                    "forms on the same function spaces."
-                )
-            found.append(body)
-        return found[0], found[1]
-
-    def _prescribed(self, body: int) -> npt.NDArray[np.bool_]:
-        """Which owned dofs (unrolled) of a body are prescribed."""
-        V = self._spaces[body]
-        marker = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
-        for bc in self._bcs[body]:
-            dofs, num_owned = bc.dof_indices()
-            marker[dofs[:num_owned]] = True
-        return marker
-
-    def _constrain(self):
-        """The blocks of each tie on each body, with the rows and columns that are left free."""
-        prescribed = [self._prescribed(body) for body in range(len(self._spaces))]
-        num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
-        interior = len(self._spaces)
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True)):
-            comm, constraint = tie.sigma.comm, tie.constraint
-            fields = [*bodies, interior] if tie.free_interior else bodies
-            interior += tie.free_interior
-            # Whether the multipliers' own dofs are prescribed, on every rank
-            V1 = tie.spaces[1]
-            start, end = V1.dofmap.index_map.local_range
-            own = constraint.dofs[(constraint.dofs >= start) & (constraint.dofs < end)] - start
-            marker = prescribed[bodies[1]].reshape(-1, tie.block_size)[own]
-            marker = np.concatenate(comm.allgather(marker))
-            shared = np.isin(constraint.dofs, self._dofs_of_other_ties(t, bodies[1]))
-            E, lost = independent_rows(constraint, tie.domain, marker, shared)
-            self._rows.append(E)
-            self._check_lost_rows(t, lost, prescribed[bodies[0]])
-            row: list[PETSc.Mat | None] = [None] * num_fields
-            for i, B in zip(fields, tie.blocks()):
-                B = E.transposeMatMult(B) if E else B.copy()
-                if row[i] is None:
-                    row[i] = B
-                else:
-                    row[i].axpy(1.0, B)
-                    B.destroy()
-            free = [B and B.copy() for B in row]
-            for body, B in zip(set(bodies), (free[body] for body in set(bodies))):
-                mask = B.createVecRight()
-                mask.array[:] = ~prescribed[body]
-                B.diagonalScale(R=mask)
-                mask.destroy()
-            self._B_full.append(row)
-            self._B.append(free)
-
-    def _dofs_of_other_ties(self, t: int, body: int) -> npt.NDArray[np.int64]:
-        """Dofs (blocks) of a body that ties other than one touch, the same on every rank."""
-        touched = [
-            surface.dofs.ravel()
-            for other, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True))
-            for surface, b in zip(tie.surfaces, bodies, strict=True)
-            if other != t and b == body
-        ]
-        return np.unique(np.concatenate(touched)) if touched else np.empty(0, dtype=np.int64)
-
-    def _check_lost_rows(self, t: int, lost, prescribed0):
-        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
-        tie = self._ties[t]
-        B0 = tie.blocks()[0].copy()
-        mask = B0.createVecRight()
-        mask.array[:] = ~prescribed0
-        B0.diagonalScale(R=mask)
-        start, _ = B0.getOwnershipRange()
-        indptr, _, values = B0.getValuesCSR()
-        size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
-        untied = (size[lost - start] > 1e-12 * size.max(initial=0)).sum()
-        mask.destroy()
-        B0.destroy()
-        untied = tie.sigma.comm.allreduce(int(untied))
-        if untied:
-            raise InterfaceError(
-                f"{untied} displacements of Γ1 of tie {t} are prescribed on whole facets while "
-                "Γ0 can move there, so nothing would tie it; swap the sides of the tie."
-            )
 
     def _set_options(self, prefix: str, options: dict | None):
         if not prefix:
@@ -209,18 +116,16 @@ class TiedProblem:
 
     def __del__(self):
         """Destroy the PETSc objects."""
-        matrices = [b for rows in ("_B", "_B_full") for row in getattr(self, rows, []) for b in row]
-        for obj in (
-            *(getattr(self, name, None) for name in ("_solver", "_A", "_b", "_x")),
-            *(o for name in ("_K", "_Bt", "_rows", "_zeros", "_b_bodies", "_b_interiors", "_b_ties") for o in getattr(self, name, [])),
-            *matrices,
-        ):
+        single = ("_solver", "_A", "_b", "_x", "_constraints")
+        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
+        lists = [getattr(self, name, []) for name in several]
+        for obj in (*(getattr(self, name, None) for name in single), *sum(lists, [])):
             if obj is not None:
                 obj.destroy()
 
     def assemble_matrix(self):
         """Assemble the bodies' stiffness into A. Collective."""
-        for K, form, bcs in zip(self._K, self._a, self._bcs):
+        for K, form, bcs in zip(self._K, self._a, self._bcs, strict=True):
             K.zeroEntries()
             petsc.assemble_matrix(K, form, bcs=bcs)
             K.assemble()
@@ -229,7 +134,7 @@ class TiedProblem:
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
         prescribed = []
-        for b, a, L, bcs in zip(self._b_bodies, self._a, self._L, self._bcs):
+        for b, a, L, bcs in zip(self._b_bodies, self._a, self._L, self._bcs, strict=True):
             with b.localForm() as local:
                 local.set(0.0)
             petsc.assemble_vector(b, L)
@@ -240,11 +145,8 @@ class TiedProblem:
             g.set(0.0)
             petsc.set_bc(g, bcs)
             prescribed.append(g)
-        for c, row in zip(self._b_ties, self._B_full):
-            c.set(0.0)
-            for g, B in zip(prescribed, row):
-                if B is not None:
-                    B.multAdd(g, c, c)
+        for t, c in enumerate(self._b_ties):
+            self._constraints.apply(t, prescribed, c)
             c.scale(-1.0)
         for g in prescribed:
             g.destroy()
@@ -293,15 +195,7 @@ class TiedProblem:
         if t is None:
             raise ValueError("the tie is not one of this problem's.")
         x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) + t]
-        E = self._rows[t]
-        if E is None:
-            values = x.array_r.copy()
-        else:
-            full = E.createVecLeft()
-            E.mult(x, full)
-            values = full.array_r.copy()
-            full.destroy()
-        return values.reshape(-1, tie.block_size)
+        return self._constraints.multipliers(t, x)
 
     @property
     def a(self) -> list[fem.Form]:

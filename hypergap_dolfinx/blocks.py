@@ -1,0 +1,182 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The constraints of several ties on several bodies, as blocks of one saddle system."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.constraint import independent_rows
+from hypergap_dolfinx.surface import InterfaceError
+from hypergap_dolfinx.tie import Tie
+
+
+class ConstraintBlocks:
+    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each tie, a column for each field.
+
+    The fields are the bodies' displacements, then the free interior nodes of ties that have them.
+    Rows of prescribed dofs are gone, and so are columns: what they hold is known.
+
+    Args:
+        spaces: Function space of each body.
+        bcs: Dirichlet conditions of each body.
+        ties: The ties.
+
+    Raises:
+        ValueError: A tie on a space that belongs to no body.
+        InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+    """
+
+    def __init__(
+        self,
+        spaces: Sequence[fem.FunctionSpace],
+        bcs: Sequence[Sequence[fem.DirichletBC]],
+        ties: Sequence[Tie],
+    ):
+        self._spaces = list(spaces)
+        self._ties = list(ties)
+        self._bodies = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
+        self._rows: list[PETSc.Mat | None] = []
+        self._full: list[list[PETSc.Mat | None]] = []
+        self._free: list[list[PETSc.Mat | None]] = []
+        prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        interior = len(self._spaces)
+        self._num_fields = interior + sum(tie.free_interior for tie in self._ties)
+        for t, tie in enumerate(self._ties):
+            self._add(t, prescribed, interior)
+            interior += tie.free_interior
+
+    def destroy(self):
+        """Destroy the PETSc matrices. Collective."""
+        for matrix in (*self._rows, *sum(self._full, []), *sum(self._free, [])):
+            if matrix is not None:
+                matrix.destroy()
+
+    @property
+    def free(self) -> list[list[PETSc.Mat | None]]:
+        """B on what is not prescribed, ``[tie][field]``."""
+        return self._free
+
+    @property
+    def full(self) -> list[list[PETSc.Mat | None]]:
+        """B on all dofs, ``[tie][field]``."""
+        return self._full
+
+    @property
+    def interior_sizes(self) -> list[tuple[int, int]]:
+        """Local and global numbers of free interior dofs, of the ties that have them."""
+        return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
+
+    def apply(self, t: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
+        """c = Σ_i B_i u_i of a tie, prescribed dofs included. Collective.
+
+        Args:
+            t: Number of the tie.
+            fields: u_i; of the bodies alone or of all fields.
+            c: Takes the result.
+        """
+        c.set(0.0)
+        for u, B in zip(fields, self._full[t], strict=False):
+            if B is not None:
+                B.multAdd(u, c, c)
+
+    def multipliers(self, t: int, x: PETSc.Vec) -> npt.NDArray[np.float64]:
+        """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective."""
+        E = self._rows[t]
+        if E is None:
+            values = x.array_r.copy()
+        else:
+            full = E.createVecLeft()
+            E.mult(x, full)
+            values = full.array_r.copy()
+            full.destroy()
+        return values.reshape(-1, self._ties[t].block_size)
+
+    def _bodies_of(self, t: int, tie: Tie) -> tuple[int, int]:
+        """The bodies on both sides of a tie."""
+        found = []
+        for side, V in enumerate(tie.spaces):
+            body = next((i for i, W in enumerate(self._spaces) if W == V), None)
+            if body is None:
+                raise ValueError(
+                    f"Γ{side} of tie {t} is on a space that is in no form; make the tie and the "
+                    "forms on the same function spaces."
+                )
+            found.append(body)
+        return found[0], found[1]
+
+    @staticmethod
+    def _prescribed(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.bool_]:
+        """Which owned dofs (unrolled) of a body are prescribed."""
+        marker = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
+        for bc in bcs:
+            dofs, num_owned = bc.dof_indices()
+            marker[dofs[:num_owned]] = True
+        return marker
+
+    def _add(self, t: int, prescribed: Sequence[npt.NDArray[np.bool_]], interior: int):
+        """The blocks of a tie, with the rows and columns that are left free."""
+        tie, bodies = self._ties[t], self._bodies[t]
+        constraint = tie.constraint
+        # Whether the multipliers' own dofs are prescribed, on every rank
+        start, end = tie.spaces[1].dofmap.index_map.local_range
+        own = constraint.dofs[(constraint.dofs >= start) & (constraint.dofs < end)] - start
+        marker = prescribed[bodies[1]].reshape(-1, tie.block_size)[own]
+        marker = np.concatenate(tie.sigma.comm.allgather(marker))
+        shared = np.isin(constraint.dofs, self._dofs_of_other_ties(t, bodies[1]))
+        E, lost = independent_rows(constraint, tie.domain, marker, shared)
+        self._check_lost_rows(t, lost, prescribed[bodies[0]])
+        full: list[PETSc.Mat | None] = [None] * self._num_fields
+        for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
+            B = E.transposeMatMult(B) if E else B.copy()
+            if full[i] is None:
+                full[i] = B
+            else:  # both sides on one body
+                full[i].axpy(1.0, B)
+                B.destroy()
+        free = [B and B.copy() for B in full]
+        for body in set(bodies):
+            mask = free[body].createVecRight()
+            mask.array[:] = ~prescribed[body]
+            free[body].diagonalScale(R=mask)
+            mask.destroy()
+        self._rows.append(E)
+        self._full.append(full)
+        self._free.append(free)
+
+    def _dofs_of_other_ties(self, t: int, body: int) -> npt.NDArray[np.int64]:
+        """Dofs (blocks) of a body that ties other than one touch, the same on every rank."""
+        touched = [
+            surface.dofs.ravel()
+            for other, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True))
+            for surface, b in zip(tie.surfaces, bodies, strict=True)
+            if other != t and b == body
+        ]
+        return np.unique(np.concatenate(touched)) if touched else np.empty(0, dtype=np.int64)
+
+    def _check_lost_rows(self, t: int, lost, prescribed0):
+        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
+        tie = self._ties[t]
+        B0 = tie.blocks()[0].copy()
+        mask = B0.createVecRight()
+        mask.array[:] = ~prescribed0
+        B0.diagonalScale(R=mask)
+        start, _ = B0.getOwnershipRange()
+        indptr, _, values = B0.getValuesCSR()
+        size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
+        untied = (size[lost - start] > 1e-12 * size.max(initial=0)).sum()
+        mask.destroy()
+        B0.destroy()
+        untied = tie.sigma.comm.allreduce(int(untied))
+        if untied:
+            raise InterfaceError(
+                f"{untied} displacements of Γ1 of tie {t} are prescribed on whole facets while "
+                "Γ0 can move there, so nothing would tie it; swap the sides of the tie."
+            )
