@@ -1,0 +1,82 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+
+VENV := .venv
+BIN := $(CURDIR)/$(VENV)/bin
+MPIRUN ?= $(BIN)/mpirun
+PYTEST_ARGS ?=
+DEMO_ARGS ?=
+
+# Demos and tests that start a process of their own find the environment's programs
+export PATH := $(BIN):$(PATH)
+
+# MPICH polls for messages and gives its core to nobody. With more ranks than cores every message
+# then waits for the scheduler: 3 ranks on 2 cores took 75 s for what 2 ranks do in 4.5 s. With
+# this it sleeps for a moment after 8 polls in vain: 11 s, and still 4.6 s for 2 ranks. (Neither
+# MPIR_CVAR_POLLS_BEFORE_YIELD nor MPIR_CVAR_ENABLE_HEAVY_YIELD helps: they yield, they don't sleep.)
+export MPIR_CVAR_CH4_PROGRESS_THROTTLE := 1
+export MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT := 8
+
+# Open MPI counts cores and refuses root; MPICH knows neither option
+mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
+	echo --oversubscribe $$([ "$$(id -u)" != 0 ] || echo --allow-run-as-root))
+
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+.PHONY: help env demo test test-all lint types test-serial test-mpi-2 test-mpi-3 clean
+
+help:
+	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
+	@echo "make test      set up, check style and types, run all tests but the slow ones on"
+	@echo "               1, 2 and 3 ranks (PYTEST_ARGS=...)"
+	@echo "make test-all  the same with the slow ones"
+	@echo "make env       set up alone: everything goes into $(VENV)"
+	@echo "make clean     remove $(VENV) and what was built (not results/)"
+	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3."
+	@echo "PYTHON=... names the Python (>= 3.12) to set up with, MPIRUN=... the mpirun to test with."
+
+env: $(VENV)/installed
+
+# DOLFINx compiles forms at run time, with the C compiler that Python was made with unless CC is set
+$(VENV)/installed: pyproject.toml
+	@$(BIN)/python -c '' 2>/dev/null || { \
+		python=$$(.ci/find_python) && echo "Setting up $(VENV) with $$python" && \
+		$$python -m venv --clear $(VENV); }
+	@cc=$${CC:-$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_config_var("CC"))')}; \
+		echo '#include <stdlib.h>' | $$cc -x c -fsyntax-only - 2>/dev/null || \
+		{ echo "No C compiler ($$cc): apt-get install gcc libc6-dev (or set CC)" >&2; exit 1; }
+	@echo "Installing what pyproject.toml names (some minutes, 2 GB)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@.ci/system_libraries $(BIN)/python
+	@touch $@
+
+demo: env
+	$(BIN)/python demos/pressurised_cylinder.py $(DEMO_ARGS)
+
+test: lint types test-serial test-mpi-2 test-mpi-3
+
+test-all: PYTEST_ARGS += -m ''
+test-all: test
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: env
+	$(BIN)/mypy
+
+# One thread a rank: the meshes are small, and ranks times threads would be more than the cores
+test-serial test-mpi-2 test-mpi-3: export OMP_NUM_THREADS := 1
+
+test-serial: env
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-mpi-2 test-mpi-3: test-mpi-%: env
+	$(MPIRUN) $(mpi_options) -n $* $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS)
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .*_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
