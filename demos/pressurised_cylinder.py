@@ -17,6 +17,7 @@ import argparse
 import json
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from mpi4py import MPI
@@ -145,17 +146,12 @@ def traction_error(problem, tie, swap):
     return np.sqrt(q.integrate((error**2).sum(-1)) / q.integrate((exact**2).sum(-1)))
 
 
-class stopwatch:
+@contextmanager
+def stopwatch(seconds, name):
     """Seconds of a block, into a dictionary."""
-
-    def __init__(self, seconds, name):
-        self.seconds, self.name = seconds, name
-
-    def __enter__(self):
-        self.start = time.perf_counter()
-
-    def __exit__(self, *_):
-        self.seconds[self.name] = time.perf_counter() - self.start
+    start = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - start
 
 
 def run(comm, level, degree, cell, swap):

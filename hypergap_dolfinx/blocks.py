@@ -6,6 +6,7 @@
 """The constraints of several ties on several bodies, as blocks of one saddle system."""
 
 from collections.abc import Sequence
+from itertools import chain
 
 from petsc4py import PETSc
 
@@ -23,15 +24,6 @@ class ConstraintBlocks:
 
     The fields are the bodies' displacements, then the free interior nodes of ties that have them.
     Rows of prescribed dofs are gone, and so are columns: what they hold is known.
-
-    Args:
-        spaces: Function space of each body.
-        bcs: Dirichlet conditions of each body.
-        ties: The ties.
-
-    Raises:
-        ValueError: A tie on a space that belongs to no body.
-        InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
     """
 
     def __init__(
@@ -40,6 +32,17 @@ class ConstraintBlocks:
         bcs: Sequence[Sequence[fem.DirichletBC]],
         ties: Sequence[Tie],
     ):
+        """Pull the ties back to the bodies. Collective.
+
+        Args:
+            spaces: Function space of each body.
+            bcs: Dirichlet conditions of each body.
+            ties: The ties.
+
+        Raises:
+            ValueError: A tie on a space that belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
         self._spaces = list(spaces)
         self._ties = list(ties)
         self._bodies = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
@@ -55,7 +58,7 @@ class ConstraintBlocks:
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for matrix in (*self._rows, *sum(self._full, []), *sum(self._free, [])):
+        for matrix in chain(self._rows, *self._full, *self._free):
             if matrix is not None:
                 matrix.destroy()
 
@@ -75,7 +78,7 @@ class ConstraintBlocks:
         return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
 
     def apply(self, t: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
-        """c = Σ_i B_i u_i of a tie, prescribed dofs included. Collective.
+        """Compute c = Σ_i B_i u_i of a tie, prescribed dofs included. Collective.
 
         Args:
             t: Number of the tie.
@@ -133,23 +136,23 @@ class ConstraintBlocks:
         shared = np.isin(constraint.dofs, self._dofs_of_other_ties(t, bodies[1]))
         E, lost = independent_rows(constraint, tie.domain, marker, shared)
         self._check_lost_rows(t, lost, prescribed[bodies[0]])
-        full: list[PETSc.Mat | None] = [None] * self._num_fields
+        full: dict[int, PETSc.Mat] = {}
         for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
             B = E.transposeMatMult(B) if E else B.copy()
-            if full[i] is None:
-                full[i] = B
-            else:  # both sides on one body
+            if i in full:  # both sides on one body
                 full[i].axpy(1.0, B)
                 B.destroy()
-        free = [B and B.copy() for B in full]
+            else:
+                full[i] = B
+        free = {i: B.copy() for i, B in full.items()}
         for body in set(bodies):
             mask = free[body].createVecRight()
             mask.array[:] = ~prescribed[body]
             free[body].diagonalScale(R=mask)
             mask.destroy()
         self._rows.append(E)
-        self._full.append(full)
-        self._free.append(free)
+        self._full.append([full.get(i) for i in range(self._num_fields)])
+        self._free.append([free.get(i) for i in range(self._num_fields)])
 
     def _dofs_of_other_ties(self, t: int, body: int) -> npt.NDArray[np.int64]:
         """Dofs (blocks) of a body that ties other than one touch, the same on every rank."""

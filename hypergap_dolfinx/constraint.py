@@ -141,9 +141,9 @@ def create_constraint(
 
     global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
     G_e = domain.gap_matrices()
-    I = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
-    J = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
-    G = coo_matrix(comm, (owned, owned), I, J, G_e)
+    rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
+    columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
+    G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)
     B = []
     for R_i in R_B:
         GR = G.matMult(R_i)

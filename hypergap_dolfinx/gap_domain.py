@@ -18,7 +18,7 @@ import dolfinx
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import kernel
-from hypergap_dolfinx.cells import GapCells, Hosts
+from hypergap_dolfinx.cells import Hosts
 from hypergap_dolfinx.strip import mesh_strip
 from hypergap_dolfinx.surface import Surface, raise_on_all, tabulate
 
@@ -54,7 +54,7 @@ class GapDomain:
     @property
     def geometry(self) -> basix.finite_element.FiniteElement:
         """Basix element of the cells' geometry."""
-        return self.mesh.ufl_domain().ufl_coordinate_element().basix_element
+        return self.mesh.ufl_domain().ufl_coordinate_element().basix_element  # type: ignore[union-attr]
 
     @property
     def element(self) -> basix.finite_element.FiniteElement:
@@ -134,7 +134,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         )._cpp_object
 
     mesh = dolfinx.mesh.create_mesh(comm, cells[mine], coordinates, nodes, stay)
-    start = comm.exscan(len(mine)) or 0
+    start = comm.scan(len(mine)) - len(mine)
     order = mine[mesh.topology.original_cell_index - start]
 
     alpha_vertices = gap.alpha[gap.cells[order]]

@@ -6,6 +6,7 @@
 """Problems of several bodies, tied: the counterpart of ``dolfinx.fem.petsc.LinearProblem``."""
 
 from collections.abc import Sequence
+from itertools import chain
 
 from petsc4py import PETSc
 
@@ -30,22 +31,6 @@ class TiedProblem:
 
         problem = TiedProblem([a0, a1], [L0, L1], bcs=bcs, ties=[tie])
         u0, u1 = problem.solve()
-
-    Args:
-        a: Bilinear form of each body.
-        L: Linear form of each body.
-        bcs: Dirichlet conditions of any of the bodies.
-        ties: The ties between them.
-        u: Solution functions; made if not given.
-        petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
-        petsc_options: Options of the KSP; MUMPS's LU if not given.
-        form_compiler_options: Options of FFCx.
-        jit_options: Options of the JIT compiler.
-
-    Raises:
-        ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
-            belongs to no body.
-        InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
     """
 
     def __init__(
@@ -61,13 +46,38 @@ class TiedProblem:
         form_compiler_options: dict | None = None,
         jit_options: dict | None = None,
     ):
+        """Compile the forms and set up the saddle system. Collective.
+
+        Args:
+            a: Bilinear form of each body.
+            L: Linear form of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            ties: The ties between them.
+            u: Solution functions; made if not given.
+            petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
+            petsc_options: Options of the KSP; MUMPS's LU if not given.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
+                belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
         if len(a) != len(L) or not a:
             raise ValueError(
                 f"{len(a)} bilinear and {len(L)} linear forms: give one of each for every body."
             )
-        options = {"form_compiler_options": form_compiler_options, "jit_options": jit_options}
-        self._a = [fem.form(form, dtype=PETSc.ScalarType, **options) for form in a]
-        self._L = [fem.form(form, dtype=PETSc.ScalarType, **options) for form in L]
+
+        def compiled(form):
+            return fem.form(
+                form,
+                dtype=PETSc.ScalarType,
+                form_compiler_options=form_compiler_options,
+                jit_options=jit_options,
+            )
+
+        self._a, self._L = [compiled(form) for form in a], [compiled(form) for form in L]
         spaces = [form.arguments()[0].ufl_function_space() for form in L]
         self._spaces = spaces
         # DOLFINx compares compiled spaces here
@@ -118,8 +128,8 @@ class TiedProblem:
         """Destroy the PETSc objects."""
         single = ("_solver", "_A", "_b", "_x", "_constraints")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
-        lists = [getattr(self, name, []) for name in several]
-        for obj in (*(getattr(self, name, None) for name in single), *sum(lists, [])):
+        objects = [getattr(self, name, None) for name in single]
+        for obj in chain(objects, *(getattr(self, name, []) for name in several)):
             if obj is not None:
                 obj.destroy()
 

@@ -10,6 +10,7 @@ edge is the node of the other chain that is nearest to its midpoint. Merging the
 midpoints of both chains is all that takes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,9 +65,9 @@ class Chain:
         edge = int(distance.argmin())
         return edge, float(position[edge]), float(distance[edge])
 
-    def clipped(self, start: tuple[int, float], end: tuple[int, float], surface: Surface):
+    def clipped(self, cuts: Sequence[tuple[int, float]], surface: Surface) -> "Chain":
         """The part between two points, each an edge and a position on it (0 to 1)."""
-        (first, a), (last, b) = start, end
+        (first, a), (last, b) = cuts
         facets, X = self.facets[first : last + 1], self.X[first : last + 1].copy()
         x = self.x[first : last + 2].copy()
         ends = X[0, 0] + a * (X[0, 1] - X[0, 0]), X[-1, 0] + b * (X[-1, 1] - X[-1, 0])
@@ -108,7 +109,8 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
     found = []
     for closed in (False, True):
         for head in heads if not closed else start:
-            edge, chain = edges[head], []
+            edge = edges[head]
+            chain: list[int] = []
             if not left[edge]:
                 continue
             while edge >= 0 and (not chain or edge != chain[0]):
@@ -233,7 +235,7 @@ def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: 
             return None
     if any(start[0] + start[1] >= end[0] + end[1] for start, end in cuts):
         return None
-    c0, c1 = c0.clipped(*cuts[0], surface0), c1.clipped(*cuts[1], surface1)
+    c0, c1 = c0.clipped(cuts[0], surface0), c1.clipped(cuts[1], surface1)
     return (c0, c1) if _aligned(c0, c1) else None
 
 
@@ -276,7 +278,7 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices of the points of two sets that lie at the same place."""
     origin, size = x0.min(axis=0), np.ptp(np.vstack((x0, x1)), axis=0).max()
     cell = 2e-9 * size + 64 * np.finfo(float).eps * np.abs(x0).max()
-    found = set()
+    found: set[tuple[int, int]] = set()
     for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):  # off the borders of one is in another
         z0, z1 = (np.rint((x - origin) / cell + shift) @ (1, 1j) for x in (x0, x1))
         _, i, j = np.intersect1d(z0, z1, return_indices=True)
@@ -295,7 +297,9 @@ def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def parametrise(c0: Chain, c1: Chain) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Parameters from 0 to 1 of the nodes of two facing chains; equal where nodes coincide."""
     s0, s1 = c0.arc, c1.arc
-    i, j = _shared_nodes(c0.x[1:-1], c1.x[1:-1]) if len(s0) > 2 and len(s1) > 2 else ([], [])
+    i = j = np.empty(0, dtype=np.intp)
+    if len(s0) > 2 and len(s1) > 2:
+        i, j = _shared_nodes(c0.x[1:-1], c1.x[1:-1])
     at0 = np.concatenate(([0.0], s0[1:-1][i], [1.0]))
     at1 = np.concatenate(([0.0], s1[1:-1][j], [1.0]))
     s1 = np.interp(s1, at1, at0)
@@ -420,7 +424,7 @@ class Strip:
             facets.append(c.facets[edge])
             X.append((c.X[edge, 0] + position * (c.X[edge, 1] - c.X[edge, 0]))[..., None])
         alpha_nodes = np.where(self.side[:, None] == 0, (0.0, 0.0, 1.0), (1.0, 1.0, 0.0))
-        return Hosts(alpha_nodes @ weights.T, tuple(facets), tuple(X))
+        return Hosts(alpha_nodes @ weights.T, (facets[0], facets[1]), (X[0], X[1]))
 
 
 def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:

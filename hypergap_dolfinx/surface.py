@@ -49,7 +49,7 @@ class Surface:
     nodes: npt.NDArray[np.float64]
     """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
     dofs: npt.NDArray[np.int64]
-    """Global dofs (blocks) of each facet in the order of ``element``, ``(num_facets, num_dofs)``."""
+    """Global dofs (blocks) of each facet, as ``element`` has them, ``(num_facets, num_dofs)``."""
     owner: npt.NDArray[np.int32]
     """Rank that owns the body's cell at the facet, ``(num_facets,)``."""
     geometry: basix.finite_element.FiniteElement
@@ -109,8 +109,10 @@ def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Unit normals of simplices ``(num, n, n)`` in n dimensions: right of an edge, up for a
-    counterclockwise triangle."""
+    """Unit normals of simplices ``(num, n, n)`` in n dimensions.
+
+    They point to the right of an edge, and up from a counterclockwise triangle.
+    """
     t = v[:, 1:] - v[:, :1]
     if v.shape[2] == 2:
         normal = np.column_stack((t[:, 0, 1], -t[:, 0, 0]))

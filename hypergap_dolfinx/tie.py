@@ -35,18 +35,6 @@ class Tie:
         tie = Tie((V0, facets0), (V1, facets1))
         problem = TiedProblem([a0, a1], [L0, L1], bcs=bcs, ties=[tie])
         u0, u1 = problem.solve()
-
-    Args:
-        side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-            exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them.
-        side1: Γ1: the same; the mesh may be the same one too.
-        interior: What nodes between the surfaces (0 < α < 1; the middles of cross edges for k ≥ 2)
-            do. ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier a dof
-            of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in eq. (22).
-
-    Raises:
-        InterfaceError: Facets or spaces that form no interface; the message says which and why.
-        InvertedCellError: The surfaces differ so much in shape that Σ folds over.
     """
 
     def __init__(
@@ -56,6 +44,21 @@ class Tie:
         *,
         interior: str = "interpolated",
     ):
+        """Mesh Σ between two surfaces. Collective.
+
+        Args:
+            side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
+                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them.
+            side1: Γ1: the same; the mesh may be the same one too.
+            interior: What nodes between the surfaces do (0 < α < 1; the middles of cross edges for
+                k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
+                a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
+                eq. (22).
+
+        Raises:
+            InterfaceError: Facets or spaces that form no interface; the message says which and why.
+            InvertedCellError: The surfaces differ so much in shape that Σ folds over.
+        """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
         (V0, facets0), (V1, facets1) = side0, side1
