@@ -30,12 +30,8 @@ def geometry_dofmap(mesh: Mesh) -> npt.NDArray[np.int32]:
 
 def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
     """A ghosted PETSc vector for a function space."""
-    return (
-        la.create_petsc_vector(V.dofmap.index_map, V.dofmap.index_map_bs)
-        if VERSION
-        < (
-            0,
-            10,
+    if VERSION < (0, 10):
+        return la.create_petsc_vector(  # type: ignore[attr-defined]
+            V.dofmap.index_map, V.dofmap.index_map_bs
         )
-        else dolfinx.fem.petsc.create_vector(V)
-    )
+    return dolfinx.fem.petsc.create_vector(V)

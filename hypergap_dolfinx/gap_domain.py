@@ -134,7 +134,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         )._cpp_object
 
     mesh = dolfinx.mesh.create_mesh(comm, cells[mine], coordinates, nodes, stay)
-    start = comm.scan(len(mine)) - len(mine)
+    start = sum(comm.allgather(len(mine))[: comm.rank])
     order = mine[mesh.topology.original_cell_index - start]
 
     alpha_vertices = gap.alpha[gap.cells[order]]
