@@ -1,0 +1,80 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What an installation brings, and what an import costs."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import hypergap_dolfinx
+
+pytestmark = pytest.mark.serial
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+IMPORT = """
+import json, sys, time
+from mpi4py import MPI
+from petsc4py import PETSc
+import dolfinx.fem.petsc
+for name in {"numba", "scipy"} & set(sys.modules):
+    sys.modules[name] = None  # DOLFINx brought it; here an import of it fails
+before, start = set(sys.modules), time.perf_counter()
+import hypergap_dolfinx
+seconds = time.perf_counter() - start
+print(json.dumps([seconds, sorted(set(sys.modules) - before)]))
+"""
+
+
+def test_import_is_light():
+    """No package that only some scenes use comes along, and it takes no time to speak of."""
+    command = [sys.executable, "-c", IMPORT]
+    run = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    seconds, modules = json.loads(run.stdout)
+    packages = {module.partition(".")[0] for module in modules}
+    assert "hypergap_dolfinx" in packages
+    assert not packages & {"gmsh", "matplotlib", "meshes", "numba", "pyvista", "scipy", "vtk"}
+    assert seconds < 0.2
+
+
+def test_version():
+    assert PROJECT["version"] == hypergap_dolfinx.__version__
+
+
+def test_nothing_shadows_dolfinx():
+    """DOLFINx comes from wherever the user has it: only extras may name it."""
+    assert PROJECT["dependencies"] == ["numpy"]
+
+
+def test_wheel_holds_the_package_alone(tmp_path):
+    pytest.importorskip("setuptools", "77", "setuptools builds the wheel")
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", "COPYING"):
+        shutil.copy(ROOT / name, source)
+    for folder in ("hypergap_dolfinx", "meshes", "demos", "tests"):
+        shutil.copytree(
+            ROOT / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    build = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", build, tmp_path], cwd=source, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    inside = {Path(name) for name in zipfile.ZipFile(wheel).namelist()}
+    modules = {path for path in inside if not path.parts[0].endswith(".dist-info")}
+    package = {
+        path.relative_to(source)
+        for path in (source / "hypergap_dolfinx").rglob("*")
+        if path.is_file()
+    }
+    assert modules == package
+    assert {"LICENSE", "COPYING"} <= {path.name for path in inside}
