@@ -203,6 +203,52 @@ def print_table(rows):
         print(text, flush=True)
 
 
+# ## Pictures
+#
+# as the paper's Figures 3 and 4: the gap domain Σ between the rings, pulled apart to be seen; the
+# rings before and after deformation; errors over the cell size.
+
+
+def draw(comm, degree, cell, swap, folder):
+    """Figure 3."""
+    from hypergap_dolfinx import plot
+
+    _, problem, tie = run(comm, 1, degree, cell, swap)
+    plot.gap_domain([tie], folder / "gap_domain.png")
+    plot.deformed(problem.u, folder / "deformed.png", factor=0.05)
+    plot.traction(tie, tie.traction(problem), folder / "traction.png")
+
+
+def draw_errors(results, folder):
+    """Figure 4, with the paper's own errors."""
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.5), constrained_layout=True)
+    for ax, name, paper, title in zip(
+        axes, ("l2", "stress"), (0, 1), ("L² displacement", "L² stress"), strict=True
+    ):
+        for degree in sorted({row["degree"] for row in results}):
+            rows = [row for row in results if row["degree"] == degree]
+            h, error = [row["h"] for row in rows], [row[name] for row in rows]
+            (line,) = ax.loglog(h, error, "o-", label=f"degree {degree}")
+            order = degree + 1 - paper
+            slope = [0.7 * error[-1] * (x / h[-1]) ** order for x in h]
+            ax.loglog(h, slope, ":", color=line.get_color(), label=f"slope {order}")
+            if degree in PAPER and rows[0]["cell"] == "quadrilateral":
+                values = [PAPER[degree][row["level"]][paper] for row in rows if row["level"] < 5]
+                ax.loglog(
+                    h[: len(values)], values, "x--", color=line.get_color(), alpha=0.5,
+                    label=f"degree {degree}, Giffin (2024)",
+                )  # fmt: skip
+        ax.set(xlabel="h", ylabel="relative error", title=title)
+        ax.set_xticks(h, [f"1/{round(1 / x)}" for x in h])
+        ax.minorticks_off()
+        ax.grid(which="both", alpha=0.3)
+        ax.legend(fontsize=8)
+    figure.savefig(folder / "errors.png", dpi=150)
+    plt.close(figure)
+
+
 def main():
     """Sweep degrees and levels."""
     parser = argparse.ArgumentParser(description="A pressurised cylinder in two tied rings.")
@@ -211,7 +257,9 @@ def main():
     parser.add_argument("--levels", type=int, default=5)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the inner ring")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="DIR")
+    parser.add_argument(
+        "--plot", type=Path, metavar="DIR", help="default: results/, if no degree is given"
+    )
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
 
@@ -224,6 +272,12 @@ def main():
         results += rows
     if args.json and comm.rank == 0:
         args.json.write_text(json.dumps(results, indent=1))
+    folder = args.plot or (None if args.degree else Path("results/pressurised_cylinder"))
+    if folder:
+        draw(comm, args.degree or 2, args.cell, args.swap, folder)
+        if comm.rank == 0:
+            draw_errors(results, folder)
+            print(f"\npictures in {folder}/")
 
 
 if __name__ == "__main__":
