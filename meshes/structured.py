@@ -46,6 +46,7 @@ def block(
     degree: int = 1,
     crossed: bool = False,
     periodic: bool = False,
+    partitioner: Callable | None = None,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """A unit square or cube of equal cells, mapped.
 
@@ -59,6 +60,7 @@ def block(
         degree: Degree of the geometry.
         crossed: Whether each square is cut into four triangles instead of two.
         periodic: Whether the end of the second axis is its start, as in a ring.
+        partitioner: As in ``dolfinx.mesh.create_mesh``.
 
     Returns:
         The mesh and its facet tags: LEFT and RIGHT where the first coordinate of the unit square
@@ -89,7 +91,7 @@ def block(
         x, cells = x[used], cells.reshape(-1, len(points))
     else:
         x, cells = np.empty((0, dim)), np.empty((0, len(points)), dtype=np.int64)
-    mesh = dolfinx.mesh.create_mesh(comm, cells, element, x)
+    mesh = dolfinx.mesh.create_mesh(comm, cells, element, x, partitioner)
 
     facets, tags = [], []
     for axis, end in product(range(dim), (0, 1)):
