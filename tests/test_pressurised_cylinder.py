@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The paper's main example: errors, rates, the traction, and the floor that no method can go below."""
+"""The paper's main example: errors, rates, the traction, and the floor for any method."""
 
 import json
 import subprocess
