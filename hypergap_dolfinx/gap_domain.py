@@ -19,6 +19,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import kernel
 from hypergap_dolfinx.cells import Hosts
+from hypergap_dolfinx.slab import mesh_slab
 from hypergap_dolfinx.strip import mesh_strip
 from hypergap_dolfinx.surface import Surface, raise_on_all, tabulate
 
@@ -107,9 +108,10 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
 
     Raises:
         InterfaceError: The surfaces don't form an interface.
+        ImportError: Gmsh is missing (3D).
     """
-    gap = mesh_strip(surface0, surface1)
-    tdim = gap.x.shape[1]
+    tdim = surface0.gdim
+    gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
     cell = {2: "triangle", 3: "tetrahedron"}[tdim]
     degree = max(surface.element.degree for surface in (surface0, surface1))
     mine = np.flatnonzero(gap.rank == comm.rank)

@@ -1,0 +1,297 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Surfaces in three dimensions: neighbours, kinks, smooth pieces, and where points project."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.surface import InterfaceError, Surface
+
+KINK = np.pi / 3  # a turn that is an edge of the body whatever is beside it
+SAMPLES = 64  # facets of a piece that are asked what lies opposite
+
+
+def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
+    """The facet behind each edge of each facet, −1 behind a boundary edge.
+
+    Edge k of a facet goes from its vertex k to vertex k + 1.
+
+    Args:
+        facets: Vertices of each facet, ``(num_facets, 3)``.
+        name: What messages call the surface.
+        x: Vertex coordinates.
+
+    Returns:
+        ``(num_facets, 3)``.
+
+    Raises:
+        InterfaceError: More than two facets meet in an edge.
+    """
+    a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
+    n = len(x)
+    key = a * n + b
+    order = np.argsort(key, kind="stable")
+    twice = np.flatnonzero(np.diff(key[order]) == 0)
+    if len(twice):
+        at = order[twice[0]]
+        raise InterfaceError(
+            f"{name} branches at {(x[a[at]] + x[b[at]]) / 2}: more than two facets meet in an "
+            "edge there (make one tie for each branch)."
+        )
+    at = np.minimum(np.searchsorted(key[order], b * n + a), len(key) - 1)
+    other = order[at]
+    return np.where(key[other] == b * n + a, other // 3, -1).reshape(-1, 3)
+
+
+def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
+    """Connected components of a graph, numbered by their lowest vertex.
+
+    Args:
+        num: Number of vertices.
+        i: One end of each edge.
+        j: The other end.
+
+    Returns:
+        Component of each vertex, ``(num,)``.
+    """
+    label = np.arange(num)
+    while True:
+        low = np.minimum(label[i], label[j])
+        new = label.copy()
+        np.minimum.at(new, label[i], low)
+        np.minimum.at(new, label[j], low)
+        while (new[new] != new).any():
+            new = new[new]
+        if (new == label).all():
+            return np.unique(label, return_inverse=True)[1].astype(np.int32)
+        label = new
+
+
+def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
+    """Edges at which a surface has a corner: it turns there, and hardly beside it.
+
+    Facets that stand for a smooth surface turn about as much at the next parallel edges.
+
+    Args:
+        surface: The surface.
+        behind: Its facets' neighbours.
+
+    Returns:
+        Facet and local number of each such edge (one of its two facets).
+    """
+    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    g = behind[f, k]
+    n0, n1 = surface.normals[f], surface.normals[g]
+    turn = np.arctan2(np.linalg.norm(np.cross(n0, n1), axis=1), np.einsum("ei,ei->e", n0, n1))
+    a, b = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
+    # The vertices opposite, and the edges there that don't touch this one
+    opposite = np.column_stack((surface.facets[f].sum(axis=1), surface.facets[g].sum(axis=1)))
+    opposite = opposite - (a + b)[:, None]
+    t = surface.x[b] - surface.x[a]
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    noise = 64 * np.finfo(float).eps * np.abs(surface.x).max() / surface.size.min()
+    candidate = np.flatnonzero(turn > 1e-8 + noise)
+    ends = np.concatenate((a, b))
+    order = np.argsort(ends, kind="stable")
+    offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
+    beside = np.zeros(len(turn))
+    for side in (0, 1):
+        p = opposite[candidate, side]
+        count = offsets[p + 1] - offsets[p]
+        e = np.repeat(candidate, count)
+        start = np.repeat(offsets[p] - np.cumsum(count) + count, count)
+        other = order[start + np.arange(len(e))] % len(a)
+        apart = (a[other] != a[e]) & (a[other] != b[e]) & (b[other] != a[e]) & (b[other] != b[e])
+        e, other = e[apart], other[apart]
+        parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
+        np.maximum.at(beside, e, turn[other] * parallel)
+    kink = (turn > KINK) | (turn > np.maximum(4 * beside, 1e-8 + noise))
+    return f[kink], k[kink]
+
+
+def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
+    """Which edges of a surface run along edges of the other one."""
+    (f, k), (g, m) = edges, other_edges
+    a, b = surface.x[surface.facets[f, k]], surface.x[surface.facets[f, (k + 1) % 3]]
+    start = other.x[other.facets[g, m]]
+    t = other.x[other.facets[g, (m + 1) % 3]] - start
+    length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
+    near = np.empty(len(f), dtype=bool)
+    chunk = max(1, 2_000_000 // max(1, len(g)))
+    for c in range(0, len(f), chunk):
+        part = slice(c, c + chunk)
+        middle = (a[part] + b[part])[:, None] / 2
+        s = np.clip(np.einsum("eoi,oi->eo", middle - start, t) / square, 0, 1)
+        distance = np.linalg.norm(start + s[..., None] * t - middle, axis=2)
+        reach = 0.25 * np.maximum(length[part, None], np.sqrt(square))
+        near[part] = (distance < reach).any(axis=1)
+    return near
+
+
+def facing_pieces(surface0: Surface, surface1: Surface):
+    """Smooth pieces of both surfaces that lie opposite to each other.
+
+    A piece ends at its surface's boundary, and where both surfaces have a kink.
+
+    Returns:
+        The number of the pair of pieces that each facet belongs to, for both surfaces.
+
+    Raises:
+        InterfaceError: The surfaces branch or don't face each other.
+    """
+    surfaces = (surface0, surface1)
+    behind = [neighbours(s.facets, s.name, s.x) for s in surfaces]
+    lines = [kinks(s, b) for s, b in zip(surfaces, behind, strict=True)]
+    pieces = []
+    for i, surface in enumerate(surfaces):
+        f, k = np.nonzero(behind[i] >= 0)
+        joined = np.ones(behind[i].shape, dtype=bool)
+        if all(len(line[0]) for line in lines):
+            on = _on_lines(surface, lines[i], surfaces[1 - i], lines[1 - i])
+            e, m = (part[on] for part in lines[i])
+            joined[e, m] = False
+            g = behind[i][e, m]
+            joined[g, np.argmax(behind[i][g] == e[:, None], axis=1)] = False
+        keep = joined[f, k]
+        pieces.append(components(len(surface.facets), f[keep], behind[i][f, k][keep]))
+    # Each piece belongs to the one that most of it lies opposite to
+    num = [int(p.max()) + 1 for p in pieces]
+    pairs = []
+    for i in (0, 1):
+        piece, opposite = _opposite(surfaces[i], pieces[i], surfaces[1 - i])
+        votes = np.zeros((num[i], num[1 - i]), dtype=int)
+        np.add.at(votes, (piece, pieces[1 - i][opposite]), 1)
+        own, theirs = np.arange(num[i]), votes.argmax(axis=1)
+        pairs.append((own, num[0] + theirs) if i == 0 else (theirs, num[0] + own))
+    group = components(sum(num), *(np.concatenate(part) for part in zip(*pairs, strict=True)))
+    return group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]
+
+
+def _opposite(surface: Surface, pieces, other: Surface):
+    """Samples of each piece of a surface: their piece, and the other's facet they lie opposite.
+
+    Raises:
+        InterfaceError: The outward normals agree, or the surfaces are far apart.
+    """
+    order = np.argsort(pieces, kind="stable")
+    start = np.searchsorted(pieces[order], np.arange(pieces.max() + 2))
+    picks = [
+        order[np.unique(np.linspace(a, b - 1, SAMPLES).astype(np.intp))] for a, b in pairwise(start)
+    ]
+    samples = np.concatenate(picks)
+    centres = other.x[other.facets].mean(axis=1)
+    found = np.empty(len(samples), dtype=np.intp)
+    agree = np.empty(len(samples), dtype=bool)
+    chunk = max(1, 2_000_000 // len(centres))
+    for c in range(0, len(samples), chunk):
+        s = samples[c : c + chunk]
+        middle = surface.x[surface.facets[s]].mean(axis=1)
+        distance = np.linalg.norm(middle[:, None] - centres, axis=2)
+        cosine = surface.normals[s] @ other.normals.T
+        agree[c : c + chunk] = cosine[np.arange(len(s)), distance.argmin(axis=1)] > 0
+        turned = distance * np.where(cosine < -0.5, 1, np.where(cosine < 0, 4, 1e6))
+        found[c : c + chunk] = turned.argmin(axis=1)
+    if agree.mean() > 0.5:
+        raise InterfaceError(
+            "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
+            "wrong side of its body, or the same surface given twice?"
+        )
+    apart = surface.x[surface.facets[samples]].mean(axis=1) - centres[found]
+    distance = np.linalg.norm(apart, axis=1).min()
+    reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
+    if distance > reach:
+        raise InterfaceError(
+            f"Γ0 and Γ1 don't face each other: they are {distance:.3g} apart, Γ0 around "
+            f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
+            "check the tags."
+        )
+    return pieces[samples], found
+
+
+def _middle(surface: Surface, other: Surface, name: str):
+    return (surface if surface.name == name else other).x.mean(axis=0)
+
+
+def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
+    """Boundary loops: vertices in the facets' direction of travel.
+
+    Args:
+        facets: Vertices of each facet.
+        behind: The facets' neighbours.
+        name: What messages call the surface.
+        x: Vertex coordinates.
+
+    Returns:
+        A list of arrays.
+
+    Raises:
+        InterfaceError: Two parts of the surface touch in one vertex only.
+    """
+    f, k = np.nonzero(behind < 0)
+    start, end = facets[f, k], facets[f, (k + 1) % 3]
+    count = np.bincount(start, minlength=len(x))
+    if (count > 1).any():
+        raise InterfaceError(
+            f"{name} touches itself in a single vertex at {x[count.argmax()]}; tie the parts "
+            "there with ties of their own."
+        )
+    following = np.full(len(x), -1)
+    following[start] = end
+    after = following.tolist()
+    left, found = set(start.tolist()), []
+    for first in start.tolist():
+        if first not in left:
+            continue
+        loop, node = [], first
+        while node in left:
+            left.remove(node)
+            loop.append(node)
+            node = after[node]
+        found.append(np.array(loop))
+    return found
+
+
+def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed):
+    """Walk over a surface from a facet to the one that a point projects into.
+
+    Beyond a boundary the last facet is extrapolated.
+
+    Args:
+        x: Vertex coordinates.
+        facets: Vertices of each facet.
+        behind: The facets' neighbours.
+        points: Points, ``(num_points, 3)``.
+        seed: Where the walk starts, ``(num_points,)``.
+
+    Returns:
+        Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
+    """
+    origin = x[facets[:, 0]]
+    inverse = np.linalg.pinv((x[facets[:, 1:]] - origin[:, None]).transpose(0, 2, 1))
+    facet, best = np.array(seed, dtype=np.intp), np.full(len(points), -np.inf)
+    host, X = facet.copy(), np.zeros((len(points), 2))
+    active = np.arange(len(points))
+    for _ in range(100):
+        f = facet[active]
+        at = np.einsum("pvi,pi->pv", inverse[f], points[active] - origin[f])
+        weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
+        inside = weights.min(axis=1)
+        better = inside > best[active]
+        best[active[better]], X[active[better]] = inside[better], at[better]
+        host[active[better]] = f[better]
+        # Go on over the edge that is farthest off and has a facet behind it
+        beyond = np.roll(behind[f], -1, axis=1)  # opposite to each vertex
+        weights[beyond < 0] = np.inf
+        k = weights.argmin(axis=1)
+        each = np.arange(len(f))
+        go = weights[each, k] < -1e-12
+        facet[active[go]] = beyond[each, k][go]
+        active = active[go]
+        if not len(active):
+            break
+    return host, X
