@@ -6,22 +6,18 @@
 """Problems of several bodies, tied: the counterpart of ``dolfinx.fem.petsc.LinearProblem``."""
 
 from collections.abc import Sequence
-from itertools import chain
 
 from petsc4py import PETSc
-
-import numpy as np
-import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import compat, saddle
-from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx import saddle
+from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 
-class TiedProblem:
+class TiedProblem(TiedSystem):
     """Linear problem a_i(u_i, v_i) = L_i(v_i) on several bodies, tied to each other.
 
     Solves the saddle system [K Bᵀ; B 0] [u; λ] = [f; 0] with K and f from the forms and B from
@@ -77,69 +73,13 @@ class TiedProblem:
                 jit_options=jit_options,
             )
 
-        self._a, self._L = [compiled(form) for form in a], [compiled(form) for form in L]
+        self._L = [compiled(form) for form in L]
         spaces = [form.arguments()[0].ufl_function_space() for form in L]
-        self._spaces = spaces
-        # DOLFINx compares compiled spaces here
-        self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._L], bcs)
-        self._ties = list(ties)
-        self._u = list(u) if u is not None else [fem.Function(V) for V in spaces]
-        orphans = len(bcs) - sum(len(block) for block in self._bcs)
-        if orphans:
-            raise ValueError(
-                f"{orphans} of {len(bcs)} boundary conditions are on a space that is in no body; "
-                "make them on the spaces of the forms."
-            )
-
-        self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
-        self._K = [petsc.create_matrix(form) for form in self._a]
-        # Free interior nodes are unknowns without a stiffness, behind those of the bodies
-        sizes = self._constraints.interior_sizes
-        self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
-        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], self._constraints.free)
-        self._b_bodies = [compat.create_vector(V) for V in spaces]
-        self._b_interiors = [zero.createVecLeft() for zero in self._zeros]
-        self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
-        self._b = PETSc.Vec().createNest(
-            [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
-        )
-        self._x = self._b.duplicate()
+        solutions = u if u is not None else [fem.Function(V) for V in spaces]
+        super().__init__([compiled(form) for form in a], bcs, ties, solutions)
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
-        self._set_options(petsc_options_prefix, petsc_options)
-
-    def _set_options(self, prefix: str, options: dict | None):
-        if not prefix:
-            raise ValueError("the PETSc options prefix cannot be empty.")
-        self._solver.setOptionsPrefix(prefix)
-        self._A.setOptionsPrefix(f"{prefix}A_")
-        database = PETSc.Options()
-        database.prefixPush(prefix)
-        if options is None:  # the defaults, where the command line doesn't say otherwise
-            options = {k: v for k, v in saddle.DIRECT.items() if not database.hasName(prefix + k)}
-        for key, value in options.items():
-            database[key] = value
-        self._solver.setFromOptions()
-        for key in options:
-            del database[key]
-        database.prefixPop()
-
-    def __del__(self):
-        """Destroy the PETSc objects."""
-        single = ("_solver", "_A", "_b", "_x", "_constraints")
-        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
-        objects = [getattr(self, name, None) for name in single]
-        for obj in chain(objects, *(getattr(self, name, []) for name in several)):
-            if obj is not None:
-                obj.destroy()
-
-    def assemble_matrix(self):
-        """Assemble the bodies' stiffness into A. Collective."""
-        for K, form, bcs in zip(self._K, self._a, self._bcs, strict=True):
-            K.zeroEntries()
-            petsc.assemble_matrix(K, form, bcs=bcs)
-            K.assemble()
-        self._A.assemble()
+        self._set_options(petsc_options_prefix, petsc_options, saddle.DIRECT)
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -187,25 +127,8 @@ class TiedProblem:
         """
         self._solver.solve(self._b, self._x)
         saddle.check_solved(self._solver)
-        for u, x in zip(self._u, self._x.getNestSubVecs()):
-            u.x.array[: x.getLocalSize()] = x.array_r
-            u.x.scatter_forward()
+        self._assign(self._x)
         return self._u
-
-    def multipliers(self, tie: Tie) -> npt.NDArray[np.float64]:
-        """The multipliers of a tie after a solve.
-
-        Args:
-            tie: One of the problem's ties.
-
-        Returns:
-            This rank's rows, ``(num_multipliers, block_size)``.
-        """
-        t = next((t for t, other in enumerate(self._ties) if other is tie), None)
-        if t is None:
-            raise ValueError("the tie is not one of this problem's.")
-        x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) + t]
-        return self._constraints.multipliers(t, x)
 
     @property
     def a(self) -> list[fem.Form]:
@@ -218,31 +141,6 @@ class TiedProblem:
         return self._L
 
     @property
-    def A(self) -> PETSc.Mat:
-        """The saddle matrix, a MatNest."""
-        return self._A
-
-    @property
-    def b(self) -> PETSc.Vec:
-        """The right-hand side."""
-        return self._b
-
-    @property
-    def x(self) -> PETSc.Vec:
-        """The solution vector: displacements, then multipliers."""
-        return self._x
-
-    @property
     def solver(self) -> PETSc.KSP:
         """The KSP."""
         return self._solver
-
-    @property
-    def u(self) -> list[fem.Function]:
-        """The solution of each body."""
-        return self._u
-
-    @property
-    def ties(self) -> list[Tie]:
-        """The ties."""
-        return self._ties
