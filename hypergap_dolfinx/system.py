@@ -1,0 +1,149 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The saddle system of tied bodies: what linear and nonlinear problems share."""
+
+from collections.abc import Sequence
+from itertools import chain
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx import compat, saddle
+from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.tie import Tie
+
+
+class TiedSystem:
+    """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
+
+    _solver: PETSc.KSP | PETSc.SNES
+
+    def __init__(
+        self,
+        a: Sequence[fem.Form],
+        bcs: Sequence[fem.DirichletBC],
+        ties: Sequence[Tie],
+        u: Sequence[fem.Function],
+    ):
+        """Make the matrix and the vectors, without values in K and b. Collective.
+
+        Args:
+            a: Compiled bilinear form of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            ties: The ties.
+            u: Solution function of each body.
+
+        Raises:
+            ValueError: A tie or boundary condition on a space that belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        self._a, self._ties, self._u = list(a), list(ties), list(u)
+        # DOLFINx compares compiled spaces here
+        self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
+        orphans = len(bcs) - sum(len(block) for block in self._bcs)
+        if orphans:
+            raise ValueError(
+                f"{orphans} of {len(bcs)} boundary conditions are on a space that is in no body; "
+                "make them on the spaces of the forms."
+            )
+        spaces = [f.function_space for f in self._u]
+        self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
+        self._K = [petsc.create_matrix(form) for form in self._a]
+        # Free interior nodes are unknowns without a stiffness, behind those of the bodies
+        sizes = self._constraints.interior_sizes
+        self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], self._constraints.free)
+        self._b_bodies = [compat.create_vector(V) for V in spaces]
+        self._b_interiors = [zero.createVecLeft() for zero in self._zeros]
+        self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
+        self._b = PETSc.Vec().createNest(
+            [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
+        )
+        self._x = self._b.duplicate()
+
+    def _set_options(self, prefix: str, options: dict | None, default: dict):
+        """Set the solver's options: the given ones, or defaults that the command line overrules."""
+        if not prefix:
+            raise ValueError("the PETSc options prefix cannot be empty.")
+        self._solver.setOptionsPrefix(prefix)
+        self._A.setOptionsPrefix(f"{prefix}A_")
+        database = PETSc.Options()
+        database.prefixPush(prefix)
+        if options is None:
+            options = {k: v for k, v in default.items() if not database.hasName(prefix + k)}
+        for key, value in options.items():
+            database[key] = value
+        self._solver.setFromOptions()
+        for key in options:
+            del database[key]
+        database.prefixPop()
+
+    def __del__(self):
+        """Destroy the PETSc objects."""
+        single = ("_solver", "_A", "_b", "_x", "_constraints")
+        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
+        objects = [getattr(self, name, None) for name in single]
+        for obj in chain(objects, *(getattr(self, name, []) for name in several)):
+            if obj is not None:
+                obj.destroy()
+
+    def assemble_matrix(self):
+        """Assemble the bodies' stiffness into A. Collective."""
+        for K, form, bcs in zip(self._K, self._a, self._bcs, strict=True):
+            K.zeroEntries()
+            petsc.assemble_matrix(K, form, bcs=bcs)
+            K.assemble()
+        self._A.assemble()
+
+    def _assign(self, x: PETSc.Vec):
+        """Copy the bodies' part of a vector into u."""
+        for u, part in zip(self._u, x.getNestSubVecs()):
+            u.x.array[: part.getLocalSize()] = part.array_r
+            u.x.scatter_forward()
+
+    def multipliers(self, tie: Tie) -> npt.NDArray[np.float64]:
+        """The multipliers of a tie after a solve.
+
+        Args:
+            tie: One of the problem's ties.
+
+        Returns:
+            This rank's rows, ``(num_multipliers, block_size)``.
+        """
+        t = next((t for t, other in enumerate(self._ties) if other is tie), None)
+        if t is None:
+            raise ValueError("the tie is not one of this problem's.")
+        x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) + t]
+        return self._constraints.multipliers(t, x)
+
+    @property
+    def A(self) -> PETSc.Mat:
+        """The saddle matrix, a MatNest."""
+        return self._A
+
+    @property
+    def b(self) -> PETSc.Vec:
+        """The right-hand side; of a nonlinear problem the residual."""
+        return self._b
+
+    @property
+    def x(self) -> PETSc.Vec:
+        """The solution vector: displacements, then multipliers."""
+        return self._x
+
+    @property
+    def u(self) -> list[fem.Function]:
+        """The solution of each body."""
+        return self._u
+
+    @property
+    def ties(self) -> list[Tie]:
+        """The ties."""
+        return self._ties
