@@ -5,6 +5,18 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Parametric meshes that the demos and the tests share."""
 
+from meshes.solids import (
+    HOLE,
+    PLANE_X,
+    PLANE_Y,
+    PLANE_Z,
+    SIDE,
+    hollow_cube,
+    nested_shells,
+    perforated_plate,
+    solid_block,
+    spherical_shell,
+)
 from meshes.structured import (
     BACK,
     BOTTOM,
@@ -25,12 +37,22 @@ __all__ = [
     "BOTTOM",
     "END",
     "FRONT",
+    "HOLE",
     "INNER",
     "LEFT",
     "OUTER",
+    "PLANE_X",
+    "PLANE_Y",
+    "PLANE_Z",
     "RIGHT",
+    "SIDE",
     "START",
     "TOP",
     "block",
+    "hollow_cube",
+    "nested_shells",
+    "perforated_plate",
     "ring_sector",
+    "solid_block",
+    "spherical_shell",
 ]
