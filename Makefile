@@ -26,7 +26,7 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help env demo test test-all lint types test-serial test-mpi-2 test-mpi-3 clean
+.PHONY: help env demo test test-all lint types test-serial test-mpi-2 test-mpi-3 test-mpi-4 clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
@@ -35,7 +35,7 @@ help:
 	@echo "make test-all  the same with the slow ones"
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
-	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3."
+	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4."
 	@echo "PYTHON=... names the Python (>= 3.12) to set up with, MPIRUN=... the mpirun to test with."
 
 env: $(VENV)/installed
@@ -56,7 +56,7 @@ $(VENV)/installed: pyproject.toml
 demo: env
 	$(BIN)/python demos/pressurised_cylinder.py $(DEMO_ARGS)
 
-test: lint types test-serial test-mpi-2 test-mpi-3
+test: lint types test-serial test-mpi-2 test-mpi-3 test-mpi-4
 
 test-all: PYTEST_ARGS += -m ''
 test-all: test
@@ -69,13 +69,18 @@ types: env
 	$(BIN)/mypy
 
 # One thread a rank: the meshes are small, and ranks times threads would be more than the cores
-test-serial test-mpi-2 test-mpi-3: export OMP_NUM_THREADS := 1
+test-serial test-mpi-2 test-mpi-3 test-mpi-4: export OMP_NUM_THREADS := 1
 
 test-serial: env
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 test-mpi-2 test-mpi-3: test-mpi-%: env
 	$(MPIRUN) $(mpi_options) -n $* $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS)
+
+# On four ranks what shows whether their number matters
+test-mpi-4: env
+	$(MPIRUN) $(mpi_options) -n 4 $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
+		tests/test_ranks.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .*_cache .hypothesis

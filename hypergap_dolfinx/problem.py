@@ -125,7 +125,8 @@ class TiedProblem(TiedSystem):
         Raises:
             SolveError: The solver failed; says how.
         """
-        self._solver.solve(self._b, self._x)
+        with self._options_set():
+            self._solver.solve(self._b, self._x)
         saddle.check_solved(self._solver)
         self._assign(self._x)
         return self._u

@@ -5,7 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The saddle system of tied bodies: what linear and nonlinear problems share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 
 from petsc4py import PETSc
@@ -74,16 +75,27 @@ class TiedSystem:
             raise ValueError("the PETSc options prefix cannot be empty.")
         self._solver.setOptionsPrefix(prefix)
         self._A.setOptionsPrefix(f"{prefix}A_")
-        database = PETSc.Options()
-        database.prefixPush(prefix)
         if options is None:
-            options = {k: v for k, v in default.items() if not database.hasName(prefix + k)}
-        for key, value in options.items():
+            given = PETSc.Options().getAll()
+            options = {key: v for key, v in default.items() if prefix + key not in given}
+        self._options = {prefix + key: value for key, value in options.items()}
+        with self._options_set():
+            self._solver.setFromOptions()
+
+    @contextmanager
+    def _options_set(self) -> Iterator[None]:
+        """Keep the solver's options in PETSc's database: MUMPS reads its own when it is called."""
+        database = PETSc.Options()
+        before = database.getAll()
+        for key, value in self._options.items():
             database[key] = value
-        self._solver.setFromOptions()
-        for key in options:
-            del database[key]
-        database.prefixPop()
+        try:
+            yield
+        finally:
+            for key in self._options:
+                del database[key]
+                if key in before:
+                    database[key] = before[key]
 
     def __del__(self):
         """Destroy the PETSc objects."""

@@ -1,0 +1,185 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""TiedProblem: its door, one mesh with several bodies, several ties, repeated solves."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Tie, TiedProblem
+
+comm = MPI.COMM_WORLD
+
+
+def field(x):
+    """A linear displacement."""
+    return np.array((0.1 + 0.2 * x[0] - 0.3 * x[1], 0.4 * x[0] + 0.1 * x[1]))
+
+
+def elasticity(V):
+    """Forms of plane elasticity without loads."""
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+
+    def sigma(u):
+        eps = ufl.sym(ufl.grad(u))
+        return eps + 0.5 * ufl.tr(eps) * ufl.Identity(2)
+
+    zero = fem.Constant(V.mesh, default_scalar_type((0, 0)))
+    return ufl.inner(sigma(u), ufl.sym(ufl.grad(v))) * ufl.dx, ufl.inner(zero, v) * ufl.dx
+
+
+def held(V, where):
+    """The linear displacement, prescribed on a part of the boundary."""
+    u = fem.Function(V)
+    u.interpolate(field)
+    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 1, where)
+    return fem.dirichletbc(u, fem.locate_dofs_topological(V, 1, facets))
+
+
+def largest_error(us):
+    """Largest difference from the linear displacement at the nodes."""
+    worst = 0.0
+    for u in us:
+        exact = fem.Function(u.function_space)
+        exact.interpolate(field)
+        worst = max(worst, np.abs(u.x.array - exact.x.array).max(initial=0))
+    return comm.allreduce(worst, MPI.MAX)
+
+
+def two_blocks():
+    """A block on another one, both held on the outside."""
+    lower, ft0 = meshes.block(comm, (4, 3), lambda x: x - (0, 1))
+    upper, ft1 = meshes.block(comm, (6, 2), cell="triangle")
+    V = [fem.functionspace(mesh, ("Lagrange", 2, (2,))) for mesh in (lower, upper)]
+    tie = Tie((V[0], ft0.find(meshes.TOP)), (V[1], ft1.find(meshes.BOTTOM)))
+    bcs = [held(V[0], lambda x: np.isclose(x[1], -1)), held(V[1], lambda x: np.isclose(x[1], 1))]
+    bcs += [held(W, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)) for W in V]
+    a, L = zip(*(elasticity(W) for W in V), strict=True)
+    return V, a, L, bcs, tie
+
+
+def one_mesh():
+    """The same two blocks as one mesh: two parts that share no node."""
+    x, cells = [], []
+    for n, shift in ((4, -1.0), (7, 0.0)):
+        i, j = np.meshgrid(np.arange(n), np.arange(3), indexing="ij")
+        start = sum(map(len, x))
+        corner = start + (i * 4 + j).ravel()
+        cells.append(np.column_stack((corner, corner + 4, corner + 1, corner + 5)))
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(4), indexing="ij")
+        x.append(np.column_stack((i.ravel() / n, j.ravel() / 3 + shift)))
+    element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
+    cells, x = np.vstack(cells).astype(np.int64), np.vstack(x)
+    if comm.rank > 0:
+        cells, x = cells[:0], x[:0]
+    return dolfinx.mesh.create_mesh(comm, cells, element, x)
+
+
+@pytest.mark.parametrize("degree", (1, 2))
+def test_one_mesh_with_several_bodies(degree):
+    mesh = one_mesh()
+    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    # Both sides of the interface lie at y = 0: tell them by their cells
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0))
+    mesh.topology.create_connectivity(1, 2)
+    to_cell = mesh.topology.connectivity(1, 2)
+    cells = np.array([to_cell.links(f)[0] for f in facets], dtype=np.int32)
+    above = dolfinx.mesh.compute_midpoints(mesh, 2, cells)[:, 1] > 0
+    tie = Tie((V, facets[~above]), (V, facets[above]))
+    bcs = [held(V, lambda x: np.isclose(np.abs(x[1]), 1))]
+    a, L = elasticity(V)
+    (u,) = TiedProblem([a], [L], bcs=bcs, ties=[tie]).solve()
+    # Free sides would bend under this field: hold what the tie doesn't
+    bcs.append(held(V, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)))
+    (u,) = TiedProblem([a], [L], bcs=bcs, ties=[tie]).solve()
+    assert largest_error([u]) <= 1e-12
+
+
+@pytest.mark.parametrize("interior", ("interpolated", "free"))
+def test_several_ties_on_a_body(interior):
+    """Three blocks on top of each other; the middle one is Γ1 of one tie and Γ0 of the other."""
+    V, facets, bcs = [], [], []
+    for i, n in enumerate((3, 5, 4)):
+        mesh, ft = meshes.block(comm, (n, 2), lambda x, i=i: x + np.array((0, i)))
+        V.append(fem.functionspace(mesh, ("Lagrange", 2, (2,))))
+        facets.append((ft.find(meshes.BOTTOM), ft.find(meshes.TOP)))
+    ties = [
+        Tie((V[i], facets[i][1]), (V[i + 1], facets[i + 1][0]), interior=interior) for i in (0, 1)
+    ]
+    bcs = [held(V[0], lambda x: np.isclose(x[1], 0)), held(V[2], lambda x: np.isclose(x[1], 3))]
+    bcs += [held(W, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)) for W in V]
+    a, L = zip(*(elasticity(W) for W in V), strict=True)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+    assert largest_error(problem.solve()) <= 1e-12
+    for tie in ties:
+        q = tie.quadrature(2)
+        forces = q.integrate(q.evaluate(tie.traction(problem)))
+        np.testing.assert_allclose(forces, (0.05, 0.1 + 0.5 * 0.3), atol=1e-11)
+
+
+def test_solutions_go_into_given_functions():
+    V, a, L, bcs, tie = two_blocks()
+    u = [fem.Function(W, name="displacement") for W in V]
+    problem = TiedProblem(a, L, bcs=bcs, ties=[tie], u=u)
+    assert problem.solve()[0] is u[0] and problem.u[1] is u[1]
+    assert largest_error(u) <= 1e-12
+    assert problem.ties == [tie] and len(problem.a) == len(problem.L) == 2
+    residual = problem.b.duplicate()
+    problem.A.mult(problem.x, residual)
+    residual.axpy(-1.0, problem.b)
+    assert residual.norm() <= 1e-12 * problem.x.norm()
+
+
+def test_an_unchanged_matrix_is_factorised_once():
+    _, a, L, bcs, tie = two_blocks()
+    problem = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    problem.assemble_matrix()
+    with PETSc.Log.Event("MatLUFactorNum") as event:
+        pass
+    PETSc.Log.begin()
+    before = event.getPerfInfo()["count"]
+    for _ in range(3):
+        problem.assemble_vector()
+        us = problem.solve_system()
+    assert event.getPerfInfo()["count"] == before + 1
+    assert largest_error(us) <= 1e-12
+
+
+def test_own_options_win():
+    _, a, L, bcs, tie = two_blocks()
+    options = {"ksp_type": "gmres", "ksp_rtol": 1e-13, "pc_type": "lu"}
+    options |= {"pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 321}
+    problem = TiedProblem(
+        a, L, bcs=bcs, ties=[tie], petsc_options_prefix="mine_", petsc_options=options
+    )
+    assert largest_error(problem.solve()) <= 1e-12
+    assert problem.solver.getType() == "gmres" and problem.solver.getOptionsPrefix() == "mine_"
+    assert not any(key.startswith("mine_") for key in PETSc.Options().getAll())
+    assert problem.solver.getPC().getFactorMatrix().getMumpsIcntl(14) == 321
+
+
+def test_no_ties_at_all():
+    """The same door for a body alone: what tied results are compared with."""
+    mesh, _ = meshes.block(comm, (4, 3))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    a, L = elasticity(V)
+    bcs = [held(V, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1))]
+    bcs.append(held(V, lambda x: np.isclose(x[1], 0) | np.isclose(x[1], 1)))
+    assert largest_error(TiedProblem([a], [L], bcs=bcs).solve()) <= 1e-12
+
+
+def test_traction_of_another_problem():
+    _, a, L, bcs, tie = two_blocks()
+    problem = TiedProblem(a, L, bcs=bcs, ties=[])
+    with pytest.raises(ValueError, match="not one of this problem's"):
+        tie.traction(problem)
