@@ -119,8 +119,9 @@ def solve(rings, degree, swap, seconds):
 
 # ## Errors
 #
-# of the displacement and the stress, relative to the exact ones, over both rings; and of the
-# traction λ on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$.
+# of the displacement and the stress, relative to the exact ones, over both rings; of the traction
+# on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$; and of the gap and the slip there,
+# which should be zero, relative to the displacement $u(c)$.
 
 
 def relative_errors(us, degree):
@@ -144,6 +145,15 @@ def traction_error(problem, tie, swap):
     exact = (A - B / c**2) * q.x / r * (-1 if swap else 1)
     error = q.evaluate(tie.traction(problem)) - exact
     return np.sqrt(q.integrate((error**2).sum(-1)) / q.integrate((exact**2).sum(-1)))
+
+
+def gap_error(problem, tie, swap):
+    """L² norm of gap and slip on Σ, relative to the displacement's."""
+    q = tie.quadrature(8)
+    gap, slip = (q.evaluate(f) for f in tie.gap(*problem.u[:: -1 if swap else 1]))
+    u = np.linalg.norm(exact_displacement((c, 0.0)))
+    error = q.integrate((gap**2 + slip**2).sum(-1))
+    return np.sqrt(error / q.integrate(np.full_like(q.weights, u**2)))
 
 
 @contextmanager
@@ -173,6 +183,7 @@ def run(comm, level, degree, cell, swap):
         "l2": float(l2),
         "stress": float(stress),
         "traction": float(traction_error(problem, tie, swap)),
+        "gap": float(gap_error(problem, tie, swap)),
         "seconds": seconds,
     }
     return row, problem, tie

@@ -8,7 +8,9 @@
 Nothing else in the package imports this module. All functions are collective; rank 0 draws.
 """
 
+import os
 from collections.abc import Iterable, Sequence
+from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -260,6 +262,9 @@ def _sigma(tie: Tie, places: Sequence[Place]) -> pyvista.UnstructuredGrid | None
 def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
     if comm.rank > 0:
         return None
+    if not window and "DISPLAY" not in os.environ and find_library("EGL"):
+        # VTK would look for an X server first, and complain
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     plotter = pyvista.Plotter(off_screen=not window, window_size=[1200, 900])
     plotter.background_color = pyvista.Color("white")
     return plotter

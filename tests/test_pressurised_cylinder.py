@@ -40,10 +40,11 @@ def rate(rows, name):
 @pytest.mark.parametrize("degree", (1, 2, 3))
 def test_errors_and_rates(degree, cell, swap):
     rows = sweep(degree, cell, swap)
-    print([rate(rows, name) for name in ("l2", "stress", "traction")])
+    print([rate(rows, name) for name in ("l2", "stress", "traction", "gap")])
     for name, expected in zip(("l2", "stress"), RATES[degree], strict=True):
         assert rate(rows, name) >= expected
     assert rate(rows, "traction") >= degree - 0.05
+    assert rate(rows, "gap") >= degree + 1 - 0.1
     if cell == "quadrilateral" and degree in BOUNDS:
         for name, bound in zip(("l2", "stress", "traction"), BOUNDS[degree], strict=True):
             assert rows[-1][name] <= bound
