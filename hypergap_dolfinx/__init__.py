@@ -6,10 +6,18 @@
 """Tie DOLFINx bodies across non-matching meshes with hyper-dimensional gap finite elements."""
 
 from hypergap_dolfinx.kernel import InvertedCellError
+from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
 from hypergap_dolfinx.saddle import SolveError
 from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
 
-__all__ = ["InterfaceError", "InvertedCellError", "SolveError", "Tie", "TiedProblem"]
+__all__ = [
+    "InterfaceError",
+    "InvertedCellError",
+    "NonlinearTiedProblem",
+    "SolveError",
+    "Tie",
+    "TiedProblem",
+]
 __version__ = "0.1.0"

@@ -51,7 +51,7 @@ class TiedProblem(TiedSystem):
             ties: The ties between them.
             u: Solution functions; made if not given.
             petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
-            petsc_options: Options of the KSP; MUMPS's LU if not given.
+            petsc_options: Options of the KSP; MUMPS's LU unless they name a KSP or PC.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 

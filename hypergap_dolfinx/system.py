@@ -70,14 +70,19 @@ class TiedSystem:
         self._x = self._b.duplicate()
 
     def _set_options(self, prefix: str, options: dict | None, default: dict):
-        """Set the solver's options: the given ones, or defaults that the command line overrules."""
+        """Set the solver's options, defaults too where none names a KSP or PC.
+
+        The command line overrules the defaults.
+        """
         if not prefix:
             raise ValueError("the PETSc options prefix cannot be empty.")
         self._solver.setOptionsPrefix(prefix)
         self._A.setOptionsPrefix(f"{prefix}A_")
-        if options is None:
+        options = dict(options or {})
+        if not any(key.startswith(("ksp_", "pc_")) for key in options):
             given = PETSc.Options().getAll()
-            options = {key: v for key, v in default.items() if prefix + key not in given}
+            free = {key: v for key, v in default.items() if prefix + key not in given}
+            options = {**free, **options}
         self._options = {prefix + key: value for key, value in options.items()}
         with self._options_set():
             self._solver.setFromOptions()

@@ -1,0 +1,167 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Nonlinear bodies, tied: the counterpart of ``dolfinx.fem.petsc.NonlinearProblem``."""
+
+import weakref
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx import saddle
+from hypergap_dolfinx.system import TiedSystem
+from hypergap_dolfinx.tie import Tie
+
+_DIRECT = {k: v for k, v in saddle.DIRECT.items() if not k.startswith("ksp_")}
+_DIRECT["ksp_type"] = "preonly"  # Newton's next step refines
+
+
+class NonlinearTiedProblem(TiedSystem):
+    """Nonlinear problem F_i(u_i; v_i) = 0 on several bodies, tied to each other, for PETSc's SNES.
+
+    Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
+    displacements and hold whatever rotation the bodies make together.
+
+    Example::
+
+        problem = NonlinearTiedProblem([F0, F1], [u0, u1], bcs=bcs, ties=[tie])
+        problem.solve()
+    """
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form],
+        u: Sequence[fem.Function],
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        ties: Sequence[Tie] = (),
+        J: Sequence[ufl.Form] | None = None,
+        petsc_options_prefix: str = "hypergap_",
+        petsc_options: dict | None = None,
+        form_compiler_options: dict | None = None,
+        jit_options: dict | None = None,
+    ):
+        """Compile the forms and set up the SNES. Collective.
+
+        Args:
+            F: Residual form of each body.
+            u: Solution function of each body, as used in F; what it holds is the first guess.
+            bcs: Dirichlet conditions of any of the bodies.
+            ties: The ties between them.
+            J: Jacobian form of each body; F's derivative if not given.
+            petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
+            petsc_options: Options of the SNES. Steps are solved with MUMPS's LU unless they name
+                a KSP or PC.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
+                a space that belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        if J is None:
+            J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
+        if not len(F) == len(u) == len(J) or not F:
+            raise ValueError(
+                f"{len(F)} residual forms, {len(u)} functions and {len(J)} Jacobian forms: give "
+                "one of each for every body."
+            )
+
+        def compiled(form):
+            return fem.form(
+                form,
+                dtype=PETSc.ScalarType,
+                form_compiler_options=form_compiler_options,
+                jit_options=jit_options,
+            )
+
+        self._F = [compiled(form) for form in F]
+        super().__init__([compiled(form) for form in J], bcs, ties, u)
+        self._solver = PETSc.SNES().create(self._A.comm)
+        me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
+        self._solver.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
+        self._solver.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
+        self._set_options(petsc_options_prefix, petsc_options, _DIRECT)
+
+    def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
+        """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
+        self._assign(x)
+        x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
+        num_bodies, num_ties = len(self._u), len(self._ties)
+        multipliers = x_parts[len(x_parts) - num_ties :]
+        lifted = []
+        for u, b, F, J, bcs in zip(self._u, r_parts, self._F, self._a, self._bcs):
+            with b.localForm() as local:
+                local.set(0.0)
+            petsc.assemble_vector(b, F)
+            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[u.x.petsc_vec], alpha=-1.0)
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            petsc.set_bc(b, bcs, x0=u.x.petsc_vec, alpha=-1.0)
+            lifted.append(u.x.petsc_vec.copy())
+            petsc.set_bc(lifted[-1], bcs)
+        for b in r_parts[num_bodies : len(r_parts) - num_ties]:
+            b.set(0.0)
+        fields = [*lifted, *x_parts[num_bodies : len(x_parts) - num_ties]]
+        for t, multiplier in enumerate(multipliers):
+            for b, B in zip(r_parts, self._constraints.free[t]):
+                if B is not None:
+                    B.multTransposeAdd(multiplier, b, b)
+            self._constraints.apply(t, fields, r_parts[len(r_parts) - num_ties + t])
+        for vector in lifted:
+            vector.destroy()
+        r.assemble()
+
+    def _jacobian(self, x: PETSc.Vec):
+        self._assign(x)
+        self.assemble_matrix()
+
+    def solve(self) -> list[fem.Function]:
+        """Solve, from what u holds and the multipliers of the last solve. Collective.
+
+        Returns:
+            The solution of each body, the same functions as in ``u``.
+
+        Raises:
+            SolveError: The Newton iteration or a linear solve failed; says how.
+        """
+        for u, x in zip(self._u, self._x.getNestSubVecs()):
+            x.array[:] = u.x.array[: x.getLocalSize()]
+        with self._options_set():
+            self._solver.solve(None, self._x)
+        self._check_solved()
+        self._assign(self._x)
+        return self._u
+
+    def _check_solved(self):
+        reason = self._solver.getConvergedReason()
+        if reason > 0:
+            return
+        if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            saddle.check_solved(self._solver.getKSP())
+        names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
+        raise saddle.SolveError(
+            f"Newton's iteration failed after {self._solver.getIterationNumber()} steps: SNES "
+            f"reason {reason} ({names.get(reason, 'unknown')}), residual "
+            f"{self._solver.getFunctionNorm():.1e}; smaller load steps may help."
+        )
+
+    @property
+    def F(self) -> list[fem.Form]:
+        """The compiled residual forms."""
+        return self._F
+
+    @property
+    def J(self) -> list[fem.Form]:
+        """The compiled Jacobian forms."""
+        return self._a
+
+    @property
+    def solver(self) -> PETSc.SNES:
+        """The SNES."""
+        return self._solver
