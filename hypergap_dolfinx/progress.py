@@ -1,0 +1,34 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A line on the terminal that says how far long work is; nothing in a pipe."""
+
+import sys
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+
+def show(comm: MPI.Comm, text: str = ""):
+    """Replace the line on the terminal; rank 0's.
+
+    Args:
+        comm: Communicator.
+        text: The new line; without it, the line is cleared.
+    """
+    if comm.rank == 0 and sys.stderr.isatty():
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def monitor(solver: PETSc.SNES | PETSc.KSP, iteration: int, norm: float):
+    """Show a solver's iterations: ``problem.solver.setMonitor(progress.monitor)``.
+
+    Args:
+        solver: A SNES or KSP.
+        iteration: Number of the iteration.
+        norm: Norm of the residual.
+    """
+    name = "Newton step" if isinstance(solver, PETSc.SNES) else "iteration"
+    show(solver.comm.tompi4py(), f"{name} {iteration}, residual {norm:.1e}")
