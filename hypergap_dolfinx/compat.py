@@ -28,10 +28,30 @@ def geometry_dofmap(mesh: Mesh) -> npt.NDArray[np.int32]:
     return mesh.geometry.dofmaps[0] if VERSION >= (0, 11) else mesh.geometry.dofmap
 
 
+def destinations(rank: npt.NDArray[np.int32]):
+    """What a partitioner of cells returns: the rank that each cell goes to."""
+    lists = graph.adjacencylist(np.ascontiguousarray(rank, dtype=np.int32).reshape(-1, 1))
+    return getattr(lists, "_cpp_object", lists)  # 0.9 has no class around it
+
+
 def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
     """A ghosted PETSc vector for a function space."""
-    if VERSION < (0, 10):
-        return la.create_petsc_vector(  # type: ignore[attr-defined]
-            V.dofmap.index_map, V.dofmap.index_map_bs
-        )
-    return dolfinx.fem.petsc.create_vector(V)
+    index_map, bs = V.dofmap.index_map, V.dofmap.index_map_bs
+    size = (index_map.size_local * bs, index_map.size_global * bs)
+    ghosts = index_map.ghosts.astype(PETSc.IntType)
+    return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=index_map.comm)
+
+
+def set_triplets(A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray, values: npt.NDArray):
+    """Fill a new matrix from (row, column, value) triplets, which are added up. Collective."""
+    i, j = i.astype(PETSc.IntType), j.astype(PETSc.IntType)
+    if hasattr(A, "setPreallocationCOO"):
+        A.setPreallocationCOO(i, j)
+        A.setValuesCOO(values)
+    else:  # petsc4py 3.22: into a hash table, which takes three times as long
+        A.setUp()
+        order = np.argsort(i, kind="stable")
+        rows, start = np.unique(i[order], return_index=True)
+        indptr = np.append(start, len(i)).astype(PETSc.IntType)
+        A.setValuesIJV(indptr, j[order], values[order], PETSc.InsertMode.ADD, rows)
+    A.assemble()

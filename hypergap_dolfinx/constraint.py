@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
+from hypergap_dolfinx import compat
 from hypergap_dolfinx.gap_domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.surface import Surface
 
@@ -62,12 +63,11 @@ def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
         The assembled matrix.
     """
     rows, columns = sizes
-    A = PETSc.Mat().createAIJ(((rows, None), (columns, None)), comm=comm)
-    A.setPreallocationCOO(
-        np.asarray(i).astype(PETSc.IntType).ravel(), np.asarray(j).astype(PETSc.IntType).ravel()
-    )
-    A.setValuesCOO(np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel())
-    A.assemble()
+    A = PETSc.Mat().create(comm)
+    A.setSizes(((rows, None), (columns, None)))
+    A.setType(PETSc.Mat.Type.AIJ)
+    values = np.ascontiguousarray(values, dtype=PETSc.ScalarType)
+    compat.set_triplets(A, np.ravel(i), np.ravel(j), values.ravel())
     return A
 
 

@@ -17,7 +17,7 @@ import basix.ufl
 import dolfinx
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import kernel
+from hypergap_dolfinx import compat, kernel
 from hypergap_dolfinx.cells import Hosts
 from hypergap_dolfinx.slab import mesh_slab
 from hypergap_dolfinx.strip import mesh_strip
@@ -130,12 +130,10 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         x = _interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
     nodes = x if comm.rank == 0 else np.empty((0, tdim))
 
-    def stay(comm, num_parts, cell_types, cells) -> dolfinx.cpp.graph.AdjacencyList_int32:
-        return dolfinx.graph.adjacencylist(
-            np.full((len(mine), 1), comm.rank, dtype=np.int32)
-        )._cpp_object
+    def stay(comm, num_parts, cell_types, cells):
+        return compat.destinations(np.full(len(mine), comm.rank, dtype=np.int32))
 
-    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], coordinates, nodes, stay)
+    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], e=coordinates, x=nodes, partitioner=stay)
     start = sum(comm.allgather(len(mine))[: comm.rank])
     order = mine[mesh.topology.original_cell_index - start]
 

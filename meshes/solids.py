@@ -58,7 +58,7 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
         used, cells = np.unique(cells, return_inverse=True)  # without the centres of arcs
         x, cells = x.reshape(-1, 3)[order][used], cells.reshape(-1, 4).astype(np.int64)
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    return dolfinx.mesh.create_mesh(comm, cells, element, x)
+    return dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
 
 
 def _set_sizes(model, sizes: Sequence[float]):
@@ -110,7 +110,7 @@ def of_degree(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.mesh.Mesh:
     nodes = V.dofmap.list[: mesh.topology.index_map(3).size_local]
     cells = index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
     x = V.tabulate_dof_coordinates()[: index_map.size_local]
-    return dolfinx.mesh.create_mesh(mesh.comm, cells, element, x)
+    return dolfinx.mesh.create_mesh(mesh.comm, cells, e=element, x=x)
 
 
 def solid_block(

@@ -91,7 +91,7 @@ def block(
         x, cells = x[used], cells.reshape(-1, len(points))
     else:
         x, cells = np.empty((0, dim)), np.empty((0, len(points)), dtype=np.int64)
-    mesh = dolfinx.mesh.create_mesh(comm, cells, element, x, partitioner)
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x, partitioner=partitioner)
 
     facets, tags = [], []
     for axis, end in product(range(dim), (0, 1)):

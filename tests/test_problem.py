@@ -82,7 +82,7 @@ def one_mesh():
     cells, x = np.vstack(cells).astype(np.int64), np.vstack(x)
     if comm.rank > 0:
         cells, x = cells[:0], x[:0]
-    return dolfinx.mesh.create_mesh(comm, cells, element, x)
+    return dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
 
 
 @pytest.mark.parametrize("degree", (1, 2))

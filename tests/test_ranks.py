@@ -16,7 +16,7 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem, compat
 
 comm = MPI.COMM_WORLD
 
@@ -54,8 +54,7 @@ def by_height(downwards):
         start = sum(c.allgather(num_cells)[: c.rank])
         row = (start + np.arange(num_cells)) % 6
         rank = (5 - row if downwards else row) * c.size // 6
-        lists = dolfinx.graph.adjacencylist(rank.astype(np.int32).reshape(-1, 1))
-        return getattr(lists, "_cpp_object", lists)
+        return compat.destinations(rank)
 
     return partition
 
