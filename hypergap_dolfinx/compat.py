@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The differences between DOLFINx 0.9, 0.10 and 0.11, all of them, and nothing else."""
+"""The differences between DOLFINx 0.9, 0.10 and 0.11 (and their PETSc), all of them.
+
+What a keyword spans (``create_mesh(comm, cells, e=..., x=...)``) needs no place here.
+"""
 
 from petsc4py import PETSc
 
@@ -11,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import dolfinx
-import dolfinx.fem.petsc
-from dolfinx import fem, la
+from dolfinx import fem, graph
 from dolfinx.mesh import Mesh
 
 VERSION = tuple(int(v) for v in dolfinx.__version__.split(".")[:2])

@@ -12,7 +12,6 @@ import patch_test
 import pressurised_cylinder
 import pytest
 
-import dolfinx
 import meshes
 import ufl
 from dolfinx import fem
