@@ -65,7 +65,8 @@ def normal_and_direction(X, dalpha):
     cof = cofactor(X)
     N = np.einsum("...ij,...j->...i", cof, dalpha)
     v = np.einsum("...ij,...i->...j", cof, N)
-    return N, v / np.einsum("...i,...i->...", N, N)[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # empty cells are found by their N
+        return N, v / np.einsum("...i,...i->...", N, N)[..., None]
 
 
 @dataclass(frozen=True)
