@@ -129,6 +129,41 @@ def deformed(
     return _finish(plotter, dim, filename, window)
 
 
+def field(
+    fs: Iterable[fem.Function],
+    filename: str | Path | None = None,
+    *,
+    title: str = "value",
+    window: bool = False,
+) -> pyvista.Plotter | None:
+    """The bodies, coloured by the values of a function; of a vector its length.
+
+    Args:
+        fs: Function on each body.
+        filename: Where to save the picture.
+        title: Title of the scale.
+        window: Whether to open a window.
+
+    Returns:
+        The plotter on rank 0, None on the others.
+    """
+    fs = list(fs)
+    mesh = fs[0].function_space.mesh
+    plotter = _plotter(mesh.comm, window)
+    grids = [_with_values(f, "values") for f in fs]
+    drawn = [g for g in grids if g is not None]
+    if plotter and drawn:
+        for g in drawn:
+            scalar = not np.any(g["values"][:, 1:])
+            g["value"] = g["values"][:, 0] if scalar else np.linalg.norm(g["values"], axis=1)
+        values = np.concatenate([g["value"] for g in drawn])
+        clim = (values.min(), values.max())
+        for g in drawn:
+            bar = _bar(title)
+            _add(plotter, g, scalars="value", cmap="inferno", clim=clim, scalar_bar_args=bar)
+    return _finish(plotter, mesh.geometry.dim, filename, window)
+
+
 def traction(
     tie: Tie,
     traction: fem.Function,
