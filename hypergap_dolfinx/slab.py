@@ -10,7 +10,7 @@ solid. Its sides are closed like the strip in 2D, Gmsh fills it, and of the resu
 connectivity is kept: the vertices go back to where they belong.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -410,9 +410,12 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
         reason = _pushed_off_error(x, cells, triangles, len(side0.facets) + len(side1.facets))
         if reason is None:
             slab = Slab(sides, cells, _interior_hosts(sides, pushed, x[len(surface) :]))
-            reason = _gap_error(slab)
-            if reason is None:
+            slab = _without_flat_walls(slab)
+            wrong = _turned_over(slab)
+            if not wrong.any():
                 return slab
+            place = slab.x[slab.cells[wrong.argmax()]].mean(axis=0)
+            reason = f"{wrong.sum()} cells are flat or inverted", place
         reasons.append(reason)
     reason, place = reasons[0]
     raise InterfaceError(
@@ -438,17 +441,35 @@ def _pushed_off_error(x, cells, triangles, num_facets: int):
     return None
 
 
-def _gap_error(slab: Slab):
-    """Whether all cells are turned the right way with Γ1 where it belongs."""
+def _turned_over(slab: Slab) -> npt.NDArray[np.bool_]:
+    """Which cells are flat or inverted with Γ1 where it belongs, ``(num_cells,)``."""
     x, alpha = slab.x[slab.cells], slab.alpha[slab.cells]
     X = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
     dalpha = alpha[:, 1:] - alpha[:, :1]
     N = np.einsum("cij,cj->ci", cofactor(X), dalpha)
     size = (np.linalg.norm(X, axis=1) ** 2).max(axis=1) * np.abs(dalpha).max(axis=1)
-    wrong = ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
-    if wrong.any():
-        return f"{wrong.sum()} cells are flat or inverted", x[wrong.argmax()].mean(axis=0)
-    return None
+    return ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
+
+
+def _without_flat_walls(slab: Slab) -> Slab:
+    """Take away cells that lie flat in the side walls: their four nodes are all on the boundary.
+
+    What is left has another diagonal there, and walls are free to have any.
+    """
+    while True:
+        flat = _turned_over(slab)
+        if not flat.any():
+            return slab
+        faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
+        _, which, count = np.unique(
+            faces.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
+        )
+        bare = (count[which.reshape(-1, 4)] == 1).sum(axis=1)
+        base = (slab.bases[0] >= 0) | (slab.bases[1] >= 0)
+        peel = flat & (bare == 2) & ~base
+        if not peel.any():
+            return slab
+        slab = replace(slab, cells=slab.cells[~peel])
 
 
 def _interior_hosts(sides: tuple[Side, Side], pushed, x) -> Hosts:

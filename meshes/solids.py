@@ -6,6 +6,7 @@
 """Unstructured tetrahedra, with Gmsh: blocks, spherical shells and balls, bodies with holes."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -24,14 +25,13 @@ HOLE, SIDE = 14, 15
 Markers = Sequence[tuple[int, Callable[[npt.NDArray], npt.NDArray]]]
 
 
-def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolfinx.mesh.Mesh:
-    """Mesh what ``build`` adds to a CAD kernel of Gmsh.
+def _tetrahedra(comm: MPI.Comm, h, build: Callable) -> dolfinx.mesh.Mesh:
+    """Mesh what ``build`` adds to Gmsh's CAD kernel.
 
     Args:
         comm: Communicator.
         h: Cell size, one or one for each volume.
-        build: Takes the kernel.
-        kernel: Gmsh's name of it.
+        build: Takes Gmsh's OpenCASCADE kernel.
     """
     x, cells = np.empty((0, 3)), np.empty((0, 4), dtype=np.int64)
     if comm.rank == 0:
@@ -43,9 +43,8 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
             gmsh.option.setNumber("General.NumThreads", 1)
             gmsh.option.setNumber("Mesh.MeshSizeMin", np.min(h))
             gmsh.option.setNumber("Mesh.MeshSizeMax", np.max(h))
-            cad = getattr(gmsh.model, kernel)
-            build(cad)
-            cad.synchronize()
+            build(gmsh.model.occ)
+            gmsh.model.occ.synchronize()
             if np.ndim(h):
                 _set_sizes(gmsh.model, h)
             gmsh.model.mesh.generate(3)
@@ -62,15 +61,25 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
 
 
 def _set_sizes(model, sizes: Sequence[float]):
-    """A cell size for each volume; on faces between two, the smaller one."""
+    """Cell sizes of concentric volumes, from the innermost on; between them the geometric mean."""
+    tags = sorted(
+        (tag for _, tag in model.getEntities(3)), key=lambda t: model.getBoundingBox(3, t)[3]
+    )
+    size_of = dict(zip(tags, sizes, strict=True))
+    volumes = {(3, tag): {tag} for tag in tags}
+    for dim in (2, 1):
+        for _, tag in model.getEntities(dim):
+            above = model.getAdjacencies(dim, tag)[0]
+            volumes[dim, tag] = set().union(*(volumes[dim + 1, up] for up in above))
     fields = []
-    for (_, volume), h in zip(model.getEntities(3), sizes, strict=True):
-        inside = model.mesh.field.add("Constant")
-        model.mesh.field.setNumbers(inside, "VolumesList", [volume])
-        model.mesh.field.setNumber(inside, "IncludeBoundary", 1)
-        model.mesh.field.setNumber(inside, "VIn", h)
-        model.mesh.field.setNumber(inside, "VOut", max(sizes))
-        fields.append(inside)
+    for (dim, tag), around in volumes.items():
+        fields.append(model.mesh.field.add("Constant"))
+        lists = {1: "CurvesList", 2: "SurfacesList", 3: "VolumesList"}
+        model.mesh.field.setNumbers(fields[-1], lists[dim], [tag])
+        model.mesh.field.setNumber(fields[-1], "IncludeBoundary", 0)
+        size = np.exp(np.mean(np.log([size_of[volume] for volume in around])))
+        model.mesh.field.setNumber(fields[-1], "VIn", size)
+        model.mesh.field.setNumber(fields[-1], "VOut", 1e22)
     smallest = model.mesh.field.add("Min")
     model.mesh.field.setNumbers(smallest, "FieldsList", fields)
     model.mesh.field.setAsBackgroundMesh(smallest)
@@ -177,10 +186,7 @@ def spherical_shell(
     Returns:
         The mesh and its facet tags INNER, OUTER and, of an octant, PLANE_X, PLANE_Y and PLANE_Z.
     """
-    if octant:
-        mesh = _tetrahedra(comm, h, lambda cad: _add_octants(cad, (r_inner, r_outer)), "geo")
-    else:
-        mesh = _tetrahedra(comm, h, lambda cad: _add_sphere(cad, r_inner, r_outer))
+    mesh = _tetrahedra(comm, h, lambda cad: _add_shells(cad, (r_inner, r_outer), octant))
     for _ in range(refinements):
         mesh, _ = _on_spheres(refined(mesh), r_inner, r_outer, octant)
     return _on_spheres(of_degree(mesh, degree), r_inner, r_outer, octant)
@@ -201,7 +207,7 @@ def nested_shells(
     Returns:
         The mesh and its facet tags, as of :func:`spherical_shell`.
     """
-    mesh = _tetrahedra(comm, sizes, lambda cad: _add_octants(cad, radii), "geo")
+    mesh = _tetrahedra(comm, sizes, lambda cad: _add_shells(cad, radii, True))
     mesh = of_degree(mesh, degree)
     for r in radii[1:-1]:
         _snap(mesh, _facets_on(mesh, r, 1e-6 * r), r)
@@ -239,30 +245,17 @@ def _on_spheres(mesh: dolfinx.mesh.Mesh, r_inner: float, r_outer: float, octant:
     return mesh, ft
 
 
-def _add_octants(cad, radii):
-    """Eighths of concentric shells, from the innermost out, that share their spheres."""
-    centre = cad.addPoint(0, 0, 0)
-    previous = None
-    for r in radii:
-        points = [cad.addPoint(*(r * np.eye(3)[axis])) for axis in range(3)]
-        arcs = [cad.addCircleArc(points[i], centre, points[(i + 1) % 3]) for i in range(3)]
-        sphere = cad.addSurfaceFilling([cad.addCurveLoop(arcs)], sphereCenterTag=centre)
-        if previous is not None:
-            rays = [cad.addLine(p, q) for p, q in zip(previous[0], points, strict=True)]
-            planes = [
-                cad.addPlaneSurface(
-                    [cad.addCurveLoop([rays[i], arcs[i], -rays[(i + 1) % 3], -previous[1][i]])]
-                )
-                for i in range(3)
-            ]
-            cad.addVolume([cad.addSurfaceLoop([previous[2], sphere, *planes])])
-        previous = points, arcs, sphere
-
-
-def _add_sphere(cad, r_inner: float, r_outer: float):
-    outer = cad.addSphere(0, 0, 0, r_outer)
-    if r_inner > 0:
-        cad.cut([(3, outer)], [(3, cad.addSphere(0, 0, 0, r_inner))])
+def _add_shells(cad, radii: Sequence[float], octant: bool):
+    """Concentric shells that share their spheres."""
+    angles = {"angle1": 0, "angle2": np.pi / 2, "angle3": np.pi / 2} if octant else {}
+    shells = []
+    for r_inner, r_outer in pairwise(radii):
+        outer = cad.addSphere(0, 0, 0, r_outer, **angles)
+        if r_inner > 0:
+            cad.cut([(3, outer)], [(3, cad.addSphere(0, 0, 0, r_inner, **angles))])
+        shells.append((3, outer))
+    if len(shells) > 1:
+        cad.fragment(shells[:1], shells[1:])
 
 
 def _nodes_on(mesh: dolfinx.mesh.Mesh, facets) -> npt.NDArray[np.intp]:
