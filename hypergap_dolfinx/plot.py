@@ -8,9 +8,7 @@
 Nothing else in the package imports this module. All functions are collective; rank 0 draws.
 """
 
-import os
 from collections.abc import Iterable, Sequence
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ import pyvista
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx.plot import vtk_mesh
+from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
 from hypergap_dolfinx.surface import Surface
 from hypergap_dolfinx.tie import Tie
@@ -297,9 +296,8 @@ def _sigma(tie: Tie, places: Sequence[Place]) -> pyvista.UnstructuredGrid | None
 def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
     if comm.rank > 0:
         return None
-    if not window and "DISPLAY" not in os.environ and find_library("EGL"):
-        # VTK would look for an X server first, and complain
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    if not window:
+        display.prepare()
     plotter = pyvista.Plotter(off_screen=not window, window_size=[1200, 900])
     plotter.background_color = pyvista.Color("white")
     return plotter
