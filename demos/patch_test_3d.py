@@ -1,0 +1,194 @@
+# # Two patch tests in three dimensions
+#
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+#
+# The patch tests of Giffin (2024), section 3.1, with tetrahedra: two elastic bars, one behind the
+# other, tied across a face whose meshes don't match. A traction pulls on the far end,
+#
+# - a constant one, which stretches the assembly: the exact displacement is linear;
+# - one that grows with the height y, which bends it: the exact displacement is quadratic.
+#
+# A method passes when it reproduces these displacements to round-off, whatever the meshes: elements
+# of degree 1 the first, elements of degree 2 both.
+
+# +
+import argparse
+import itertools
+import json
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import locate_entities_boundary
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+import meshes
+from hypergap_dolfinx import Tie, TiedProblem
+
+# -
+
+L = 2.0  # length of the assembly; its cross-section is a unit square
+E, nu, t = 1.0, 0.3, 0.1
+mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+def stretching(x):
+    """Displacement under the traction t."""
+    return t / E * x[0], -nu * t / E * x[1], -nu * t / E * x[2]
+
+
+def bending(x):
+    """Displacement under the traction t y."""
+    return (
+        t / E * x[0] * x[1],
+        -t / (2 * E) * (x[0] ** 2 + nu * (x[1] ** 2 - x[2] ** 2)),
+        -nu * t / E * x[1] * x[2],
+    )
+
+
+def sigma(u):
+    """Stress of a displacement."""
+    eps = ufl.sym(ufl.grad(u))
+    return 2 * mu * eps + lmbda * ufl.tr(eps) * ufl.Identity(3)
+
+
+# ## The assemblies
+#
+# The bars meet in a plane, in one that is skew about both axes, or in two that form a kink. A bar
+# is the image of the unit cube; both have cell edges along the kink.
+
+
+def mappings(shape):
+    """Mappings of the unit cube to both bars."""
+
+    def cut(x):
+        y, z = x[:, 1] - 0.5, x[:, 2] - 0.5
+        skew = np.tan(np.deg2rad(25)) * (y + z)
+        return L / 2 + {"flat": 0 * y, "skew": skew, "kinked": 0.2 - 0.4 * np.abs(y)}[shape]
+
+    def near(x):
+        return np.column_stack((x[:, 0] * cut(x), x[:, 1:]))
+
+    def far(x):
+        return np.column_stack((cut(x) + x[:, 0] * (L - cut(x)), x[:, 1:]))
+
+    return near, far
+
+
+def create_bar(comm, cells, kind, shape, mapping):
+    """A bar with a number of cells along the edges of its cross-section, and its facet tags."""
+    kinked = shape == "kinked"
+    if kind == "unstructured":
+        return meshes.solid_block(comm, 1 / cells, mapping, halves=kinked)
+    n = (2, 2 * cells if kinked else cells, cells)
+    return meshes.block(comm, n, mapping, cell="tetrahedron")
+
+
+def solve(comm, degrees, kind, shape, ratio, swap, exact):
+    """Relative errors of a tied assembly: L² of the displacement, L² of the stress."""
+    forms, loads, bcs, sides = [], [], [], []
+    near_and_far = zip(degrees, ratio, mappings(shape), (True, False), strict=True)
+    for degree, cells, mapping, near in near_and_far:
+        mesh, ft = create_bar(comm, cells, kind, shape, mapping)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        x, ds = ufl.SpatialCoordinate(mesh), ufl.Measure("ds", mesh, subdomain_data=ft)
+        forms.append(ufl.inner(sigma(u), ufl.sym(ufl.grad(v))) * ufl.dx)
+        traction = t * x[1] if exact is bending else t
+        pulled = fem.Constant(mesh, default_scalar_type(0 if near else 1))
+        loads.append(pulled * traction * v[0] * ds(meshes.RIGHT))
+        # The face z = 0 doesn't leave its plane, nor does x = 0; the corner between doesn't rise
+        held = [(2, 2, ft.find(meshes.BACK))]
+        if near:
+            corner = locate_entities_boundary(mesh, 0, lambda x: np.isclose(x, 0).all(axis=0))
+            held += [(0, 2, ft.find(meshes.LEFT)), (1, 0, corner)]
+        for component, dim, entities in held:
+            dofs = fem.locate_dofs_topological(V.sub(component), dim, entities)
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
+        sides.append((V, ft.find(meshes.RIGHT if near else meshes.LEFT)))
+    tie = Tie(*(sides[::-1] if swap else sides))
+    problem = TiedProblem(forms, loads, bcs=bcs, ties=[tie])
+    return relative_errors(problem.solve(), exact)
+
+
+def relative_errors(us, exact):
+    """Relative L² errors of displacement and stress."""
+    totals = np.zeros(4)
+    for u in us:
+        u_exact = ufl.as_vector(exact(ufl.SpatialCoordinate(u.function_space.mesh)))
+        dx = ufl.dx(metadata={"quadrature_degree": 4})
+        for i, (f, g) in enumerate(((u, u_exact), (sigma(u), sigma(u_exact)))):
+            for j, e in enumerate((f - g, g)):
+                totals[2 * i + j] += fem.assemble_scalar(fem.form(ufl.inner(e, e) * dx))
+    error_u, norm_u, error_s, norm_s = us[0].function_space.mesh.comm.allreduce(totals)
+    return float(np.sqrt(error_u / norm_u)), float(np.sqrt(error_s / norm_s))
+
+
+# ## All of them
+
+DEGREES = {"P1": (1, 1), "P2": (2, 2), "P1-P2": (1, 2)}
+KINDS = ("structured", "unstructured")
+SHAPES = ("flat", "skew", "kinked")
+RATIOS = ((2, 3), (1, 5), (5, 1))
+
+
+def cases():
+    """Every combination: test, degrees, kind, shape, ratio, swap."""
+    for test, *case in itertools.product(
+        (stretching, bending), DEGREES, KINDS, SHAPES, RATIOS, (False, True)
+    ):
+        if test is stretching or case[0] == "P2":
+            yield test, *case
+
+
+def main():
+    """Run every case and print the largest errors."""
+    parser = argparse.ArgumentParser(description="Two patch tests of tied bars.")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    args = parser.parse_args()
+    comm = MPI.COMM_WORLD
+
+    rows = []
+    for test, degrees, kind, shape, ratio, swap in cases():
+        l2, stress = solve(comm, DEGREES[degrees], kind, shape, ratio, swap, test)
+        rows.append(
+            {
+                "test": "linear" if test is stretching else "bending",
+                "elements": degrees,
+                "mesh": kind,
+                "shape": shape,
+                "ratio": f"{ratio[0]}:{ratio[1]}",
+                "swap": swap,
+                "l2": l2,
+                "stress": stress,
+            }
+        )
+    if comm.rank > 0:
+        return
+    print("largest of the relative errors of displacement and stress,")
+    print("over the size ratios 2:3, 1:5, 5:1 and both sides as Γ1")
+    print("test     elements  mesh        " + "".join(f"{shape:>10s}" for shape in SHAPES))
+    keys = ("test", "elements", "mesh")
+    for names in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
+        text = "{:9s}{:10s}{:12s}".format(*names)
+        for shape in SHAPES:
+            worst = max(
+                max(row["l2"], row["stress"])
+                for row in rows
+                if (*(row[key] for key in keys), row["shape"]) == (*names, shape)
+            )
+            text += f"{worst:10.1e}"
+        print(text)
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
