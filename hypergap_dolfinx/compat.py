@@ -57,3 +57,9 @@ def set_triplets(A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray, values: npt.NDArr
         indptr = np.append(start, len(i)).astype(PETSc.IntType)
         A.setValuesIJV(indptr, j[order], values[order], PETSc.InsertMode.ADD, rows)
     A.assemble()
+
+
+def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Points of the reference cell at which a function is evaluated to be interpolated."""
+    points = V.element.interpolation_points
+    return points() if VERSION < (0, 10) else points

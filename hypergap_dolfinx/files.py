@@ -1,0 +1,60 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file."""
+
+from typing import TYPE_CHECKING
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx.compat import interpolation_points
+from hypergap_dolfinx.tie import Tie
+
+if TYPE_CHECKING:
+    from hypergap_dolfinx.system import TiedSystem
+
+
+def interpolated(
+    expression: ufl.core.expr.Expr, mesh: Mesh, degree: int, name: str
+) -> fem.Function:
+    """A discontinuous function with an expression's values, a stress for example. Collective.
+
+    Args:
+        expression: UFL expression of any shape.
+        mesh: Mesh that it lives on.
+        degree: Degree of the function.
+        name: Name of the function in files.
+
+    Returns:
+        The function. Plane tensors become 3 × 3: of 2 × 2, the writers make (xx, xy, yx; yy, …).
+    """
+    if expression.ufl_shape == (2, 2):
+        rows = [[expression[i, j] for j in (0, 1)] + [0] for i in (0, 1)]
+        expression = ufl.as_tensor([*rows, [0, 0, 0]])
+    element = ("Discontinuous Lagrange", degree, expression.ufl_shape)
+    f = fem.Function(fem.functionspace(mesh, element), name=name)
+    f.interpolate(fem.Expression(expression, interpolation_points(f.function_space)))
+    return f
+
+
+def on_sigma(tie: Tie, problem: "TiedSystem") -> list[fem.Function]:
+    """What there is on Σ, for one file: α, λ, the normal gap, the slip of vectors. Collective.
+
+    Σ has no thickness; in 2D ParaView's "Warp by scalar" shows it, with α as the height.
+
+    Args:
+        tie: One of the problem's ties.
+        problem: A solved problem.
+
+    Returns:
+        Functions on ``tie.sigma`` with one element, discontinuous.
+    """
+    u0, u1 = (next(u for u in problem.u if u.function_space == V) for V in tie.spaces)
+    gap, slip = tie.gap(u0, u1)
+    alpha = fem.Function(gap.function_space, name="alpha")
+    alpha.interpolate(tie.alpha)
+    fields = [alpha, tie.traction(problem), gap]
+    return fields if slip is None else [*fields, slip]
