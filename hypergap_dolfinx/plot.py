@@ -66,23 +66,27 @@ def gap_domain(
     Returns:
         The plotter on rank 0, None on the others.
     """
-    comm = ties[0].sigma.comm
+    comm, dim = ties[0].sigma.comm, ties[0].sigma.geometry.dim
+    if distance is None:
+        distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
     places = _pulled_apart(ties, distance)
+    mean = _mean_normal(ties[0].surfaces[0])
+    closed = dim == 3 and np.linalg.norm(mean) <= 0.5
     bodies = {id(V.mesh): V.mesh for tie in ties for V in tie.spaces}
     plotter = _plotter(comm, window)
     for key, mesh in bodies.items():
         body = grid(mesh)
         if plotter and body is not None:
             body.points = _moved(body.points, *places[key])
-            _add(plotter, body, color=_BODY)
-    dim = ties[0].sigma.geometry.dim
+            _add(plotter, body.clip("y", crinkle=True) if closed else body, color=_BODY)
     for tie in ties:
         sigma = _sigma(tie, [places[id(V.mesh)] for V in tie.spaces])
         if plotter and sigma is not None:
-            sigma = sigma.shrink(0.92) if dim == 3 else sigma
+            if closed:
+                sigma = sigma.clip("y", crinkle=True)
             options = {"scalars": "α", "cmap": "viridis", "clim": (0, 1)}
             _add(plotter, sigma, edges="white", scalar_bar_args=_bar("alpha"), **options)
-    return _finish(plotter, dim, filename, window)
+    return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(mean), mean)
 
 
 def deformed(
@@ -92,7 +96,7 @@ def deformed(
     factor: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies before (black) and after deformation (coloured by the displacement's length).
+    """The bodies before (2D: black) and after deformation, coloured by the displacement's length.
 
     Args:
         us: Displacement of each body.
@@ -115,8 +119,8 @@ def deformed(
         size = np.max(bounds[:, 1::2].max(axis=0) - bounds[:, ::2].min(axis=0))
         factor = 0.1 * size / (length or 1) if factor is None else factor
         for g in grids:
-            edges = g if dim == 2 else g.extract_surface()
-            plotter.add_mesh(edges.extract_all_edges(), color="black", opacity=0.4)
+            if dim == 2:
+                plotter.add_mesh(g.extract_all_edges(), color="black", opacity=0.4)
             warped = g.copy()
             warped.points = g.points + factor * g["displacement"]
             warped["length"] = np.linalg.norm(g["displacement"], axis=1)
@@ -170,7 +174,7 @@ def traction(
     *,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies and the traction on the interface, as arrows.
+    """The traction on the interface, as arrows: 2D on the bodies, 3D on Γ0's body.
 
     Args:
         tie: The tie.
@@ -183,12 +187,13 @@ def traction(
     """
     comm, dim = tie.sigma.comm, tie.sigma.geometry.dim
     plotter = _plotter(comm, window)
-    for mesh in {id(V.mesh): V.mesh for V in tie.spaces}.values():
+    drawn = tie.spaces if dim == 2 else tie.spaces[:1]
+    for mesh in {id(V.mesh): V.mesh for V in drawn}.values():
         body = grid(mesh)
         if plotter and body is not None:
-            _add(plotter, body, color=_BODY, opacity=0.3 if dim == 3 else 1.0)
+            _add(plotter, body, color=_BODY)
     q = tie.quadrature(1)
-    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0]))
+    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0], q.normal[:, 0]))
     if plotter and parts is not None:
         x, t = (np.vstack([part[i] for part in parts]) for i in (0, 1))
         points = pyvista.PolyData(_padded(x))
@@ -198,8 +203,13 @@ def traction(
         scale = 0.12 * np.ptp(_padded(x), axis=0).max() / (largest or 1)
         arrows = points.glyph(orient="traction", scale="length", factor=scale)
         bar, clim = _bar("traction"), (0, largest)
+        if dim == 3:  # pressure points into the body: draw its arrows up to the surface
+            inwards = np.einsum("pi,pi->p", t, np.vstack([part[2] for part in parts])) < 0
+            points.points[inwards] -= scale * points["traction"][inwards]
+            arrows = points.glyph(orient="traction", scale="length", factor=scale)
         plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
-    return _finish(plotter, dim, filename, window)
+    mean = _mean_normal(tie.surfaces[0])
+    return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -233,7 +243,7 @@ def _moved(x, shift, centre, scale):
     return centre + scale * (x - centre) + shift
 
 
-def _pulled_apart(ties: Sequence[Tie], distance: float | None) -> dict[int, Place]:
+def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
     """Where each body (by its mesh) is drawn: away from the one that it is tied to."""
     first = ties[0].spaces[0].mesh
     places: dict[int, Place] = {id(first): (np.zeros(3), np.zeros(3), 1.0)}
@@ -255,14 +265,27 @@ def _pulled_apart(ties: Sequence[Tie], distance: float | None) -> dict[int, Plac
     return places
 
 
-def _separation(surfaces: tuple[Surface, Surface], distance: float | None) -> Place:
+def _mean_normal(surface: Surface) -> npt.NDArray[np.float64]:
+    """Mean of the outward normals: short where the surface is closed, ``(3,)``."""
+    size = surface.size ** (surface.gdim - 1)
+    return (size[:, None] * _padded(surface.normals)).sum(axis=0) / size.sum()
+
+
+def _beside(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A direction to look from, across another one and a little down on it."""
+    axis = np.eye(3)[np.abs(direction).argmin()]
+    across = np.cross(direction, axis)
+    length = np.linalg.norm(across)
+    return (across / length if length else axis) + 0.35 * axis
+
+
+def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
     """How Γ1 moves away from Γ0: a translation along the mean normal, or a scaling."""
     surface = surfaces[0]
     x = _padded(surface.x[surface.facets].mean(axis=1))
     normals, size = _padded(surface.normals), surface.size ** (surface.gdim - 1)
     extent = np.ptp(_padded(surface.x), axis=0).max()
-    distance = extent / 6 if distance is None else distance
-    mean = (size[:, None] * normals).sum(axis=0) / size.sum()
+    mean = _mean_normal(surface)
     if np.linalg.norm(mean) > 0.5:
         return distance * mean / np.linalg.norm(mean), np.zeros(3), 1.0
     # Closed around a centre: the outer body grows, or the inner one shrinks
@@ -298,17 +321,33 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
         return None
     if not window:
         display.prepare()
-    plotter = pyvista.Plotter(off_screen=not window, window_size=[1200, 900])
+    size = [1200, 900]
+    plotter = pyvista.Plotter(off_screen=not window, window_size=size, lighting="none")
+    plotter.add_light(pyvista.Light(light_type="headlight"))
     plotter.background_color = pyvista.Color("white")
     return plotter
 
 
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
     """Cells and their edges; the edges of curved cells are no lines of VTK's own triangles."""
-    flat = cells.get_cell(0).dimension == 2
-    plotter.add_mesh(cells, lighting=not flat, **options)
-    lines = cells.extract_all_edges() if flat else cells.extract_surface().extract_all_edges()
-    plotter.add_mesh(lines, color=edges, line_width=1.5)
+    if cells.n_cells and cells.get_cell(0).dimension == 3:
+        options |= {"show_edges": True, "edge_color": edges, "line_width": 1, "ambient": 0.4}
+        plotter.add_mesh(_straight(cells), **options)
+        return
+    plotter.add_mesh(cells, lighting=False, **options)
+    plotter.add_mesh(cells.extract_all_edges(), color=edges, line_width=1.5)
+
+
+def _straight(cells: pyvista.UnstructuredGrid) -> pyvista.UnstructuredGrid:
+    """Tetrahedra or hexahedra without the nodes between their vertices, which come first."""
+    if cells.cells[0] in (4, 10, 20, 35):
+        corners, kind = 4, pyvista.CellType.TETRA
+    else:
+        corners, kind = 8, pyvista.CellType.HEXAHEDRON
+    nodes = cells.cells.reshape(-1, cells.cells[0] + 1)[:, 1 : corners + 1]
+    straight = pyvista.UnstructuredGrid({kind: nodes}, cells.points)
+    straight.point_data.update(cells.point_data)
+    return straight
 
 
 def _bar(title: str) -> Any:
@@ -317,7 +356,7 @@ def _bar(title: str) -> Any:
             "position_y": 0.2, "color": "black"}  # fmt: skip
 
 
-def _finish(plotter, dim: int, filename, window: bool):
+def _finish(plotter, dim: int, filename, window: bool, look_from=(1, 1, 1), up=(0, 0, 1)):
     """Set the camera, save, show."""
     if plotter is None:
         return None
@@ -326,7 +365,7 @@ def _finish(plotter, dim: int, filename, window: bool):
         plotter.enable_parallel_projection()
         plotter.camera.zoom(1.1)
     else:
-        plotter.camera_position = "iso"
+        plotter.view_vector(look_from, up)
     if filename is not None:
         Path(filename).parent.mkdir(parents=True, exist_ok=True)
         plotter.screenshot(filename)
