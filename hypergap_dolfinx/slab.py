@@ -26,15 +26,15 @@ from hypergap_dolfinx.surface import InterfaceError, Surface, raise_on_all
 from hypergap_dolfinx.triangulation import facing_pieces, loops, neighbours, project
 
 ATTEMPTS = (
-    (0.5, tetrahedra.HXT),
-    (0.25, tetrahedra.HXT),
-    (0.5, tetrahedra.DELAUNAY),
-    (1.0, tetrahedra.HXT),
-    (0.1, tetrahedra.HXT),
-    (0.25, tetrahedra.DELAUNAY),
-    (2.0, tetrahedra.HXT),
+    *[(offset, True, tetrahedra.HXT) for offset in (0.5, 0.25, 1.0)],
+    *[(offset, True, tetrahedra.DELAUNAY) for offset in (0.5, 0.25)],
+    *[(offset, False, tetrahedra.HXT) for offset in (0.5, 1.0, 2.0)],
+    *[(offset, False, tetrahedra.DELAUNAY) for offset in (1.0, 2.0)],
+    *[(offset, True, tetrahedra.HXT) for offset in (0.1, 2.0)],
 )
-"""Offsets in cell sizes, and algorithms: the first that gives a valid Σ is taken."""
+"""Offsets in cell sizes, whether along each vertex's own normal or the mean one, and algorithms.
+
+The first that gives a valid Σ is taken."""
 FLAT = 1e-9  # sine of the angle at which a cell's two edges, one on each side, count as parallel
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
 REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
@@ -385,6 +385,11 @@ def _volumes(x, cells) -> npt.NDArray[np.float64]:
     return np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]]) / 6
 
 
+def _enclosed(x, triangles) -> float:
+    """Volume inside a closed triangulation, by the divergence theorem."""
+    return float(np.linalg.det(x[triangles] - x.mean(axis=0)).sum() / 6)
+
+
 def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
     """Mesh the slab between two pieces; tries several offsets.
 
@@ -397,13 +402,19 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
     triangles = np.vstack((side0.triangles[:, ::-1], n0 + side1.triangles[:, ::-1], walls))
     h = max(side.surface.size[side.facets].mean() for side in sides)
     reasons = []
-    for offset, algorithm in ATTEMPTS:
-        pushed = side1.x - offset * h * side1.vertex_normals
+    shells = [triangles]
+    if not len(walls):  # closed surfaces: the outer one first
+        shells = [triangles[: len(side0.facets)], triangles[len(side0.facets) :]]
+        shells.sort(key=lambda part: -_enclosed(np.vstack((side0.x, side1.x)), part))
+    normals = side1.vertex_normals
+    mean = normals.mean(axis=0) / max(np.linalg.norm(normals.mean(axis=0)), 1e-3)
+    for offset, own, algorithm in ATTEMPTS:
+        pushed = side1.x - offset * h * (normals if own else mean)
         surface = np.vstack((side0.x, pushed))
         try:
-            x, cells = tetrahedra.fill(gmsh, surface, triangles, algorithm)
+            x, cells = tetrahedra.fill(gmsh, surface, shells, algorithm)
         except tetrahedra.MeshingError as error:
-            reasons.append((str(error), side1.x.mean(axis=0)))
+            reasons.append((f"Gmsh: {error}", None))
             continue
         volume = _volumes(x, cells)
         cells[volume < 0] = cells[volume < 0][:, [0, 2, 1, 3]]
@@ -417,7 +428,8 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
             place = slab.x[slab.cells[wrong.argmax()]].mean(axis=0)
             reason = f"{wrong.sum()} cells are flat or inverted", place
         reasons.append(reason)
-    reason, place = reasons[0]
+    reason, place = min(reasons, key=lambda r: r[1] is None)
+    place = side1.x.mean(axis=0) if place is None else place
     raise InterfaceError(
         f"no mesh of the gap between Γ0 and Γ1 around {place}, tried with {len(ATTEMPTS)} offsets: "
         f"{reason}. Do the surfaces have the same shape there? Refine the coarser one."
@@ -434,10 +446,9 @@ def _pushed_off_error(x, cells, triangles, num_facets: int):
     volume = _volumes(x, cells)
     if not volume.min() > 0:
         return "it has cells without volume", x[cells[volume.argmin()]].mean(axis=0)
-    origin = x.mean(axis=0)
-    enclosed = np.linalg.det(x[triangles] - origin).sum() / 6
+    enclosed = _enclosed(x, triangles)
     if not np.isclose(volume.sum(), enclosed, rtol=1e-8):
-        return f"it has the volume {volume.sum():.6g}, not {enclosed:.6g}", origin
+        return f"it has the volume {volume.sum():.6g}, not {enclosed:.6g}", x.mean(axis=0)
     return None
 
 

@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Gmsh: fill a closed triangulation with tetrahedra, and leave its triangles as they are."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,6 +15,7 @@ HXT, DELAUNAY = 10, 1  # Gmsh's numbers of its algorithms
 
 _OPTIONS = {
     "General.Terminal": 0,
+    "General.AbortOnError": 0,  # an exception would leave Gmsh locked
     "General.NumThreads": 1,  # the same mesh each time
     "Mesh.MaxNumThreads3D": 1,
     "Mesh.ElementOrder": 1,
@@ -78,13 +79,14 @@ def session() -> Iterator:
             gmsh.finalize()
 
 
-def fill(gmsh, x: npt.NDArray[np.float64], triangles: npt.NDArray, algorithm: int = HXT):
+def fill(gmsh, x: npt.NDArray[np.float64], shells: Sequence[npt.NDArray], algorithm: int = HXT):
     """Tetrahedra inside a closed triangulation.
 
     Args:
         gmsh: The module, in a :func:`session`.
         x: Vertices, ``(num_vertices, 3)``.
-        triangles: Their normals point outwards, ``(num_triangles, 3)``.
+        shells: Triangles of each connected part of the surface, the outermost first,
+            ``(num_triangles, 3)`` each.
         algorithm: Gmsh's number of the algorithm.
 
     Returns:
@@ -96,22 +98,27 @@ def fill(gmsh, x: npt.NDArray[np.float64], triangles: npt.NDArray, algorithm: in
     gmsh.model.add("hypergap_dolfinx")
     gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
     try:
-        surface = gmsh.model.addDiscreteEntity(2)
         tags = np.arange(1, len(x) + 1)
-        gmsh.model.mesh.addNodes(2, surface, tags, np.ascontiguousarray(x).ravel())
-        gmsh.model.mesh.addElementsByType(surface, 2, [], (triangles + 1).ravel())
-        gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
+        loops = []
+        for triangles in shells:
+            surface = gmsh.model.addDiscreteEntity(2)
+            if not loops:
+                gmsh.model.mesh.addNodes(2, surface, tags, np.ascontiguousarray(x).ravel())
+            gmsh.model.mesh.addElementsByType(surface, 2, [], (triangles + 1).ravel())
+            loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
+        gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
         gmsh.model.mesh.generate(3)
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
         _, cells = gmsh.model.mesh.getElementsByType(4)
+        reason = gmsh.logger.getLastError()
     except Exception as error:  # gmsh raises nothing more specific
         raise MeshingError(str(error)) from error
     finally:
         gmsh.model.remove()
+    if not len(cells):
+        raise MeshingError(reason or "no tetrahedra")
     order = np.argsort(tags)
-    if not len(cells) or not (tags[order[: len(x)]] == np.arange(1, len(x) + 1)).all():
-        raise MeshingError("no tetrahedra")
     number = np.searchsorted(tags[order], cells).reshape(-1, 4)
     vertices = coordinates.reshape(-1, 3)[order]
     vertices[: len(x)] = x
