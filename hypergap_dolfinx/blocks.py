@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.constraint import independent_rows
+from hypergap_dolfinx.cross_points import dropped_multipliers
 from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
 
@@ -52,8 +53,9 @@ class ConstraintBlocks:
         prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         interior = len(self._spaces)
         self._num_fields = interior + sum(tie.free_interior for tie in self._ties)
+        dropped = dropped_multipliers(self._ties, self._bodies, prescribed)
         for t, tie in enumerate(self._ties):
-            self._add(t, prescribed, interior)
+            self._add(t, prescribed, interior, *dropped[t])
             interior += tie.free_interior
 
     def destroy(self):
@@ -124,17 +126,10 @@ class ConstraintBlocks:
             marker[dofs[:num_owned]] = True
         return marker
 
-    def _add(self, t: int, prescribed: Sequence[npt.NDArray[np.bool_]], interior: int):
+    def _add(self, t: int, prescribed, interior: int, dropped, marker):
         """The blocks of a tie, with the rows and columns that are left free."""
         tie, bodies = self._ties[t], self._bodies[t]
-        constraint = tie.constraint
-        # Whether the multipliers' own dofs are prescribed, on every rank
-        start, end = tie.spaces[1].dofmap.index_map.local_range
-        own = constraint.dofs[(constraint.dofs >= start) & (constraint.dofs < end)] - start
-        marker = prescribed[bodies[1]].reshape(-1, tie.block_size)[own]
-        marker = np.concatenate(tie.sigma.comm.allgather(marker))
-        shared = np.isin(constraint.dofs, self._dofs_of_other_ties(t, bodies[1]))
-        E, lost = independent_rows(constraint, tie.domain, marker, shared)
+        E, lost = independent_rows(tie.constraint, tie.domain, dropped, marker)
         self._check_lost_rows(t, lost, prescribed[bodies[0]])
         full: dict[int, PETSc.Mat] = {}
         for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
@@ -153,16 +148,6 @@ class ConstraintBlocks:
         self._rows.append(E)
         self._full.append([full.get(i) for i in range(self._num_fields)])
         self._free.append([free.get(i) for i in range(self._num_fields)])
-
-    def _dofs_of_other_ties(self, t: int, body: int) -> npt.NDArray[np.int64]:
-        """Dofs (blocks) of a body that ties other than one touch, the same on every rank."""
-        touched = [
-            surface.dofs.ravel()
-            for other, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True))
-            for surface, b in zip(tie.surfaces, bodies, strict=True)
-            if other != t and b == body
-        ]
-        return np.unique(np.concatenate(touched)) if touched else np.empty(0, dtype=np.int64)
 
     def _check_lost_rows(self, t: int, lost, prescribed0):
         """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""

@@ -189,31 +189,26 @@ def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
 def independent_rows(
     constraint: Constraint,
     domain: GapDomain,
+    drop: npt.NDArray[np.bool_],
     prescribed: npt.NDArray[np.bool_],
-    shared: npt.NDArray[np.bool_],
 ) -> tuple[PETSc.Mat | None, npt.NDArray[np.int64]]:
-    """The multipliers that remain where dofs of Γ1 are prescribed or belong to several patches.
+    """The multipliers that remain when some are dropped, and what λ is at those. Collective.
 
-    The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it
-    would lose rank. Where patches or ties meet, a dof can't have one in each. In both cases λ
-    follows its neighbours instead: in its facet it becomes a polynomial of degree k − 1, so that
+    There λ follows its neighbours: in its facet it becomes a polynomial of degree k − 1, so that
     tractions up to that degree are still carried, and may jump from patch to patch.
 
     Args:
         constraint: The constraint.
         domain: Σ.
-        prescribed: Which components of the multipliers' dofs are prescribed,
-            ``(num_multipliers, block_size)``, the same on every rank.
-        shared: Which of the multipliers' dofs belong to another tie too, ``(num_multipliers,)``.
+        drop: Which components of the multipliers are dropped, ``(num_multipliers, block_size)``,
+            the same on every rank.
+        prescribed: Which components of the multipliers' dofs are prescribed, of the same shape.
 
     Returns:
         E with λ = E λ', λ' the multipliers that remain, or None if all do; and the rows (of the
         blocked B) that have no multiplier in reach, because everything there is prescribed.
     """
     surface = domain.surfaces[1]
-    _, at, count = np.unique(constraint.dofs, return_inverse=True, return_counts=True)
-    shared = shared | (count[at] > 1)
-    drop = prescribed | shared[:, None]
     nothing = np.empty(0, dtype=np.int64)
     if not drop.any():
         return None, nothing
@@ -228,13 +223,6 @@ def independent_rows(
     wanted = surface.dofs * num_patches + domain.patch[:, None]
     multiplier = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
     multiplier[keys[multiplier] != wanted] = -1
-
-    # A patch without any other multiplier keeps a constant one, at a dof that is not prescribed
-    for component in range(block_size):
-        left = np.bincount(constraint.patch[~drop[:, component]], minlength=num_patches)
-        for p in np.flatnonzero(left == 0):
-            found = np.flatnonzero((constraint.patch == p) & ~prescribed[:, component])
-            drop[found[:1], component] = False
 
     dropped = np.sort(row[drop])
 

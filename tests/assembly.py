@@ -1,0 +1,207 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Elastic bodies, tied and loaded such that a given displacement is exact."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Tie, TiedProblem
+
+comm = MPI.COMM_WORLD
+E, NU = 1.0, 0.3
+
+
+def linear(x):
+    """A displacement whose gradient has every component; of UFL coordinates or an array."""
+    return 0.3 * x[0] - 0.2 * x[1], 0.5 * x[0] + 0.4 * x[1]
+
+
+def bending(x):
+    """The displacement of pure bending in plane strain."""
+    return x[0] * x[1], -(x[0] ** 2 + NU / (1 - NU) * x[1] ** 2) / 2
+
+
+def stretching(x):
+    """A displacement that vanishes at x = 0."""
+    return 0.3 * x[0], 0.5 * x[0]
+
+
+@dataclass
+class Body:
+    """A mesh with a space and the forms of plane strain on it."""
+
+    mesh: dolfinx.mesh.Mesh
+    ft: dolfinx.mesh.MeshTags
+    V: fem.FunctionSpace
+    E: float = E
+    nu: float = NU
+
+    def stress(self, u):
+        eps = ufl.sym(ufl.grad(u))
+        lame = self.nu / (1 - 2 * self.nu)
+        return self.E / (1 + self.nu) * (eps + lame * ufl.tr(eps) * ufl.Identity(2))
+
+    @property
+    def a(self):
+        u, v = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
+        return ufl.inner(self.stress(u), ufl.sym(ufl.grad(v))) * ufl.dx
+
+    @property
+    def boundary(self) -> npt.NDArray[np.int32]:
+        self.mesh.topology.create_connectivity(1, 2)
+        return dolfinx.mesh.exterior_facet_indices(self.mesh.topology)
+
+    def facets(self, tag=None) -> npt.NDArray[np.int32]:
+        """Of one tag or several; of an interface on all sides if none is given."""
+        tags = [tag] if np.isscalar(tag) else tag
+        return self.ft.indices[np.isin(self.ft.values, tags)]
+
+
+def rectangle(n, low, high, *, cell="quadrilateral", degree=1, E=E, nu=NU, mapping=None, **options):
+    """A block from one corner to the other."""
+    low, high = np.asarray(low), np.asarray(high)
+
+    def placed(x):
+        return low + x * (high - low)
+
+    mesh, ft = meshes.block(comm, n, mapping or placed, cell=cell, **options)
+    return Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", degree, (2,))), E, nu)
+
+
+def tie(bodies: Sequence[Body], side0, side1, **options) -> Tie:
+    """Ties (body, tag) to (body, tag)."""
+    return Tie(*((bodies[i].V, bodies[i].facets(tag)) for i, tag in (side0, side1)), **options)
+
+
+def problem(
+    bodies: Sequence[Body],
+    ties: Sequence[Tie],
+    tied: Sequence[tuple[int, object]],
+    fixed: Sequence[tuple[int, int, tuple[int, ...]]],
+    exact=linear,
+    **options,
+) -> TiedProblem:
+    """The tied problem with a given solution.
+
+    Args:
+        bodies: The bodies.
+        ties: The ties.
+        tied: Body and tags of the interfaces: no load there.
+        fixed: Body, tag and components of what is prescribed; loads act on all other edges.
+        exact: The solution, of UFL coordinates or an array; linear or pure bending.
+        options: Of the problem.
+    """
+    a, L, bcs = [], [], []
+    for i, body in enumerate(bodies):
+        x, v = ufl.SpatialCoordinate(body.mesh), ufl.TestFunction(body.V)
+        inner = [body.facets(tag) for b, tag in tied if b == i]
+        loaded = np.setdiff1d(body.boundary, np.concatenate([*inner, np.empty(0, dtype=np.int32)]))
+        loaded = np.setdiff1d(loaded, body.mesh.topology.interprocess_facets())
+        tags = dolfinx.mesh.meshtags(body.mesh, 1, loaded, np.full(len(loaded), 1, dtype=np.int32))
+        ds = ufl.Measure("ds", body.mesh, subdomain_data=tags)(1)
+        normal = ufl.FacetNormal(body.mesh)
+        load = ufl.dot(ufl.dot(body.stress(ufl.as_vector(exact(x))), normal), v) * ds
+        zero = fem.Constant(body.mesh, default_scalar_type((0, 0)))
+        a.append(body.a)
+        L.append(load + ufl.dot(zero, v) * ufl.dx)
+        for tag, components in ((tag, c) for b, tag, c in fixed if b == i):
+            for c in components:
+                W, _ = body.V.sub(c).collapse()
+                value = fem.Function(W)
+                value.interpolate(lambda x, c=c: exact(x)[c])
+                dofs = fem.locate_dofs_topological((body.V.sub(c), W), 1, body.facets(tag))
+                bcs.append(fem.dirichletbc(value, dofs, body.V.sub(c)))
+    return TiedProblem(a, L, bcs=bcs, ties=ties, **options)
+
+
+def displacement_error(problem: TiedProblem, exact=linear) -> float:
+    """Largest deviation from the exact displacement, relative to the largest displacement."""
+    error = size = 0.0
+    for u in problem.u:
+        reference = fem.Function(u.function_space)
+        reference.interpolate(lambda x: np.array(exact(x)))
+        error = max(error, np.abs(u.x.array - reference.x.array).max(initial=0))
+        size = max(size, np.abs(reference.x.array).max(initial=0))
+    return comm.allreduce(error, MPI.MAX) / comm.allreduce(size, MPI.MAX)
+
+
+def exact_stress(body: Body, x, exact=linear) -> npt.NDArray[np.float64]:
+    """σ at points ``(..., 2)``; central differences are exact for a displacement of degree 2."""
+    x = np.moveaxis(x, -1, 0)
+    steps = np.eye(2).reshape(2, 2, *[1] * (x.ndim - 1))
+    gradient = [np.subtract(exact(x + step), exact(x - step)) / 2 for step in steps]
+    gradient = np.moveaxis(np.array(gradient), (0, 1), (-1, -2))  # (..., component, axis)
+    eps = (gradient + np.swapaxes(gradient, -1, -2)) / 2
+    trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
+    return body.E / (1 + body.nu) * (eps + body.nu / (1 - 2 * body.nu) * trace * np.eye(2))
+
+
+def traction_error(problem: TiedProblem, tie: Tie, bodies: Sequence[Body], exact=linear) -> float:
+    """Largest deviation of λ from σn on Σ, relative to the largest stress there."""
+    q = tie.quadrature(4)
+    body = next(b for b in bodies if b.V == tie.spaces[0])
+    sigma = exact_stress(body, q.x, exact)
+    traction = np.einsum("cpij,cpj->cpi", sigma, q.normal)
+    error = np.abs(q.evaluate(tie.traction(problem)) - traction).max(initial=0)
+    size = comm.allreduce(np.abs(sigma).max(initial=0), MPI.MAX)
+    return comm.allreduce(error, MPI.MAX) / size
+
+
+def dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
+    """All of a matrix, on every rank."""
+    A = A.convert("aij")
+    (start, end), (_, columns) = A.getOwnershipRange(), A.getSize()
+    rows = np.zeros((end - start, columns))
+    indptr, j, values = A.getValuesCSR()
+    rows[np.repeat(np.arange(end - start), np.diff(indptr)), j] = values
+    A.destroy()
+    return np.concatenate(comm.allgather(rows))
+
+
+def inertia(problem: TiedProblem) -> tuple[int, int, int]:
+    """Numbers of negative and zero eigenvalues of the saddle matrix, and of multipliers.
+
+    The matrix is scaled to a unit diagonal of K and unit rows of B, so that zero means zero.
+    """
+    A = dense(problem.A)
+    num_multipliers = sum(
+        next(B for B in row if B is not None).getSize()[0] for row in problem._constraints.free
+    )
+    n = len(A) - num_multipliers
+    diagonal = np.sqrt(np.abs(A.diagonal()))
+    diagonal[n:] = 1
+    A /= diagonal[:, None] * diagonal
+    rows = np.linalg.norm(A[n:, :n], axis=1)
+    rows[rows == 0] = 1
+    A[n:] /= rows[:, None]
+    A[:, n:] /= rows
+    values = np.linalg.eigvalsh(A)
+    return int((values < -1e-9).sum()), int((np.abs(values) <= 1e-9).sum()), num_multipliers
+
+
+def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, **options) -> TiedProblem:
+    """Solve; full rank, and exact displacements and tractions."""
+    p = problem(bodies, ties, tied, fixed, exact, **options)
+    p.solve()
+    error = displacement_error(p, exact)
+    traction = max((traction_error(p, t, bodies, exact) for t in ties), default=0.0)
+    print(error, traction)
+    if rank:
+        negative, zero, multipliers = inertia(p)
+        assert (negative, zero) == (multipliers, 0)
+    assert error <= 1e-12
+    assert traction <= 1e-11
+    return p

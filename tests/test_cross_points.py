@@ -1,0 +1,167 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Ties that meet: cross points, T-junctions, chains, nested frames."""
+
+from itertools import product
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import bending, check, linear, rectangle, stretching, tie
+
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+comm = MPI.COMM_WORLD
+ELEMENTS = {
+    "P1": ("triangle", 1),
+    "Q1": ("quadrilateral", 1),
+    "P2": ("triangle", 2),
+    "Q2": ("quadrilateral", 2),
+    "Q3": ("quadrilateral", 3),
+}
+
+
+def check_ties(bodies, pairs, swaps, fixed, degree, **options):
+    """Tie pairs of (body, tag), the ones that say so with their sides swapped."""
+    turned = [pair[::-1] if swap else pair for pair, swap in zip(pairs, swaps, strict=True)]
+    tied = [side for pair in pairs for side in pair]
+    for exact in (linear, bending) if degree > 1 else (linear,):
+        ties = [tie(bodies, *pair) for pair in turned]
+        check(bodies, ties, tied, fixed, exact, **options)
+
+
+def sides(number):
+    """Ways to choose Γ1 of several ties: all, or a few on several ranks."""
+    choices = list(product((False, True), repeat=number))
+    return choices if comm.size == 1 else choices[1::5]
+
+
+FOUR = [((0, RIGHT), (1, LEFT)), ((2, RIGHT), (3, LEFT)), ((0, TOP), (2, BOTTOM))]
+FOUR += [((1, TOP), (3, BOTTOM))]
+
+
+@pytest.mark.parametrize("cells", ((1, 1, 1, 1), (2, 3, 4, 5), (5, 1, 3, 2), (2, 2, 2, 2)))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_four_blocks(name, cells):
+    """Around a point, which is in Γ1 of two ties, in Γ1 of one and Γ0 of another, ..."""
+    cell, degree = ELEMENTS[name]
+    corners = ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
+    for swaps in sides(4)[:: 1 if name in ("P1", "Q2") else 5]:
+        bodies = [
+            rectangle((n, n), (x, y), (x + 0.5, y + 0.5), cell=cell, degree=degree)
+            for n, (x, y) in zip(cells, corners, strict=True)
+        ]
+        check_ties(bodies, FOUR, swaps, [(0, BOTTOM, (0, 1))], degree)
+
+
+@pytest.mark.parametrize("name", ("P1", "Q2"))
+def test_four_blocks_between_walls(name):
+    cell, degree = ELEMENTS[name]
+    corners = ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
+    fixed = [(i, LEFT if i % 2 == 0 else RIGHT, (0, 1)) for i in range(4)]
+    for cells, swaps in product(((2, 3, 4, 5), (1, 2, 1, 1)), sides(4)[1::4]):
+        bodies = [
+            rectangle((n, n), (x, y), (x + 0.5, y + 0.5), cell=cell, degree=degree)
+            for n, (x, y) in zip(cells, corners, strict=True)
+        ]
+        check_ties(bodies, FOUR, swaps, fixed, degree)
+
+
+@pytest.mark.parametrize("cut", (0.5, 0.37))
+@pytest.mark.parametrize("cells", ((1, 1, 1), (2, 3, 4), (3, 1, 2), (5, 4, 1)))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_t_junction(name, cells, cut):
+    """Two blocks under one, which gives both ties all of its lower side."""
+    cell, degree = ELEMENTS[name]
+    corners = (((0, 0), (cut, 0.5)), ((cut, 0), (1, 0.5)), ((0, 0.5), (1, 1)))
+    pairs = [((0, RIGHT), (1, LEFT)), ((0, TOP), (2, BOTTOM)), ((1, TOP), (2, BOTTOM))]
+    for swaps in sides(3):
+        bodies = [
+            rectangle((n, 2), *corner, cell=cell, degree=degree)
+            for n, corner in zip(cells, corners, strict=True)
+        ]
+        for fixed in ([(0, BOTTOM, (0, 1))], [(2, TOP, (0, 1)), (0, LEFT, (0,)), (2, LEFT, (0,))]):
+            check_ties(bodies, pairs, swaps, fixed, degree)
+
+
+@pytest.mark.parametrize("cells", ((1, 2), (1, 1), (1, 5), (3, 2)))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_chain_of_ten(name, cells):
+    cell, degree = ELEMENTS[name]
+    pairs = [((i, RIGHT), (i + 1, LEFT)) for i in range(9)]
+    fixed = [(0, LEFT, (0, 1)), (9, RIGHT, (0, 1)), *((i, BOTTOM, (1,)) for i in range(10))]
+    for swaps in ([False] * 9, [True] * 9, [False, True] * 4 + [False]):
+        for held in (fixed[:1], fixed[:2], fixed[:1] + fixed[2:]):
+            bodies = [
+                rectangle((1, cells[i % 2]), (i, 0), (i + 1, 10), cell=cell, degree=degree)
+                for i in range(10)
+            ]
+            check_ties(bodies, pairs, swaps, held, degree)
+
+
+@pytest.mark.parametrize("name", ("P1", "Q1", "P2"))
+def test_nine_blocks(name):
+    """Four cross points; ties whose two ends are at one."""
+    cell, degree = ELEMENTS[name]
+    across = [((i, RIGHT), (i + 1, LEFT)) for i in (0, 1, 3, 4, 6, 7)]
+    pairs = across + [((i, TOP), (i + 3, BOTTOM)) for i in range(6)]
+    for seed, cells in product(range(3), ([1] * 9, [1, 2] * 4 + [1], [2, 3, 4, 3, 2, 1, 1, 5, 2])):
+        if comm.size > 1 and seed:
+            continue
+        rng = np.random.default_rng(seed)
+        bodies = [
+            rectangle((n, n), (i % 3, i // 3), (i % 3 + 1, i // 3 + 1), cell=cell, degree=degree)
+            for i, n in enumerate(cells)
+        ]
+        order = rng.permutation(12)
+        swaps = rng.integers(2, size=12).astype(bool)
+        fixed = [(i, BOTTOM, (0, 1)) for i in range(3)]
+        check_ties(bodies, [pairs[i] for i in order], swaps, fixed, degree)
+
+
+def frame(n, low, high, cell, degree):
+    """A square ring with n cells along each side and one across."""
+
+    def mapping(x):
+        side, s = np.divmod(4 * x[:, 1] % 4, 1)
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+        at = side.astype(int)
+        outline = corners[at] + s[:, None] * (corners[at + 1] - corners[at])
+        return (low + x[:, :1] * (high - low)) * outline
+
+    return rectangle((1, 4 * n), 0, 0, mapping=mapping, cell=cell, degree=degree, periodic=True)
+
+
+@pytest.mark.parametrize("name", ("P1", "Q1", "P2", "Q2"))
+def test_three_nested_frames(name):
+    """Closed interfaces; the frame in the middle is in two ties, with one side or with both."""
+    cell, degree = ELEMENTS[name]
+    pairs = [((0, RIGHT), (1, LEFT)), ((1, RIGHT), (2, LEFT))]
+    for cells, swaps in product(((2, 3, 2), (1, 4, 3), (3, 1, 1)), sides(2)):
+        bodies = [frame(n, r, r + 1, cell, degree) for n, r in zip(cells, (1, 2, 3), strict=True)]
+        check_ties(bodies, pairs, swaps, [(2, RIGHT, (0, 1))], degree)
+
+
+@pytest.mark.parametrize("swaps", ((False, False), (False, True), (True, False), (True, True)))
+def test_layers(swaps):
+    """A body of one layer of cells: all of its dofs are in Γ0 or Γ1 of two ties."""
+    corners = (((0, 0), (1, 1)), ((0, 1), (1, 1.2)), ((0, 1.2), (1, 2)))
+    pairs = [((0, TOP), (1, BOTTOM)), ((1, TOP), (2, BOTTOM))]
+    for (cell, degree), fixed in product(
+        ELEMENTS.values(), ([(0, LEFT, (0, 1))], [(i, LEFT, (0, 1)) for i in range(3)])
+    ):
+        bodies = [
+            rectangle((n, 1), *corner, cell=cell, degree=degree)
+            for n, corner in zip((2, 3, 4), corners, strict=True)
+        ]
+        check(
+            bodies,
+            [tie(bodies, *(p[::-1] if s else p)) for p, s in zip(pairs, swaps)],
+            [s for p in pairs for s in p],
+            fixed,
+            stretching,
+        )

@@ -1,0 +1,94 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Interfaces that end at something: free, on a symmetry plane, clamped on one side or on both."""
+
+from itertools import combinations_with_replacement, product
+
+from mpi4py import MPI
+
+import pytest
+from assembly import bending, check, linear, problem, rectangle, stretching, tie
+
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+comm = MPI.COMM_WORLD
+T, Q = "triangle", "quadrilateral"
+ELEMENTS = {
+    "P1": ((T, 1), (T, 1)),
+    "Q1": ((Q, 1), (Q, 1)),
+    "P2": ((T, 2), (T, 2)),
+    "P1-P2": ((T, 1), (T, 2)),
+    "Q3": ((Q, 3), (Q, 3)),
+}
+ENDS = ("free", "symmetry", "clamp0", "clamp1", "both")
+TIED = [(0, TOP), (1, BOTTOM)]
+
+
+def prescribed(end, tag):
+    """What is prescribed beside one end of the interface: body, tag, components."""
+    return {
+        "free": [],
+        "symmetry": [(0, tag, (0,)), (1, tag, (0,))],
+        "clamp0": [(0, tag, (0, 1))],
+        "clamp1": [(1, tag, (0, 1))],
+        "both": [(0, tag, (0, 1)), (1, tag, (0, 1))],
+    }[end]
+
+
+def blocks(name, ratio):
+    """A block on another, with as many cells along the interface as the ratio says."""
+    corners = (((0, 0), (1, 0.5)), ((0, 0.5), (1, 1)))
+    return [
+        rectangle((n, 2), *corner, cell=cell, degree=degree)
+        for n, corner, (cell, degree) in zip(ratio, corners, ELEMENTS[name], strict=True)
+    ]
+
+
+@pytest.mark.parametrize("ends", [*combinations_with_replacement(ENDS, 2)], ids="-".join)
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_ends(name, ends):
+    """Non-zero displacements are prescribed, those of the patch test."""
+    ratios = ((1, 1), (2, 3), (5, 1), (1, 5)) if comm.size == 1 else ((2, 3),)
+    for ratio, swap in product(ratios, (False, True)):
+        if ratio == (1, 1) and "1" in name and not {"free", "clamp0", "clamp1"} & {*ends}:
+            continue  # both sides of every node are prescribed: nothing is tied
+        bodies = blocks(name, ratio)
+        fixed = [(0, BOTTOM, (0, 1))] if comm.size == 1 or ends == ("free", "free") else []
+        fixed += prescribed(ends[0], LEFT) + prescribed(ends[1], RIGHT)
+        if not any(len(components) == 2 for _, _, components in fixed):
+            fixed += [(0, BOTTOM, (1,))]
+        exact = bending if name in ("P2", "Q3") else linear
+        check(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed, exact)
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_clamp(name, swap):
+    """Held at u = 0 beside the interface's end, by nothing else."""
+    for end, ratio in product(("clamp0", "clamp1", "both"), ((1, 1), (2, 3), (4, 4))):
+        bodies = blocks(name, ratio)
+        ties = [tie(bodies, *(TIED[::-1] if swap else TIED))]
+        check(bodies, ties, TIED, prescribed(end, LEFT), stretching)
+
+
+@pytest.mark.parametrize("swap", (False, True))
+def test_all_of_one_side_is_prescribed(swap):
+    """Γ1 has no free dof, or Γ0 has none: what remains still ties."""
+    bodies = blocks("P2", (1, 5))
+    fixed = [(0, TOP, (0, 1))]
+    check(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed, bending)
+
+
+@pytest.mark.parametrize("components", ((0,), (1,), (0, 1)))
+@pytest.mark.parametrize("swap", (False, True))
+def test_free_interior(swap, components):
+    """The paper's form: interior nodes are unknowns with rows of their own."""
+    bodies = blocks("P2", (2, 3))
+    fixed = [(0, BOTTOM, (0, 1))] + [(i, LEFT, components) for i in (0, 1)]
+    ties = [tie(bodies, *(TIED[::-1] if swap else TIED), interior="free")]
+    p = problem(bodies, ties, TIED, fixed, bending)
+    p.solve()
+    check(bodies, ties, TIED, fixed, bending, rank=False)
