@@ -10,6 +10,7 @@
 
 # +
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -25,7 +26,9 @@ from hypergap_dolfinx import Tie, plot
 
 parser = argparse.ArgumentParser(description="A picture of the gap domain.")
 parser.add_argument("--plot", type=Path, metavar="DIR", default="results/gap_domain")
-folder = parser.parse_args().plot
+parser.add_argument("--json", type=Path, metavar="FILE")
+args = parser.parse_args()
+folder = args.plot
 comm = MPI.COMM_WORLD
 # -
 
@@ -42,6 +45,8 @@ tie = Tie((V[0], lower_tags.find(meshes.TOP)), (V[1], upper_tags.find(meshes.BOT
 num_cells = tie.sigma.topology.index_map(2).size_global
 if comm.rank == 0:
     print(f"Σ has {num_cells} triangles")
+    if args.json:
+        args.json.write_text(json.dumps({"triangles": num_cells}))
 
 # Drawn as it is, Σ is a line; drawn with Γ1 lifted off Γ0, it fills the gap.
 

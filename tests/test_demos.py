@@ -1,0 +1,151 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Every demo runs as a script, on any number of ranks, and gives its numbers and pictures."""
+
+import json
+import runpy
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+comm = MPI.COMM_WORLD
+FOLDER = Path(__file__).parents[1] / "demos"
+
+
+@dataclass
+class Demo:
+    """How a demo is run and what it then says."""
+
+    arguments: str = ""
+    pinned: dict[str, float] = field(default_factory=dict)
+    """Results, ``"row.name"`` of the JSON file, known to ``accuracy``."""
+    below: dict[str, float] = field(default_factory=dict)
+    """Results that are round-off, and their bounds."""
+    accuracy: float = 1e-3
+    pictures: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    slow: bool = False
+
+
+DEMOS = {
+    "gap_domain": Demo(
+        pinned={"triangles": 12},
+        pictures=("apart", "gap_domain"),
+        needs=("pyvista", "matplotlib"),
+    ),
+    "heat": Demo(
+        "--n 4 --steps 10",
+        {"steady": 5.960e-4, "flux": 1.3023e-2, "transient": 1.1088e-3},
+        pictures=("heat",),
+    ),
+    "hyperelasticity": Demo(
+        "--steps 6",
+        {"energy": 0.26857578, "energy_difference": 6.255e-4, "newton_steps.-1": 6},
+        {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
+        pictures=("hyperelasticity",),
+    ),
+    "modal_analysis": Demo(
+        "--modes 4",
+        {"frequencies.0": 0.2890020, "frequencies.3": 1.0574755},
+        {"error_tied": 1.3e-3},
+        accuracy=1e-6,
+        pictures=("mode_1", "mode_4"),
+        needs=("slepc4py",),
+    ),
+    "own_system": Demo("--levels 2", {"0.l2": 5.402e-5, "1.l2": 6.759e-6}, {"1.iterations": 180}),
+    "patch_test": Demo(
+        below={"*.l2": 1e-12, "*.stress": 1e-12}, pictures=("patch_test",), slow=True
+    ),
+    "patch_test_3d": Demo(
+        below={"*.l2": 1e-11, "*.stress": 1e-11},
+        pictures=("patch_test_3d",),
+        needs=("gmsh",),
+        slow=True,
+    ),
+    "pressurised_cylinder": Demo(
+        "--degree 2 --levels 2",
+        {"1.l2": 3.240e-5, "1.stress": 2.866e-3, "1.traction": 7.757e-4},
+        pictures=("gap_domain", "deformed", "traction", "errors"),
+        needs=("matplotlib",),
+    ),
+    "pressurised_sphere": Demo(
+        "--degree 1 --levels 1",
+        {"0.l2": 5.28e-2, "0.stress": 0.306},
+        accuracy=0.1,  # Gmsh's mesh
+        pictures=("gap_domain", "deformed", "traction"),
+        needs=("gmsh",),
+    ),
+    "read_meshes": Demo(
+        pinned={"l2": 3.797e-5, "stress": 2.131e-3, "concentration": 3.0096},
+        pictures=("read_meshes",),
+        needs=("gmsh",),
+    ),
+    "write_files": Demo("FOLDER", {"force.1": -0.1}, accuracy=1e-10, pictures=("write_files",)),
+}
+
+
+def results(content, name):
+    """What a name with dots stands for; ``*`` for all rows."""
+    found = [content]
+    for part in name.split("."):
+        if part == "*":
+            found = [row for rows in found for row in rows]
+        else:
+            found = [x[int(part) if isinstance(x, list) else part] for x in found]
+    return found
+
+
+def is_drawn(file):
+    """Whether a picture shows something: neither white nor of one colour."""
+    pyvista = pytest.importorskip("pyvista")
+    pixels = np.asarray(pyvista.read(file).active_scalars)[::7, :3].astype(int)
+    colours = np.unique(pixels @ (1, 256, 256**2))
+    return (pixels.min(axis=1) < 250).mean() > 0.01 and len(colours) > 30
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if demo.slow else ()) for n, demo in DEMOS.items()],
+)
+def test_demo(name, tmp_path, monkeypatch, capfd):
+    demo = DEMOS[name]
+    for package in (*demo.needs, *["pyvista"] * bool(demo.pictures)):
+        pytest.importorskip(package)
+    arguments = [str(tmp_path) if a == "FOLDER" else a for a in demo.arguments.split()]
+    arguments += ["--json", str(tmp_path / "results.json")]
+    if demo.pictures:
+        arguments += ["--plot", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    comm.barrier()
+
+    out, err = capfd.readouterr()
+    assert not err  # no progress in a pipe, no warnings
+    if comm.rank == 0:
+        assert out.strip()
+    content = json.loads((tmp_path / "results.json").read_text())
+    for key, value in demo.pinned.items():
+        for result in results(content, key):
+            assert result == pytest.approx(value, rel=demo.accuracy), key
+    for key, bound in demo.below.items():
+        assert max(results(content, key)) <= bound, key
+    for picture in demo.pictures:
+        assert is_drawn(tmp_path / f"{picture}.png"), picture
+
+
+def test_every_demo_is_tested_and_listed():
+    names = {file.stem for file in FOLDER.glob("*.py")}
+    assert names == set(DEMOS)
+    text = (FOLDER / "README.md").read_text()
+    assert all(f"({name}.py)" in text for name in names)
+    for file in (FOLDER / "pictures").glob("*.png"):
+        assert f"(pictures/{file.name})" in text or f'"pictures/{file.name}"' in text
+        assert file.stat().st_size < 60_000
