@@ -19,6 +19,10 @@ DIRECT = {
 }
 """MUMPS's LU of the whole system: the default. ``facts`` behind it: LDLᵀ needs 2 × 2 pivots."""
 
+RESIDUAL = 1e-3
+"""Largest residual of a direct solve, relative to the right-hand side: 1e-15 times how ill the
+system is conditioned if there is a solution, and about 1 if there is none."""
+
 
 class SolveError(RuntimeError):
     """The linear solver failed; nothing that it returned may be used."""
@@ -66,26 +70,48 @@ def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
 def check_solved(ksp: PETSc.KSP):
     """Raise if a solve did not converge. Collective.
 
-    A singular matrix makes MUMPS return NaN without an exception.
+    A singular matrix makes MUMPS return NaN without an exception; or, where round-off hides that a
+    pivot is zero, a huge multiple of what the matrix does not see, far from solving the system.
 
     Raises:
         SolveError: With the KSP's reason and MUMPS's INFOG.
     """
     reason = ksp.getConvergedReason()
+    residual = None
     if reason > 0:
-        return
+        # Solvers that look at their residual know themselves
+        if ksp.getNormType() != PETSc.KSP.NormType.NONE:
+            return
+        residual, size = _residual(ksp), ksp.getRhs().norm()
+        if residual <= RESIDUAL * size:
+            return
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
     message = f"the linear solve failed: KSP reason {reason} ({names.get(reason, 'unknown')})"
+    singular = residual is not None
     pc = ksp.getPC()
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         factor = pc.getFactorMatrix()
         infog = factor.getMumpsInfog(1), factor.getMumpsInfog(2)
         message += f", MUMPS INFOG(1) = {infog[0]}, INFOG(2) = {infog[1]}"
-        if infog[0] == -10:
-            message += (
-                "; the matrix is singular: is every body held, by boundary conditions or by a tie "
-                "to one that is, and is each constraint given once?"
-            )
-        elif infog[0] in (-8, -9, -11, -13, -14, -19):
+        singular |= infog[0] == -10
+        if infog[0] in (-8, -9, -11, -13, -14, -19):
             message += "; out of memory: raise mat_mumps_icntl_14 or use more ranks"
+    if residual is not None:
+        message += f", the residual is {residual:.1e} for a right-hand side of {size:.1e}"
+    if singular:
+        message += (
+            "; the matrix is singular: is every body held, by boundary conditions or by a tie "
+            "to one that is, and is each constraint given once?"
+        )
     raise SolveError(message + ".")
+
+
+def _residual(ksp: PETSc.KSP) -> float:
+    """|b − Ax|."""
+    b = ksp.getRhs()
+    r = b.duplicate()
+    ksp.getOperators()[0].mult(ksp.getSolution(), r)
+    r.aypx(-1.0, b)
+    norm = r.norm()
+    r.destroy()
+    return norm

@@ -152,14 +152,17 @@ def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteE
     Returns:
         The element, and None or a message.
     """
-    try:
-        element = V.ufl_element().basix_element
-    except (NotImplementedError, AttributeError):
-        return None, "is mixed; tie its collapsed subspaces instead"
     if V.component():
         return None, "is a subspace; tie the whole space or its collapsed copy"
+    if V.num_sub_spaces > V.dofmap.index_map_bs:
+        return None, "is mixed; tie its collapsed subspaces instead"
+    try:
+        element = V.ufl_element().basix_element
+    except (NotImplementedError, AttributeError):  # of quadrature points, or of real numbers
+        element = None
     if (
-        element.family != basix.ElementFamily.P
+        element is None
+        or element.family != basix.ElementFamily.P
         or element.discontinuous
         or element.degree < 1
         or V.value_size != V.dofmap.index_map_bs
@@ -228,6 +231,8 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     trace = basix.create_element(P, facet_type, element.degree, element.lagrange_variant)
     cell_nodes = compat.geometry_dofmap(mesh)[cells]
     x = mesh.geometry.x[:, :n]
+    finite = np.isfinite(x[cell_nodes]).all()
+    raise_on_all(comm, None if finite else f"{name} has NaN or infinite coordinates.")
     tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
     nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
     vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
@@ -254,8 +259,6 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     dofs = gather(index_map.local_to_global(dofs.ravel()).reshape(dofs.shape))[first]
     global_nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
     vertices = gather(global_nodes[:, vertex_nodes])[first]
-    if not np.isfinite(nodes_x).all():
-        raise InterfaceError(f"{name} has NaN or infinite coordinates.")
 
     # Number by position: node numbers depend on the number of ranks, coordinates don't
     _, at, vertices = np.unique(vertices, return_index=True, return_inverse=True)
