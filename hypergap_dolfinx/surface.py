@@ -201,6 +201,8 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     topology.create_connectivity(fdim, fdim + 1)
     topology.create_connectivity(fdim + 1, fdim)
     facets = np.asarray(facets)
+    if facets.size == 0:  # an empty list is an array of floats
+        facets = np.empty(0, dtype=np.int32)
     raise_on_all(comm, _facet_error(mesh, facets, name))
     facets = facets.astype(np.int32)
     if comm.allreduce(len(facets)) == 0:

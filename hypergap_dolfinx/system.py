@@ -42,7 +42,8 @@ class TiedSystem:
             u: Solution function of each body.
 
         Raises:
-            ValueError: A tie or boundary condition on a space that belongs to no body.
+            ValueError: A tie or boundary condition on a space that belongs to no body; a tie given
+                twice.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         self._a, self._ties, self._u = list(a), list(ties), list(u)
@@ -54,6 +55,8 @@ class TiedSystem:
                 f"{orphans} of {len(bcs)} boundary conditions are on a space that is in no body; "
                 "make them on the spaces of the forms."
             )
+        if len({id(tie) for tie in ties}) < len(ties):
+            raise ValueError("a tie is given twice; that would make the matrix singular.")
         spaces = [f.function_space for f in self._u]
         self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
         self._K = [petsc.create_matrix(form) for form in self._a]

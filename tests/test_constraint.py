@@ -17,7 +17,8 @@ import dolfinx
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.constraint import expand, independent_rows
+from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.constraint import expand
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (1, 2), (2, 1), (1, 3), (3, 2))
 MODES = "interpolated", "free"
@@ -272,58 +273,72 @@ def test_own_system():
 
 
 def multiplier_points(tie):
-    """Places of the multipliers' dofs, ``(num_multipliers, 2)``, in the order of the rows."""
+    """Places of the multipliers' dofs, ``(num_multipliers, 2)``."""
     V = tie.spaces[1]
     owned = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :2]
-    x = np.vstack(comm.allgather(owned))[tie.constraint.dofs]
-    return x[np.argsort(tie.constraint.rows)]
+    return np.vstack(comm.allgather(owned))[tie.constraint.dofs]
 
 
-@pytest.mark.parametrize("ends", ("prescribed", "at a cross point"))
+def prescribed(V, components, where):
+    """Zero at the dofs of some components on some edges."""
+    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 1, where)
+    return [
+        fem.dirichletbc(0.0, fem.locate_dofs_topological(V.sub(c), 1, facets), V.sub(c))
+        for c in components
+    ]
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("k", DEGREES)
-def test_tractions_are_carried_without_the_ends(k, mode, ends):
-    """λ = E λ' holds all polynomials of degree k − 1, with a multiplier less at each end."""
-    sides = two_blocks((3, 5), k, mapping=lambda x: x)
+def test_tractions_are_carried_where_ends_are_prescribed(k, mode):
+    """λ = E λ' holds all polynomials of degree k − 1, with a multiplier less for each component
+    of Γ1's ends that is prescribed."""
+    sides = two_blocks((3, 5), k)
+    V = sides[1][0]
     tie = Tie(*sides, interior=mode)
-    constraint = tie.constraint
-    x = multiplier_points(tie)[np.argsort(np.argsort(constraint.rows))]
-    drop = (np.isclose(x[:, 0], 0) | np.isclose(x[:, 0], 2))[:, None] & [True, True]
-    drop[:, 1] &= x[:, 0] < 1  # the right end can move in y
-    prescribed = drop & (ends == "prescribed")
-    E, lost = independent_rows(constraint, tie.domain, drop, prescribed)
-    assert not len(lost)
-    rows, columns = E.getSize()
-    assert rows == tie.blocks()[0].getSize()[0] and rows - columns == drop.sum()
-    E = dense(E)
-    # Rows of the multipliers, component by component; what remains keeps its value
-    for component in (0, 1):
-        row = 2 * constraint.rows + component
-        kept = E[row][~drop[:, component]]
-        assert set(np.unique(kept)) <= {0.0, 1.0} and (kept.sum(axis=1) == 1).all()
+    bcs = prescribed(V, (0, 1), lambda x: np.isclose(x[0], 0))
+    bcs += prescribed(V, (0,), lambda x: np.isclose(x[0], 2))  # it can move in y
+    blocks = ConstraintBlocks([V for V, _ in sides], [[], bcs], [tie])
+    (matrix,) = blocks._rows
+    rows, columns = matrix.getSize()
+    assert rows == tie.blocks()[0].getSize()[0] and rows - columns == 3
+    assert all(B.getSize()[0] == columns for B in blocks.free[0])
+    E, x = dense(matrix), multiplier_points(tie)[:, 0]
+    for component, dropped in enumerate((np.isclose(x, 0) | np.isclose(x, 2), np.isclose(x, 0))):
+        row = 2 * tie.constraint.rows + component
+        kept = E[row][~dropped]  # what remains keeps its value
+        assert set(np.unique(kept)) == {0.0, 1.0} and (kept.sum(axis=1) == 1).all()
         column = kept.argmax(axis=1)
         for degree in range(k[1]):
-            t = (1 + x[:, 0]) ** degree
+            t = (1 + x) ** degree
             values = np.zeros(columns)
-            values[column] = t[~drop[:, component]]
+            values[column] = t[~dropped]
             close(E[row] @ values, t, 1e-12)
-        other = np.delete(E, row, axis=0)
-        assert not other[:, column].any()  # components do not mix
+        assert not np.delete(E, row, axis=0)[:, column].any()  # components do not mix
+    blocks.destroy()
 
 
-def test_all_of_an_edge_prescribed():
-    """Nothing is left of a component: its rows are reported as lost."""
-    tie = Tie(*two_blocks((3, 5)))
-    everything = np.tile((True, False), (len(tie.constraint.dofs), 1))
-    E, lost = independent_rows(tie.constraint, tie.domain, everything, everything)
-    assert E.getSize()[1] == len(everything)
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate(comm.allgather(lost))), 2 * np.arange(len(everything))
-    )
+def test_columns_of_prescribed_dofs():
+    """They move to the right-hand side: gone from what is solved, kept for what is known."""
+    sides = two_blocks((3, 5))
+    spaces, tie = [V for V, _ in sides], Tie(*sides)
+    bcs = prescribed(spaces[0], (0, 1), lambda x: np.isclose(x[0], 0))
+    blocks = ConstraintBlocks(spaces, [bcs, []], [tie])
+    full, free = dense(blocks.full[0][0]), dense(blocks.free[0][0])
+    close(full, dense(tie.blocks()[0]))
+    marker = fem.Function(spaces[0])
+    marker.x.array[:] = 1
+    for bc in bcs:
+        bc.set(marker.x.array)
+    close(free, full * gathered(marker))
+    blocks.destroy()
 
 
 def test_nothing_prescribed():
-    tie = Tie(*two_blocks((3, 5)))
-    nothing = np.zeros((len(tie.constraint.dofs), 2), dtype=bool)
-    E, lost = independent_rows(tie.constraint, tie.domain, nothing, nothing)
-    assert E is None and not len(lost)
+    """No E: all multipliers remain."""
+    sides = two_blocks((3, 5))
+    tie = Tie(*sides)
+    blocks = ConstraintBlocks([V for V, _ in sides], [[], []], [tie])
+    assert blocks._rows == [None]
+    close(dense(blocks.free[0][1]), dense(tie.blocks()[1]))
+    blocks.destroy()
