@@ -1,0 +1,46 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Makes the thumbnails beside it from the demos' pictures: ``python make.py``."""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+FOLDER = Path(__file__).parent
+PICTURES = {
+    "heat": ("heat",),
+    "hyperelasticity": ("hyperelasticity",),
+    "modal_analysis": ("mode_3",),
+    "patch_test": ("patch_test",),
+    "patch_test_3d": ("patch_test_3d",),
+    "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
+    "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
+    "read_meshes": ("read_meshes",),
+    "write_files": ("write_files",),
+}
+
+
+def thumbnail(picture: Path, file: Path):
+    """Without what stands around the bodies: the scale on the right, text above, white."""
+    image = Image.open(picture).convert("RGB").crop((0, 40, 1020, 900))
+    rows, columns = np.nonzero(np.asarray(image).min(axis=2) < 250)
+    image = image.crop((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1))
+    image.thumbnail((400, 260), Image.Resampling.LANCZOS)
+    image.quantize(128).save(file, optimize=True)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as temporary:
+        for name, (picture, *arguments) in PICTURES.items():
+            script = FOLDER.parent / f"{name}.py"
+            command = [sys.executable, script, *arguments, "--plot", temporary]
+            subprocess.run(command, check=True, cwd=temporary)
+            file = FOLDER / f"{name}.png"
+            thumbnail(Path(temporary) / f"{picture}.png", file)
