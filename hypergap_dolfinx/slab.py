@@ -56,7 +56,7 @@ class Side:
     def of(cls, surface: Surface, facets: npt.NDArray[np.intp]) -> "Side":
         """The piece of a surface that some facets make up."""
         vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
-        return cls(surface, facets, vertices, triangles.reshape(-1, 3))
+        return cls(surface, facets, vertices.astype(np.intp), triangles.reshape(-1, 3))
 
     @property
     def x(self) -> npt.NDArray[np.float64]:
@@ -494,8 +494,8 @@ def _interior_hosts(sides: tuple[Side, Side], pushed, x) -> Hosts:
     facets, X, distance = [], [], []
     for vertices, side in zip((sides[0].x, pushed), sides, strict=True):
         centres = vertices[side.triangles].mean(axis=1)
-        seed = [int(np.linalg.norm(centres - point, axis=1).argmin()) for point in x]
-        seed = np.array(seed, dtype=np.intp)
+        nearest = [np.linalg.norm(centres - point, axis=1).argmin() for point in x]
+        seed = np.array(nearest, dtype=np.intp)
         facet, at = project(vertices, side.triangles, side.behind, x, seed)
         weights = np.column_stack((1 - at.sum(axis=1), at))
         foot = np.einsum("pv,pvi->pi", weights, vertices[side.triangles[facet]])

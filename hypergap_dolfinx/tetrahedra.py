@@ -99,7 +99,7 @@ def fill(gmsh, x: npt.NDArray[np.float64], shells: Sequence[npt.NDArray], algori
     gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
     try:
         tags = np.arange(1, len(x) + 1)
-        loops = []
+        loops: list[int] = []
         for triangles in shells:
             surface = gmsh.model.addDiscreteEntity(2)
             if not loops:

@@ -6,7 +6,7 @@
 """Unstructured tetrahedra, with Gmsh: blocks, spherical shells and balls, bodies with holes."""
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 from mpi4py import MPI
 
@@ -25,13 +25,14 @@ HOLE, SIDE = 14, 15
 Markers = Sequence[tuple[int, Callable[[npt.NDArray], npt.NDArray]]]
 
 
-def _tetrahedra(comm: MPI.Comm, h, build: Callable) -> dolfinx.mesh.Mesh:
+def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolfinx.mesh.Mesh:
     """Mesh what ``build`` adds to Gmsh's CAD kernel.
 
     Args:
         comm: Communicator.
         h: Cell size, one or one for each volume.
-        build: Takes Gmsh's OpenCASCADE kernel.
+        build: Takes the kernel.
+        kernel: Gmsh's name of it.
     """
     x, cells = np.empty((0, 3)), np.empty((0, 4), dtype=np.int64)
     if comm.rank == 0:
@@ -43,8 +44,9 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable) -> dolfinx.mesh.Mesh:
             gmsh.option.setNumber("General.NumThreads", 1)
             gmsh.option.setNumber("Mesh.MeshSizeMin", np.min(h))
             gmsh.option.setNumber("Mesh.MeshSizeMax", np.max(h))
-            build(gmsh.model.occ)
-            gmsh.model.occ.synchronize()
+            cad = getattr(gmsh.model, kernel)
+            build(cad)
+            cad.synchronize()
             if np.ndim(h):
                 _set_sizes(gmsh.model, h)
             gmsh.model.mesh.generate(3)
@@ -186,7 +188,10 @@ def spherical_shell(
     Returns:
         The mesh and its facet tags INNER, OUTER and, of an octant, PLANE_X, PLANE_Y and PLANE_Z.
     """
-    mesh = _tetrahedra(comm, h, lambda cad: _add_shells(cad, (r_inner, r_outer), octant))
+    if octant:
+        mesh = _tetrahedra(comm, h, lambda cad: _add_octants(cad, (r_inner, r_outer)))
+    else:
+        mesh = _tetrahedra(comm, h, lambda cad: _add_sphere(cad, r_inner, r_outer), "geo")
     for _ in range(refinements):
         mesh, _ = _on_spheres(refined(mesh), r_inner, r_outer, octant)
     return _on_spheres(of_degree(mesh, degree), r_inner, r_outer, octant)
@@ -207,7 +212,7 @@ def nested_shells(
     Returns:
         The mesh and its facet tags, as of :func:`spherical_shell`.
     """
-    mesh = _tetrahedra(comm, sizes, lambda cad: _add_shells(cad, radii, True))
+    mesh = _tetrahedra(comm, sizes, lambda cad: _add_octants(cad, radii))
     mesh = of_degree(mesh, degree)
     for r in radii[1:-1]:
         _snap(mesh, _facets_on(mesh, r, 1e-6 * r), r)
@@ -245,9 +250,9 @@ def _on_spheres(mesh: dolfinx.mesh.Mesh, r_inner: float, r_outer: float, octant:
     return mesh, ft
 
 
-def _add_shells(cad, radii: Sequence[float], octant: bool):
-    """Concentric shells that share their spheres."""
-    angles = {"angle1": 0, "angle2": np.pi / 2, "angle3": np.pi / 2} if octant else {}
+def _add_octants(cad, radii: Sequence[float]):
+    """Eighths of concentric shells that share their spheres."""
+    angles = {"angle1": 0, "angle2": np.pi / 2, "angle3": np.pi / 2}
     shells = []
     for r_inner, r_outer in pairwise(radii):
         outer = cad.addSphere(0, 0, 0, r_outer, **angles)
@@ -256,6 +261,27 @@ def _add_shells(cad, radii: Sequence[float], octant: bool):
         shells.append((3, outer))
     if len(shells) > 1:
         cad.fragment(shells[:1], shells[1:])
+
+
+def _add_sphere(cad, r_inner: float, r_outer: float):
+    """A shell or a ball with spheres of eight patches: one patch has poles, with bad cells."""
+    centre = cad.addPoint(0, 0, 0)
+    loops = []
+    for r in (r_outer, r_inner)[: 1 if r_inner == 0 else 2]:
+        ends = [[cad.addPoint(*(sign * r * e)) for sign in (1, -1)] for e in np.eye(3)]
+        arcs = {
+            (p, q): cad.addCircleArc(p, centre, q)
+            for i in range(3)
+            for p, q in product(ends[i], ends[(i + 1) % 3])
+        }
+        patches = [
+            cad.addSurfaceFilling(
+                [cad.addCurveLoop([arcs[p, q], arcs[q, s], arcs[s, p]])], sphereCenterTag=centre
+            )
+            for p, q, s in product(*ends)
+        ]
+        loops.append(cad.addSurfaceLoop(patches))
+    cad.addVolume(loops)
 
 
 def _nodes_on(mesh: dolfinx.mesh.Mesh, facets) -> npt.NDArray[np.intp]:
@@ -310,15 +336,21 @@ def hollow_cube(
 
 
 def perforated_plate(
-    comm: MPI.Comm, h: float, z: tuple[float, float], radius: float = 0.25
+    comm: MPI.Comm,
+    h: float,
+    z: tuple[float, float],
+    radius: float = 0.25,
+    *,
+    square: bool = False,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
-    """A square plate of unit size around the z axis, with a round hole.
+    """A square plate of unit size around the z axis, with a hole.
 
     Args:
         comm: Communicator.
         h: Cell size.
         z: Where it begins and ends.
-        radius: Radius of the hole.
+        radius: Radius of the hole, or half the length of its sides.
+        square: Whether the hole is square, not round.
 
     Returns:
         The mesh and its facet tags BACK and FRONT (where z begins and ends), HOLE and SIDE.
@@ -326,7 +358,10 @@ def perforated_plate(
 
     def build(cad):
         plate = cad.addBox(-0.5, -0.5, z[0], 1, 1, z[1] - z[0])
-        hole = cad.addCylinder(0, 0, z[0], 0, 0, z[1] - z[0], radius)
+        if square:
+            hole = cad.addBox(-radius, -radius, z[0], 2 * radius, 2 * radius, z[1] - z[0])
+        else:
+            hole = cad.addCylinder(0, 0, z[0], 0, 0, z[1] - z[0], radius)
         cad.cut([(3, plate)], [(3, hole)])
 
     mesh = _tetrahedra(comm, h, build)
@@ -335,7 +370,7 @@ def perforated_plate(
         (
             (BACK, lambda x: np.isclose(x[2], z[0])),
             (FRONT, lambda x: np.isclose(x[2], z[1])),
-            (HOLE, lambda x: np.hypot(x[0], x[1]) < 1.1 * radius),
+            (HOLE, lambda x: np.abs(x[:2]).max(axis=0) < 1.1 * radius),
             (SIDE, lambda x: np.abs(x[:2]).max(axis=0) > 0.49),
         ),
     )
