@@ -239,7 +239,12 @@ def independent_rows(
         facets, local = facets_of(m)
         free = (multiplier[facets] >= 0) & ~drop[multiplier[facets], component]  # (facet, dof)
         best = free.sum(axis=1).argmax()
-        if free[best].any():
+        around = None
+        if surface.element.degree > 1 and not _determined(surface.element, tuple(free[best])):
+            around = _from_around(surface, multiplier, drop[:, component], facets, local)
+        if around is not None:  # a corner: most of the facet's dofs are dropped
+            weights, neighbours = around
+        elif free[best].any():
             weights = _extension(surface.element, int(local[best]), tuple(free[best]))
             neighbours = multiplier[facets[best]][free[best]]
         else:
@@ -279,6 +284,50 @@ def _nearest(surface: Surface, domain: GapDomain, multiplier, drop, m: int):
     own = centres[(multiplier == m).any(axis=1)].mean(axis=0)
     facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
     return np.ones(1), multiplier[facet][free[facet]][:1]
+
+
+def _from_around(surface: Surface, multiplier, drop, facets, local):
+    """Multipliers that remain around a dropped one and extend a polynomial of degree k − 1 to it.
+
+    Args:
+        surface: Γ1.
+        multiplier: Multiplier at each dof of each facet.
+        drop: Which multipliers are dropped.
+        facets: Facets at the dropped one.
+        local: Its number in them.
+
+    Returns:
+        Weights and multipliers, or None if there are too few in reach.
+    """
+    points, v = surface.element.points, surface.x[surface.facets[facets[0]]]
+    own = surface.points(facets[:1], points[local[:1]])
+    inverse = np.linalg.pinv(v[1:] - v[0])
+    exponents, reach = _exponents(surface.element), facets
+    for _ in range(3):
+        known = multiplier[reach]
+        reach = np.flatnonzero(np.isin(multiplier, known[known >= 0]).any(axis=1))
+        known = multiplier[reach]
+        facet, dof = np.nonzero((known >= 0) & ~drop[known])
+        found, first = np.unique(known[facet, dof], return_index=True)
+        x = surface.points(reach[facet[first]], points[dof[first]])
+        P = np.prod(((x - own) @ inverse)[:, :, None] ** exponents, axis=1)  # (dof, monomial)
+        if np.linalg.matrix_rank(P, tol=1e-6) == P.shape[1]:
+            return np.linalg.pinv(P)[0], found
+    return None
+
+
+def _exponents(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.intp]:
+    """Exponents of the monomials of degree k − 1, the constant first, ``(dim, num_monomials)``."""
+    dim = element.points.shape[1]
+    exponents = np.indices((element.degree,) * dim).reshape(dim, -1)
+    return exponents[:, exponents.sum(axis=0) < element.degree]
+
+
+@lru_cache(maxsize=1024)
+def _determined(element: basix.finite_element.FiniteElement, free: tuple[bool, ...]) -> bool:
+    """Whether a polynomial of degree k − 1 follows from the dofs that are free."""
+    P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)
+    return bool(np.linalg.matrix_rank(P[np.asarray(free)]) == P.shape[1])
 
 
 @lru_cache(maxsize=1024)
