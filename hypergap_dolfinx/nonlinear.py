@@ -27,10 +27,18 @@ class NonlinearTiedProblem(TiedSystem):
     Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
     displacements and hold whatever rotation the bodies make together.
 
-    Example::
+    Example:
+        As in :class:`TiedProblem`'s example, with a conductivity of 1 + u²:
 
-        problem = NonlinearTiedProblem([F0, F1], [u0, u1], bcs=bcs, ties=[tie])
-        problem.solve()
+        >>> from hypergap_dolfinx import NonlinearTiedProblem
+        >>> u, F = [fem.Function(W) for W in V], []
+        >>> for f in u:
+        ...     v = ufl.TestFunction(f.function_space)
+        ...     F.append((1 + f**2) * ufl.inner(ufl.grad(f), ufl.grad(v)) * ufl.dx)
+        >>> problem = NonlinearTiedProblem(F, u, bcs=bcs, ties=[tie])
+        >>> u0, u1 = problem.solve()
+        >>> q.integrate(q.evaluate(tie.traction(problem))).round(2)  # exact: 7/3
+        array([2.33])
     """
 
     def __init__(

@@ -23,10 +23,23 @@ class TiedProblem(TiedSystem):
     Solves the saddle system [K Bᵀ; B 0] [u; λ] = [f; 0] with K and f from the forms and B from
     the ties.
 
-    Example::
+    Example:
+        Temperatures 0 at y = 0 and 2 at y = 2, around the tie of :class:`Tie`'s example:
 
-        problem = TiedProblem([a0, a1], [L0, L1], bcs=bcs, ties=[tie])
-        u0, u1 = problem.solve()
+        >>> import ufl
+        >>> from hypergap_dolfinx import TiedProblem
+        >>> a, L, bcs = [], [], []
+        >>> for W, y in zip(V, (0.0, 2.0)):
+        ...     u, v = ufl.TrialFunction(W), ufl.TestFunction(W)
+        ...     a.append(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+        ...     L.append(fem.Constant(W.mesh, 0.0) * v * ufl.dx)
+        ...     dofs = fem.locate_dofs_geometrical(W, lambda x: np.isclose(x[1], y))
+        ...     bcs.append(fem.dirichletbc(y, dofs, W))
+        >>> problem = TiedProblem(a, L, bcs=bcs, ties=[tie])
+        >>> u0, u1 = problem.solve()
+        >>> q = tie.quadrature(2)
+        >>> q.integrate(q.evaluate(tie.traction(problem))).round(10)  # heat through the interface
+        array([1.])
     """
 
     def __init__(

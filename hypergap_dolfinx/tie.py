@@ -30,11 +30,23 @@ class Tie:
     Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
     softer) side. Everything here is collective.
 
-    Example::
+    Example:
+        Two squares, one on top of the other:
 
-        tie = Tie((V0, facets0), (V1, facets1))
-        problem = TiedProblem([a0, a1], [L0, L1], bcs=bcs, ties=[tie])
-        u0, u1 = problem.solve()
+        >>> from mpi4py import MPI  # before dolfinx
+        >>> import numpy as np
+        >>> from dolfinx import fem, mesh
+        >>> from hypergap_dolfinx import Tie
+        >>> lower = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 1)], (4, 4))
+        >>> upper = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 1), (1, 2)], (3, 3))
+        >>> V, facets = [], []
+        >>> for body in (lower, upper):
+        ...     V.append(fem.functionspace(body, ("Lagrange", 1)))
+        ...     on_interface = lambda x: np.isclose(x[1], 1)
+        ...     facets.append(mesh.locate_entities_boundary(body, 1, on_interface))
+        >>> tie = Tie((V[0], facets[0]), (V[1], facets[1]))
+        >>> tie.sigma.topology.index_map(2).size_global  # triangles: one for each edge
+        7
     """
 
     def __init__(
