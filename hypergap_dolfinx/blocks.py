@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.constraint import independent_rows
+from hypergap_dolfinx.constraint import Dropped, independent_rows
 from hypergap_dolfinx.cross_points import dropped_multipliers
 from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
@@ -50,12 +50,14 @@ class ConstraintBlocks:
         self._rows: list[PETSc.Mat | None] = []
         self._full: list[list[PETSc.Mat | None]] = []
         self._free: list[list[PETSc.Mat | None]] = []
+        self._own: list[npt.NDArray[np.int64]] = []
         prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        self._held = prescribed
         interior = len(self._spaces)
         self._num_fields = interior + sum(tie.free_interior for tie in self._ties)
         dropped = dropped_multipliers(self._ties, self._bodies, prescribed)
         for t, tie in enumerate(self._ties):
-            self._add(t, prescribed, interior, *dropped[t])
+            self._add(t, prescribed, interior, dropped[t])
             interior += tie.free_interior
 
     def destroy(self):
@@ -73,6 +75,21 @@ class ConstraintBlocks:
     def full(self) -> list[list[PETSc.Mat | None]]:
         """B on all dofs, ``[tie][field]``."""
         return self._full
+
+    @property
+    def bodies(self) -> list[tuple[int, int]]:
+        """Γ0's and Γ1's body of each tie."""
+        return self._bodies
+
+    @property
+    def prescribed(self) -> list[npt.NDArray[np.bool_]]:
+        """Which owned dofs (unrolled) of each body are prescribed."""
+        return self._held
+
+    @property
+    def own(self) -> list[npt.NDArray[np.int64]]:
+        """Global dof (unrolled) of V₁ under each of this rank's multipliers, for each tie."""
+        return self._own
 
     @property
     def interior_sizes(self) -> list[tuple[int, int]]:
@@ -126,11 +143,15 @@ class ConstraintBlocks:
             marker[dofs[:num_owned]] = True
         return marker
 
-    def _add(self, t: int, prescribed, interior: int, dropped, marker):
+    def _add(self, t: int, prescribed, interior: int, dropped: Dropped):
         """The blocks of a tie, with the rows and columns that are left free."""
         tie, bodies = self._ties[t], self._bodies[t]
-        E, lost = independent_rows(tie.constraint, tie.domain, dropped, marker)
+        E, lost = independent_rows(tie.constraint, tie.domain, dropped)
         self._check_lost_rows(t, lost, prescribed[bodies[0]])
+        dofs = (tie.constraint.dofs[:, None] * tie.block_size + np.arange(tie.block_size))
+        dofs = dofs[~dropped.dropped]
+        start, end = np.multiply(tie.spaces[1].dofmap.index_map.local_range, tie.block_size)
+        self._own.append(dofs[(dofs >= start) & (dofs < end)])
         full: dict[int, PETSc.Mat] = {}
         for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
             B = E.transposeMatMult(B) if E else B.copy()

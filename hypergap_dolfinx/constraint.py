@@ -186,11 +186,35 @@ def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values
 
 
+@dataclass(frozen=True)
+class Replaced:
+    """Multipliers of a patch that others take the place of."""
+
+    component: int
+    """Component of the displacement."""
+    multipliers: npt.NDArray[np.intp]
+    """Numbers of the patch's multipliers, ``(num_multipliers,)``; the first ``num_new`` of them
+    lend their rows to the new ones."""
+    weights: npt.NDArray[np.float64]
+    """λ at the patch's dofs for each new multiplier, ``(num_multipliers, num_new)``."""
+    complete: bool
+    """Whether the new ones constrain all that the patch's own would."""
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """The multipliers of a tie that are dropped."""
+
+    dropped: npt.NDArray[np.bool_]
+    """Which components, ``(num_multipliers, block_size)``, the same on every rank."""
+    prescribed: npt.NDArray[np.bool_]
+    """Which components of their dofs are prescribed, of the same shape."""
+    replaced: list[Replaced]
+    """Patches that have other multipliers instead."""
+
+
 def independent_rows(
-    constraint: Constraint,
-    domain: GapDomain,
-    drop: npt.NDArray[np.bool_],
-    prescribed: npt.NDArray[np.bool_],
+    constraint: Constraint, domain: GapDomain, what: Dropped
 ) -> tuple[PETSc.Mat | None, npt.NDArray[np.int64]]:
     """The multipliers that remain when some are dropped, and what λ is at those. Collective.
 
@@ -200,14 +224,13 @@ def independent_rows(
     Args:
         constraint: The constraint.
         domain: Σ.
-        drop: Which components of the multipliers are dropped, ``(num_multipliers, block_size)``,
-            the same on every rank.
-        prescribed: Which components of the multipliers' dofs are prescribed, of the same shape.
+        what: What is dropped.
 
     Returns:
         E with λ = E λ', λ' the multipliers that remain, or None if all do; and the rows (of the
         blocked B) that have no multiplier in reach, because everything there is prescribed.
     """
+    drop, prescribed = what.dropped, what.prescribed
     surface = domain.surfaces[1]
     nothing = np.empty(0, dtype=np.int64)
     if not drop.any():
@@ -230,12 +253,33 @@ def independent_rows(
         """Number of a row among those that remain."""
         return rows - np.searchsorted(dropped, rows)
 
+    # Patches with other multipliers instead
+    i, j, value = [], [], []
+    elsewhere, complete = np.zeros_like(drop), np.zeros_like(drop)
+    for patch in what.replaced:
+        at = row[patch.multipliers, patch.component]
+        elsewhere[patch.multipliers, patch.component] = True
+        complete[patch.multipliers, patch.component] = patch.complete
+        own = np.flatnonzero((start <= at) & (at < end))
+        new = patch.weights.shape[1]
+        i.append(np.repeat(at[own], new))
+        j.append(np.tile(kept(at[:new]), len(own)))
+        value.append(patch.weights[own].ravel())
+
     mine = np.arange(start, end)
-    mine = mine[~np.isin(mine, dropped)]
-    i, j, value = [mine], [kept(mine)], [np.ones(len(mine))]
+    num_kept = len(mine) - np.isin(mine, dropped).sum()
+    mine = np.setdiff1d(mine, np.concatenate((dropped, row[elsewhere])))
+    i.append(mine)
+    j.append(kept(mine))
+    value.append(np.ones(len(mine)))
     lost = []
     facets_of = _inverse(multiplier, len(keys))
-    for m, component in np.argwhere(drop & (start <= row) & (row < end)):
+    here = (start <= row) & (row < end)
+    for m, component in np.argwhere(elsewhere & ~complete & here):
+        facets, _ = facets_of(m)
+        if prescribed[multiplier[facets], component].all():
+            lost.append(row[m, component])
+    for m, component in np.argwhere(drop & ~elsewhere & here):
         facets, local = facets_of(m)
         free = (multiplier[facets] >= 0) & ~drop[multiplier[facets], component]  # (facet, dof)
         best = free.sum(axis=1).argmax()
@@ -254,7 +298,7 @@ def independent_rows(
         i.append(np.full(len(neighbours), row[m, component]))
         j.append(kept(row[neighbours, component]))
         value.append(weights)
-    sizes = (end - start, len(mine))
+    sizes = (end - start, num_kept)
     E = coo_matrix(comm, sizes, *(np.concatenate(part) for part in (i, j, value)))
     return E, np.array(lost, dtype=np.int64)
 

@@ -9,10 +9,9 @@ The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constra
 could lose rank. Where patches or ties meet, a dof can't have a constraint in each. Such multipliers
 are dropped and λ follows its neighbours there, as in mortar methods with cross points.
 
-A patch must carry forces and moments though, and for that it needs n multipliers: a small one takes
-back what it can. A constraint may come back if it doesn't follow from the others. To see that, note
-that a multiplier that was never dropped has a dof of its own, in no other patch or tie: eliminating
-these dofs, patch by patch, leaves few and short rows, to be compared by Gram and Schmidt.
+A patch must carry forces and moments though, and for that it needs n multipliers. On one that is
+left with fewer, λ is constant and linear in space instead, as far as these constraints don't follow
+from those of other such patches. (Every other patch's multipliers have a dof of their own.)
 """
 
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.constraint import triplets
+from hypergap_dolfinx.constraint import Dropped, Replaced, triplets
 from hypergap_dolfinx.tie import Tie
 
 INDEPENDENT = 1e-3  # sine of the angle between a row and the others, from which it counts
@@ -49,7 +48,7 @@ def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArra
 
 def dropped_multipliers(
     ties: Sequence[Tie], bodies: Sequence[tuple[int, int]], prescribed: Sequence[npt.NDArray]
-) -> list[tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
+) -> list[Dropped]:
     """The multipliers that are dropped. Collective.
 
     Args:
@@ -58,8 +57,7 @@ def dropped_multipliers(
         prescribed: Which owned dofs of each body are prescribed, ``(num_dofs * block_size,)``.
 
     Returns:
-        For each tie, which components of its multipliers are dropped, and which of them are
-        prescribed; ``(num_multipliers, block_size)`` each, the same on every rank.
+        For each tie.
     """
     marks = []
     for tie, pair in zip(ties, bodies, strict=True):
@@ -77,9 +75,10 @@ def dropped_multipliers(
         shared = np.isin(tie.constraint.dofs, np.concatenate(others)) if others else False
         _, at, count = np.unique(tie.constraint.dofs, return_inverse=True, return_counts=True)
         dropped.append(mark | (shared | (count[at] > 1))[:, None])
+    replaced: list[list[Replaced]] = [[] for _ in ties]
     if any(drop.any() for drop in dropped):
-        _take_back(ties, bodies, prescribed, dropped)
-    return list(zip(dropped, marks, strict=True))
+        _replace(ties, bodies, prescribed, dropped, replaced)
+    return [Dropped(*parts) for parts in zip(dropped, marks, replaced, strict=True)]
 
 
 def _prescribed(tie: Tie, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:
@@ -131,14 +130,13 @@ class Rows:
         self._column: dict[tuple[int, int], int] = {}
         self._basis = np.zeros((0, 0))
 
-    def add(self, columns: Sequence[tuple[int, int]], values: npt.NDArray) -> bool:
-        """Add a row unless it follows from the others; whether it was added."""
+    def add(self, columns: Sequence[tuple[int, int]], values: npt.NDArray, size: float) -> bool:
+        """Add a row, unless it is small or follows from the others; whether it was added."""
         at = [self._column.setdefault(column, len(self._column)) for column in columns]
         basis = np.zeros((len(self._basis), len(self._column)))
         basis[:, : self._basis.shape[1]] = self._basis
         row = np.zeros(len(self._column))
         np.add.at(row, at, values)
-        size = np.linalg.norm(row)
         for _ in range(2):  # twice is enough
             row -= (basis @ row) @ basis
         rest = np.linalg.norm(row)
@@ -161,8 +159,6 @@ class _Patch:
     """Which components of these are not prescribed, ``(num_columns, block_size)``."""
     B: npt.NDArray[np.float64]
     """The rows, ``(num_multipliers, num_columns)``."""
-    own: npt.NDArray[np.intp]
-    """Column of each multiplier's own dof, ``(num_multipliers,)``."""
 
     @classmethod
     def gather(cls, tie: Tie, bodies, prescribed, multipliers) -> "_Patch":
@@ -174,24 +170,27 @@ class _Patch:
             columns += [(body, int(dof)) for dof in dofs]
             free.append(~_prescribed(tie, side, prescribed[body], dofs))
             B.append(part)
-        own = B[0].shape[1] + np.searchsorted(dofs, tie.constraint.dofs[multipliers])
         x = _positions(tie)[multipliers]
-        return cls(multipliers, x, columns, np.vstack(free), np.hstack(B), own)
+        return cls(multipliers, x, columns, np.vstack(free), np.hstack(B))
 
-    def reduced(self, component: int, kept: npt.NDArray[np.bool_]):
-        """Columns and rows, the kept multipliers' own dofs eliminated."""
-        own = self.own[kept]
-        B = self.B - self.B[:, own] @ np.linalg.solve(self.B[np.ix_(kept, own)], self.B[kept])
-        use = self.free[:, component].copy()
-        use[own] = False
-        return [self.columns[i] for i in np.flatnonzero(use)], B[:, use]
+    def candidates(self, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+        """Values of λ at the dofs: a constant, linear ones, then those of the kept multipliers.
+
+        Returns:
+            ``(num_candidates, num_multipliers)``.
+        """
+        x = self.x - self.x.mean(axis=0)
+        _, size, axes = np.linalg.svd(x)
+        moments = (x @ axes.T).T[: len(size)][size > 1e-6 * size.max(initial=0)]
+        scale = np.abs(moments).max(axis=1, keepdims=True)
+        return np.vstack((np.ones(len(x)), moments / scale, np.eye(len(x))[kept]))
 
 
-def _take_back(ties, bodies, prescribed, dropped):
-    """Give patches that are left with fewer than n multipliers some of theirs back. Collective."""
+def _replace(ties, bodies, prescribed, dropped, replaced):
+    """Give patches with fewer than n multipliers left other ones instead. Collective."""
     n = ties[0].surfaces[1].gdim
     patches: dict[tuple[int, int], _Patch] = {}
-    short = []  # patch, component, its columns and rows
+    short = []  # tie, patch, component, values of λ to try, what was taken of them
     for t, (tie, drop) in enumerate(zip(ties, dropped, strict=True)):
         every = np.bincount(tie.constraint.patch)
         for component in range(tie.block_size):
@@ -201,18 +200,22 @@ def _take_back(ties, bodies, prescribed, dropped):
                     mine = np.flatnonzero(tie.constraint.patch == p)
                     patches[t, p] = _Patch.gather(tie, bodies[t], prescribed, mine)
                 patch = patches[t, p]
-                rows = patch.reduced(component, ~drop[patch.multipliers, component])
-                short.append((t, patch, component, *rows))
+                values = patch.candidates(~drop[patch.multipliers, component])
+                short.append((t, patch, component, list(values), []))
     accepted: dict[int, Rows] = {}
     for number in range(1, n + 1):  # one for every patch, then a second, ...
-        for t, patch, component, columns, B in short:
-            left = ~dropped[t][patch.multipliers, component]
-            if left.sum() >= number:
-                continue
+        for _, patch, component, values, taken in short:
             rows = accepted.setdefault(component, Rows())
-            # The farthest from those that there are comes first
-            distance = np.linalg.norm(patch.x[:, None] - patch.x[left], axis=2)
-            for m in np.argsort(-distance.min(axis=1, initial=np.inf), kind="stable"):
-                if not left[m] and rows.add(columns, B[m]):
-                    dropped[t][patch.multipliers[m], component] = False
-                    break
+            while values and len(taken) < number:
+                row = values[0] @ patch.B
+                free = row * patch.free[:, component]
+                if rows.add(patch.columns, free, float(np.linalg.norm(row))):
+                    taken.append(values[0])
+                values.pop(0)
+    for t, patch, component, _, taken in short:
+        dropped[t][patch.multipliers, component] = True
+        dropped[t][patch.multipliers[: len(taken)], component] = False
+        rank = np.linalg.matrix_rank(patch.B * patch.free[:, component])
+        weights = np.reshape(taken, (-1, len(patch.multipliers))).T
+        complete = len(taken) == rank
+        replaced[t].append(Replaced(component, patch.multipliers, weights, bool(complete)))

@@ -162,7 +162,7 @@ def traction_error(problem: TiedProblem, tie: Tie, bodies: Sequence[Body], exact
 
 def dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
     """All of a matrix, on every rank."""
-    A = A.convert("aij")
+    A = A.convert("aij", PETSc.Mat())  # not in place
     (start, end), (_, columns) = A.getOwnershipRange(), A.getSize()
     rows = np.zeros((end - start, columns))
     indptr, j, values = A.getValuesCSR()
