@@ -95,7 +95,7 @@ def test_branching_facets():
     if comm.rank > 0:
         x, cells = x[:0], cells[:0]
     element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
-    mesh = dolfinx.mesh.create_mesh(comm, cells, element, x)
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.ones(x.shape[1], bool))
     with raises(InterfaceError, r"^Γ0 branches at \[1\. 1\.\]: its facets must form chains .* tie"):
@@ -198,7 +198,7 @@ def test_mesh_of_a_surface_in_space():
     cells = np.array([(0, 1, 2, 3)], dtype=np.int64)
     if comm.rank > 0:
         x, cells = x[:0], cells[:0]
-    shell = dolfinx.mesh.create_mesh(comm, cells, element, x)
+    shell = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     V = fem.functionspace(shell, ("Lagrange", 1))
     shell.topology.create_connectivity(1, 2)
     facets = dolfinx.mesh.exterior_facet_indices(shell.topology)
