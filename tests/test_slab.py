@@ -1,0 +1,407 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Σ between two surfaces in space: identities, validity, what it refuses, and Gmsh's manners."""
+
+import subprocess
+import sys
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import close, comm, interpolated, raises, residual
+
+import basix
+import meshes
+from dolfinx import fem, la
+from hypergap_dolfinx import InterfaceError, Tie, slab, tetrahedra
+from hypergap_dolfinx.kernel import alpha_derivatives, geometry_at_points
+from hypergap_dolfinx.surface import create_surface
+from hypergap_dolfinx.triangulation import components, kinks, neighbours, project
+
+gmsh = pytest.importorskip("gmsh")
+
+
+def bars(n=(2, 3), k=(1, 1), mapping=lambda x: x, *, unstructured=False, shape=(), g=1, c=comm):
+    """Blocks on both sides of x = 0, mapped together."""
+    sides = []
+    for i, tag in enumerate((meshes.RIGHT, meshes.LEFT)):
+
+        def place(x, i=i):
+            return mapping(x + np.array((i - 1, 0, 0)))
+
+        if unstructured:
+            mesh, ft = meshes.solid_block(c, 1 / n[i], place)
+        else:
+            mesh, ft = meshes.block(c, (1, n[i], n[i]), place, cell="tetrahedron", degree=g)
+        sides.append((fem.functionspace(mesh, ("Lagrange", k[i], shape)), ft.find(tag)))
+    return sides
+
+
+def graph(f):
+    """Bend the plane x = 0 into x = f(y, z)."""
+    return lambda x: np.column_stack((x[:, 0] + f(x[:, 1], x[:, 2]), x[:, 1:]))
+
+
+SHAPES = {
+    "flat": lambda x: x,
+    "skew": graph(lambda y, z: np.tan(np.radians(25)) * (y + z)),
+    "saddle": graph(lambda y, z: 0.6 * ((y - 0.5) ** 2 - (z - 0.5) ** 2)),
+    "cylinder": graph(lambda y, z: 0.5 - np.sqrt(1 - (y - 0.5) ** 2)),
+    "waves": graph(lambda y, z: 0.1 * np.sin(2 * np.pi * y) * np.sin(2 * np.pi * z)),
+    "paraboloid": graph(lambda y, z: -1.5 * ((y - 0.5) ** 2 + (z - 0.5) ** 2)),
+    "ramp": graph(lambda y, z: 0.3 * np.sin(2 * np.pi * y)),
+}
+
+
+def parts(domain, degree=6):
+    """∂φ_a/∂α at Gauss points ``(cell, point, node)``, and their weights ``(cell, point)``."""
+    tables = domain.quadrature(degree)
+    N, v = geometry_at_points(tables, domain.x, domain.alpha_vertices)
+    return alpha_derivatives(tables, v), tables.weights * np.linalg.norm(N, axis=2)
+
+
+def assembled(domain, values):
+    """Sums of ``(cell, node)`` at the nodes of this rank's cells."""
+    f = fem.Function(domain.space)
+    np.add.at(f.x.array, domain.space.dofmap.list, values)
+    f.x.scatter_reverse(la.InsertMode.add)
+    f.x.scatter_forward()
+    return f.x.array
+
+
+def base_integrals(domain, side):
+    """∫ φ_a over Γ_i from the cells' own faces, ``(cell, node)``."""
+    points, weights = basix.make_quadrature(basix.CellType.triangle, 6)
+    result = np.zeros(domain.space.dofmap.list.shape)
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    for face in ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)):
+        a, b, c = corners[list(face)]
+        at = a + points[:, :1] * (b - a) + points[:, 1:] * (c - a)
+        moments = weights @ domain.element.tabulate(0, at)[0, :, :, 0]
+        on = (domain.alpha_vertices[:, face] == side).all(axis=1)
+        x = domain.x[:, face]
+        area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+        result[on] += area[on, None] * moments
+    return result
+
+
+@pytest.mark.parametrize("unstructured", (False, True))
+@pytest.mark.parametrize("shape", ("flat", "skew"))
+@pytest.mark.parametrize("k", (1, 2, 3))
+def test_integrals_of_alpha_derivatives(k, shape, unstructured):
+    """∫∫ ∂φ_a/∂α dΓ_α dα is ∫φ_a on Γ1, −∫φ_a on Γ0 and 0 inside (flat)."""
+    domain = Tie(*bars((3, 4), (k, k), SHAPES[shape], unstructured=unstructured)).domain
+    dphi, weights = parts(domain)
+    actual = assembled(domain, np.einsum("cp,cpa->ca", weights, dphi))
+    exact = assembled(domain, base_integrals(domain, 1) - base_integrals(domain, 0))
+    np.testing.assert_allclose(actual, exact, rtol=0, atol=2e-15)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_partition_of_unity(shape):
+    """Eq. (21), and no gap where x is the same on all of Σ's nodes."""
+    for k in (1, 2):
+        domain = Tie(*bars((6, 8), (k, k), SHAPES[shape])).domain
+        dphi, _ = parts(domain)
+        close(np.einsum("cpa,ca->cp", dphi, domain.hosts.alpha), 1, 1e-11)
+        scale = np.abs(dphi).max(initial=1)
+        np.testing.assert_allclose(dphi.sum(axis=2) / scale, 0, atol=1e-14)
+
+
+@pytest.mark.parametrize("unstructured", (False, True))
+def test_smooth_fields_have_no_gap_on_a_flat_interface(unstructured):
+    """Polynomials of the spaces' degree satisfy the constraint to round-off."""
+    for k in (1, 2, 3):
+
+        def f(x, k=k):
+            return (1 + x[0] - 2 * x[1] + 0.5 * x[2]) ** k
+
+        sides = bars((2, 3), (k, k), SHAPES["skew"], unstructured=unstructured)
+        for ends in (sides, sides[::-1]):
+            assert residual(Tie(*ends), *(interpolated(V, f) for V, _ in ends)) < 1e-12
+
+
+def test_content():
+    """∫∫ dΓ_α dα is the interface's area."""
+    q = Tie(*bars((3, 4), (1, 1), SHAPES["skew"])).quadrature(2)
+    close(q.integrate(np.ones_like(q.weights)), np.sqrt(1 + 2 * np.tan(np.radians(25)) ** 2), 1e-13)
+
+
+@pytest.mark.parametrize("unstructured", (False, True))
+@pytest.mark.parametrize("shape", SHAPES)
+def test_facets_are_faces(shape, unstructured):
+    """Each facet of both sides is a face of one cell; hosts of its nodes lie in the facet."""
+    sides = bars((7, 10), (2, 2), SHAPES[shape], unstructured=unstructured)
+    domain = Tie(*sides).domain
+    for i, surface in enumerate(domain.surfaces):
+        base = (domain.alpha_vertices == i).sum(axis=1) == 3
+        assert comm.allreduce(int(base.sum())) == len(surface.facets)
+        on = np.isclose(domain.hosts.alpha, i)
+        if shape not in ("flat", "skew"):  # an edge may cross a hollow from rim to rim
+            on[:, 4:] = False
+        facet, X = domain.hosts.facets[i][on], domain.hosts.X[i][on]
+        points = domain.element.points
+        weights = np.column_stack((1 - points.sum(axis=1), points))
+        x = (weights @ domain.x[:, :4])[on]
+        close(surface.points(facet, X), x, 1e-13)
+    # What lies between is hosted inside or hardly beyond a facet
+    inside = np.concatenate([domain.hosts.X[i].reshape(-1, 2) for i in (0, 1)])
+    weights = np.column_stack((1 - inside.sum(axis=1), inside))
+    assert weights.min(initial=0) > -0.3
+
+
+def test_size_ratios():
+    """Sides of very different size: still no cell is inverted, and all facets are there."""
+    for shape in ("flat", "cylinder", "paraboloid"):
+        for n in ((2, 12), (12, 2)):
+            domain = Tie(*bars(n, (1, 1), SHAPES[shape])).domain
+            G = domain.gap_matrices()
+            assert np.isfinite(G).all()
+
+
+def test_real_gap():
+    """Bodies that don't touch: the cells span the gap."""
+    sides = [bars((2, 3))[0], bars((2, 3), mapping=lambda x: x + np.array((0.7, 0, 0)))[1]]
+    q = Tie(*sides).quadrature(1)
+    close(q.integrate(np.ones_like(q.weights)), 1)
+
+
+@pytest.mark.parametrize("degree", (1, 2))
+def test_same_on_any_number_of_ranks(degree):
+    """Cells, α and hosts don't depend on how the bodies are distributed."""
+    found = []
+    for c in (comm, MPI.COMM_SELF):
+        domain = Tie(*bars((3, 4), (degree,) * 2, SHAPES["saddle"], c=c, unstructured=True)).domain
+        x = np.concatenate((domain.x[:, :4], domain.alpha_vertices[..., None]), axis=2)
+        G = domain.gap_matrices()
+        rows = np.column_stack((x.mean(axis=1), np.linalg.norm(G, axis=(1, 2))))
+        rows = np.concatenate(c.allgather(rows))
+        found.append(rows[np.lexsort(np.round(rows, 9).T)])
+    close(found[0], found[1], 1e-11)
+
+
+# What is refused
+
+
+def test_partial_overlap():
+    low = bars((4, 6))[0]
+    V, facets = low
+    x = V.mesh.geometry.x
+    V.mesh.topology.create_connectivity(2, 0)
+    V.mesh.topology.create_connectivity(2, 3)
+    nodes = V.mesh.topology.connectivity(2, 0)
+    geometry = {
+        int(v): int(g)
+        for v, g in zip(
+            np.unique(nodes.array),
+            _vertex_nodes(V.mesh, np.unique(nodes.array)),
+            strict=True,
+        )
+    }
+    half = [f for f in facets if all(x[geometry[v], 1] < 0.51 for v in nodes.links(f))]
+    with raises(InterfaceError, "both sides must cover the same part of the interface"):
+        Tie((V, np.array(half, dtype=np.int32)), bars((4, 6))[1])
+
+
+def _vertex_nodes(mesh, vertices):
+    from dolfinx.mesh import entities_to_geometry
+
+    mesh.topology.create_connectivity(0, 3)
+    return entities_to_geometry(mesh, 0, vertices.astype(np.int32)).ravel()
+
+
+def test_numbers_of_loops():
+    plate, tags = meshes.perforated_plate(comm, 0.2, (-0.3, 0.0))
+    solid, solid_tags = meshes.block(
+        comm, (4, 4, 1), lambda x: x - np.array((0.5, 0.5, 0)), cell="tetrahedron"
+    )
+    sides = [
+        (fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag))
+        for mesh, ft, tag in ((plate, tags, meshes.FRONT), (solid, solid_tags, meshes.BACK))
+    ]
+    with raises(InterfaceError, "Γ0 has 2 boundary loops and Γ1 has 1"):
+        Tie(*sides)
+
+
+def test_wrong_side():
+    near, _ = bars()
+    mesh, ft = meshes.block(comm, (1, 3, 3), lambda x: x - np.array((1, 0, 0)), cell="tetrahedron")
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    with raises(InterfaceError, "outward normals agree"):
+        Tie(near, (V, ft.find(meshes.RIGHT)))
+
+
+def test_far_apart():
+    sides = [bars()[0], bars(mapping=lambda x: x + np.array((9.0, 0, 0)))[1]]
+    with raises(InterfaceError, "don't face each other"):
+        Tie(*sides)
+
+
+def test_hexahedra():
+    mesh, ft = meshes.block(comm, (2, 2, 2), cell="hexahedron")
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    with raises(InterfaceError, "quadrilateral facets; 3D interfaces need tetrahedral bodies"):
+        Tie((V, ft.find(meshes.LEFT)), (V, ft.find(meshes.RIGHT)))
+
+
+def test_no_valid_mesh(monkeypatch):
+    """All offsets fail: an error that names the place, on every rank."""
+
+    def fail(*_):
+        raise tetrahedra.MeshingError("as told")
+
+    monkeypatch.setattr(tetrahedra, "fill", fail)
+    with raises(InterfaceError, "no mesh of the gap .* around .* Gmsh: as told"):
+        Tie(*bars())
+
+
+def test_lost_facet(monkeypatch):
+    """A mesh that lacks a facet isn't taken."""
+    fill = tetrahedra.fill
+
+    def lossy(*args):
+        x, cells = fill(*args)
+        return x, cells[1:]
+
+    monkeypatch.setattr(tetrahedra, "fill", lossy)
+    with raises(InterfaceError, "are no faces of it|has the volume"):
+        Tie(*bars())
+
+
+def test_second_attempt(monkeypatch):
+    """One that fails is followed by another."""
+    fill, calls = tetrahedra.fill, []
+
+    def once(*args):
+        calls.append(args)
+        if len(calls) == 1:
+            raise tetrahedra.MeshingError("as told")
+        return fill(*args)
+
+    monkeypatch.setattr(tetrahedra, "fill", once)
+    Tie(*bars())
+    assert len(calls) == (2 if comm.rank == 0 else 0)
+
+
+def test_interior_vertices():
+    """Delaunay's extra vertices are hosted on both sides, and the patch test's identities hold."""
+    attempts = slab.ATTEMPTS
+    slab.ATTEMPTS = ((1.0, True, tetrahedra.DELAUNAY),)
+    try:
+        for k in (1, 2):
+            sides = bars((3, 15), (k, k), SHAPES["skew"])
+            tie = Tie(*sides)
+            extra = (tie.domain.alpha_vertices > 0) & (tie.domain.alpha_vertices < 1)
+            assert comm.allreduce(int(extra.sum())) > 0
+
+            def f(x, k=k):
+                return (1 + x[0] - 2 * x[1] + 0.5 * x[2]) ** k
+
+            assert residual(tie, *(interpolated(V, f) for V, _ in sides)) < 1e-12
+    finally:
+        slab.ATTEMPTS = attempts
+
+
+# Gmsh
+
+
+def test_gmsh_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    with raises(ImportError, r"pip install gmsh.*hypergap-dolfinx\[gmsh\]"):
+        Tie(*bars())
+
+
+@pytest.mark.serial
+def test_gmsh_is_imported_for_3d_only():
+    code = (
+        "from mpi4py import MPI\nfrom dolfinx import fem\nimport sys, meshes, hypergap_dolfinx as h\n"
+        "m, f = meshes.block(MPI.COMM_SELF, (2, 2)); V = fem.functionspace(m, ('Lagrange', 1))\n"
+        "n, g = meshes.block(MPI.COMM_SELF, (3, 3), lambda x: x + (1, 0))\n"
+        "W = fem.functionspace(n, ('Lagrange', 1))\n"
+        "h.Tie((V, f.find(meshes.RIGHT)), (W, g.find(meshes.LEFT))).blocks()\n"
+        "assert 'gmsh' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=meshes.__path__[0] + "/..")
+
+
+def test_a_session_of_the_users():
+    """Its model, options and state are as before; Gmsh still meshes."""
+    gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.model.add("mine")
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
+        gmsh.option.setNumber("Mesh.Algorithm3D", 4)
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        models = gmsh.model.list()
+        Tie(*bars())
+        assert gmsh.model.getCurrent() == "mine" and gmsh.model.list() == models
+        assert gmsh.option.getNumber("Mesh.MeshSizeMax") == 0.4
+        assert gmsh.option.getNumber("Mesh.Algorithm3D") == 4
+        gmsh.model.mesh.generate(3)
+        assert len(gmsh.model.mesh.getElementsByType(4)[0]) > 10
+    finally:
+        gmsh.finalize()
+
+
+def test_no_session_is_left():
+    Tie(*bars())
+    assert not gmsh.isInitialized()
+
+
+def test_a_failure_leaves_gmsh_usable():
+    """An open surface has no inside; the next one is meshed."""
+    with tetrahedra.session() as module:
+        x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
+        faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
+        with pytest.raises(tetrahedra.MeshingError):
+            tetrahedra.fill(module, x, [faces[:3]])
+        vertices, cells = tetrahedra.fill(module, x, [faces])
+        assert len(vertices) == 4 and len(cells) == 1
+
+
+# Triangulations
+
+
+def test_neighbours_and_projection():
+    x = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], dtype=float)
+    facets = np.array([(0, 1, 2), (0, 2, 3), (1, 4, 2)])
+    behind = neighbours(facets, "Γ0", x)
+    np.testing.assert_array_equal(behind, [(-1, 2, 1), (0, -1, -1), (-1, -1, 0)])
+    points = np.array([(0.2, 0.8, 0.3), (1.4, 0.1, -0.2), (1.8, 0.6, 0.0)])
+    facet, X = project(x, facets, behind, points, np.array([2, 1, 1]))
+    np.testing.assert_array_equal(facet, [1, 2, 2])
+    weights = np.column_stack((1 - X.sum(axis=1), X))
+    close(np.einsum("pv,pvi->pi", weights, x[facets[facet]])[:, :2], points[:, :2])
+
+
+def test_branching_surface():
+    x = np.zeros((4, 3))
+    with pytest.raises(InterfaceError, match="branches at"):
+        neighbours(np.array([(0, 1, 2), (0, 1, 3)]), "Γ0", x)
+
+
+def test_components():
+    np.testing.assert_array_equal(
+        components(6, np.array([4, 1, 3]), np.array([1, 0, 5])), [0, 0, 1, 2, 0, 2]
+    )
+
+
+def test_kinks():
+    """A cube has twelve edges; a faceted cylinder and sphere have none."""
+    V = {}
+    for name, (mesh, ft) in {
+        "cube": meshes.block(comm, (4, 4, 4), cell="tetrahedron"),
+        "ball": meshes.spherical_shell(comm, 0.2, 0.0, 0.5, octant=False),
+    }.items():
+        V[name] = fem.functionspace(mesh, ("Lagrange", 1)), ft.indices
+    cylinder = bars((8, 8), (1, 1), SHAPES["cylinder"])[0]
+    for (space, facets), number in ((V["cube"], 48), (V["ball"], 0), (cylinder, 0)):
+        surface = create_surface(space, facets, "Γ0")
+        found = kinks(surface, neighbours(surface.facets, "Γ0", surface.x))
+        assert len(found[0]) == number
