@@ -163,6 +163,19 @@ def test_open_gap():
     close(area.sum(), 0.2)
 
 
+def test_chords_of_different_lengths():
+    """Two polygons in one arc, coarse where the other is fine: a shared node has one parameter."""
+    coarse, fine = np.linspace(0, 1, 5), np.linspace(0, 1, 401)
+    theta = np.concatenate((coarse, 1 + fine[1:])), np.concatenate((fine, 1 + coarse[1:]))
+    sides = []
+    for name, t in zip(("Γ0", "Γ1"), theta, strict=True):
+        x = np.column_stack((np.cos(t), np.sin(t)))
+        sides.append(polyline(x if name == "Γ0" else x[::-1], name))
+    gap = mesh_strip(*sides)
+    check_strip(gap, *sides)
+    check_coincident_nodes(gap)
+
+
 def test_kink_with_a_node_of_each_side():
     """Both sides have a node at the kink: no cell reaches round it."""
 

@@ -98,6 +98,18 @@ def test_normals_point_outwards(cell):
         close(surface.normals, np.tile(outward, (len(surface.facets), 1)))
 
 
+@pytest.mark.parametrize("cell", CELLS)
+def test_turn_of_the_vertices(cell):
+    """2D: the body is on the left of an edge. 3D: counterclockwise, seen from outside."""
+    V, facets = body(cell, 1, 1)
+    surface = create_surface(V, facets, "Γ0")
+    v = surface.x[surface.facets]
+    centre = bend(np.full((1, surface.gdim), 0.5))[0]
+    edges = np.concatenate((v[:, 1:] - v[:, :1], (centre - v[:, 0])[:, None]), axis=1)
+    sign = 1 if surface.gdim == 2 else -1
+    assert (sign * np.linalg.det(edges) > 0).all()
+
+
 def test_normals_of_rings():
     """Away from the centre outside, towards it inside."""
     for tag, sign in ((meshes.OUTER, 1), (meshes.INNER, -1)):
