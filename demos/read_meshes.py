@@ -23,12 +23,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, io
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for a package that isn't installed
-from hypergap_dolfinx import Tie, TiedProblem, files
-
-try:
-    from dolfinx.io import gmsh as gmsh_io
-except ImportError:  # DOLFINx 0.9
-    from dolfinx.io import gmshio as gmsh_io
+from hypergap_dolfinx import Tie, TiedProblem, compat, files
 
 parser = argparse.ArgumentParser(description="Tie meshes that are read from files.")
 parser.add_argument("--json", type=Path, metavar="FILE")
@@ -41,7 +36,7 @@ folder = Path(__file__).parents[1] / "meshes"  # made by make_files.py
 # Gmsh's physical groups become tags: the hole (of the plate without the ring), the symmetry planes,
 # and the outer edges.
 
-plate, _, plate_tags = gmsh_io.read_from_msh(folder / "plate_with_hole.msh", comm, gdim=2)[:3]
+plate, _, plate_tags = compat.read_from_msh(folder / "plate_with_hole.msh", comm, gdim=2)
 HOLE, PLANE_X, PLANE_Y, OUTSIDE = 1, 2, 3, 4
 
 # XDMF holds tags beside the mesh.

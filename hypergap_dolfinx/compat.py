@@ -8,6 +8,9 @@
 What a keyword spans (``create_mesh(comm, cells, e=..., x=...)``) needs no place here.
 """
 
+from importlib import import_module
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -63,3 +66,9 @@ def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Points of the reference cell at which a function is evaluated to be interpolated."""
     points = V.element.interpolation_points
     return points() if VERSION < (0, 10) else points
+
+
+def read_from_msh(filename, comm: MPI.Comm, gdim: int = 3):
+    """A mesh, its cell tags and its facet tags from a Gmsh file. Collective."""
+    module = import_module("dolfinx.io." + ("gmshio" if VERSION < (0, 10) else "gmsh"))
+    return module.read_from_msh(filename, comm, gdim=gdim)[:3]

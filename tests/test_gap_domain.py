@@ -12,7 +12,7 @@ import pytest
 from helpers import close, comm, skew, two_blocks, two_rings
 
 from dolfinx import fem, la
-from hypergap_dolfinx import Tie
+from hypergap_dolfinx import Tie, compat
 from hypergap_dolfinx.kernel import alpha_derivatives, geometry_at_points
 
 LENGTH = 2  # of the blocks' interface
@@ -166,7 +166,7 @@ def test_arrays_are_those_of_the_mesh(g):
     """Coordinates, α and the normals, cell by cell, on each rank."""
     tie = Tie(*two_rings((6, 8), (2, 2), g=g))
     domain, mesh = tie.domain, tie.sigma
-    dofmap = mesh.geometry.dofmaps[0] if hasattr(mesh.geometry, "dofmaps") else mesh.geometry.dofmap
+    dofmap = compat.geometry_dofmap(mesh)
     assert len(domain.x) == len(dofmap)
     np.testing.assert_array_equal(domain.x, mesh.geometry.x[dofmap][..., :2])
     dofs = tie.alpha.function_space.dofmap.list

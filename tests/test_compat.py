@@ -1,0 +1,59 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What differs between the versions of DOLFINx and PETSc, and the PETSc that won't do."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import meshes
+from dolfinx import fem
+from hypergap_dolfinx import Tie, compat
+
+comm = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize("num", (0, 1, 500))
+def test_triplets_are_added_up(num):
+    """Rows of any rank, in any order, several times; ranks without triplets."""
+    rng = np.random.default_rng(comm.rank)
+    n = 7 * comm.size
+    num = num if comm.rank in (0, comm.size - 1) else 0
+    i, j, values = rng.integers(0, n, num), rng.integers(0, n, num), rng.random(num)
+    A = PETSc.Mat().create(comm)
+    A.setSizes(((7, None), (7, None)))
+    A.setType(PETSc.Mat.Type.AIJ)
+    compat.set_triplets(A, i, j, values)
+    expected = np.zeros((n, n))
+    np.add.at(expected, (i, j), values)
+    expected = comm.allreduce(expected)[7 * comm.rank :][:7]
+    indptr, columns, entries = A.getValuesCSR()
+    dense = np.zeros_like(expected)
+    dense[np.repeat(np.arange(7), np.diff(indptr)), columns] = entries
+    np.testing.assert_allclose(dense, expected, atol=1e-14)
+    A.destroy()
+
+
+@pytest.mark.parametrize("shape", ((), (2,)))
+def test_vector_has_ghosts(shape):
+    mesh, _ = meshes.block(comm, (5, 4))
+    V = fem.functionspace(mesh, ("Lagrange", 2, shape))
+    b, u = compat.create_vector(V), fem.Function(V)
+    assert b.getSizes() == u.x.petsc_vec.getSizes()
+    assert b.getBlockSize() == V.dofmap.index_map_bs
+    with b.localForm() as local:
+        assert local.getSize() == len(u.x.array)
+    b.destroy()
+
+
+def test_complex_numbers_are_refused(monkeypatch):
+    mesh, ft = meshes.block(comm, (2, 2))
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    monkeypatch.setattr(PETSc, "ScalarType", np.complex128)
+    with pytest.raises(RuntimeError, match="complex"):
+        Tie((V, ft.find(meshes.LEFT)), (V, ft.find(meshes.RIGHT)))
