@@ -51,6 +51,7 @@ class ConstraintBlocks:
         self._full: list[list[PETSc.Mat | None]] = []
         self._free: list[list[PETSc.Mat | None]] = []
         self._own: list[npt.NDArray[np.int64]] = []
+        self._gaps: dict[int, PETSc.Vec] = {}
         prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._held = prescribed
         interior = len(self._spaces)
@@ -62,9 +63,9 @@ class ConstraintBlocks:
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for matrix in chain(self._rows, *self._full, *self._free):
-            if matrix is not None:
-                matrix.destroy()
+        for obj in chain(self._rows, *self._full, *self._free, self._gaps.values()):
+            if obj is not None:
+                obj.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
@@ -99,6 +100,8 @@ class ConstraintBlocks:
     def apply(self, t: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Compute c = Σ_i B_i u_i of a tie, prescribed dofs included. Collective.
 
+        A tie that closes the gap takes the positions x_i + u_i instead of the u_i.
+
         Args:
             t: Number of the tie.
             fields: u_i; of the bodies alone or of all fields.
@@ -108,6 +111,25 @@ class ConstraintBlocks:
         for u, B in zip(fields, self._full[t], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
+        if self._ties[t].closes_gap:
+            c.axpy(1.0, self._gap(t))
+
+    def _gap(self, t: int) -> PETSc.Vec:
+        """Σ_i B_i x_i with the positions x_i of the dofs. Collective."""
+        if t not in self._gaps:
+            bodies = self._bodies[t]
+            c = next(B for B in self._full[t] if B is not None).createVecLeft()
+            c.set(0.0)
+            origin = self._ties[t].surfaces[0].x[0]  # far from the origin digits are few
+            for body in sorted(set(bodies)):
+                V, B = self._spaces[body], self._full[t][body]
+                x = B.createVecRight()
+                n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+                x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
+                B.multAdd(x, c, c)
+                x.destroy()
+            self._gaps[t] = c
+        return self._gaps[t]
 
     def multipliers(self, t: int, x: PETSc.Vec) -> npt.NDArray[np.float64]:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective."""

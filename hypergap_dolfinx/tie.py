@@ -10,11 +10,13 @@ from functools import cached_property
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import results
+from hypergap_dolfinx.adjust import adjust_surface
 from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface
@@ -55,6 +57,8 @@ class Tie:
         side1: tuple[fem.FunctionSpace, npt.ArrayLike],
         *,
         interior: str = "interpolated",
+        adjust: bool = False,
+        close_gap: bool = False,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -66,6 +70,13 @@ class Tie:
                 k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
                 a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
                 eq. (22).
+            adjust: Whether to move the nodes on Γ1 first, to where eq. (22) puts them: X_A = P X₀.
+                This changes the mesh of Γ1's body. Rigid motions are then exact on curved or gaping
+                interfaces too, if the space has the degree of the mesh's geometry; without, a
+                rotation strains them by the distance between the surfaces over the cell size: the
+                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay.
+            close_gap: Whether the constraint is on positions instead of displacements: what gapes
+                or overlaps is pulled together, as in an interference fit. Needs displacements.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -73,6 +84,8 @@ class Tie:
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
+        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+            raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
         if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
@@ -89,8 +102,16 @@ class Tie:
                 f"the mesh of Γ0 has {V0.mesh.geometry.dim} coordinates, that of Γ1 "
                 f"{V1.mesh.geometry.dim}; they must be equal."
             )
+        if close_gap and V1.value_shape != (V1.mesh.geometry.dim,):
+            raise InterfaceError(
+                f"close_gap needs displacements, with {V1.mesh.geometry.dim} components; the value "
+                f"shape is {V1.value_shape}."
+            )
         self._interior = interior
+        self._close_gap = close_gap
         self._spaces = (V0, V1)
+        if adjust:
+            adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
         self._domain = create_gap_domain(comm, *surfaces)
         self._blocks: tuple[PETSc.Mat, ...] = ()
@@ -136,6 +157,11 @@ class Tie:
     def free_interior(self) -> bool:
         """Whether Σ's interior nodes are unknowns."""
         return self._interior == "free"
+
+    @property
+    def closes_gap(self) -> bool:
+        """Whether the constraint is on positions."""
+        return self._close_gap
 
     @cached_property
     def constraint(self) -> Constraint:

@@ -1,0 +1,135 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Moves Γ1 to where eq. (22) puts it, X_A = P X₀: then the tie knows rigid motions exactly."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import basix.ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.constraint import Constraint, Dropped, create_constraint, independent_rows
+from hypergap_dolfinx.gap_domain import create_gap_domain
+from hypergap_dolfinx.surface import InterfaceError, create_surface
+
+TOLERANCE = 1e-14  # of the coordinates: the last move's
+MAX_MOVES = 50
+
+
+def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1) -> float:
+    """Move the geometry nodes on Γ1 such that Σ_i B_i X_i = 0. Collective.
+
+    B depends on where the nodes are, so this is repeated until they stay. Nodes where two smooth
+    pieces of Γ1 meet (both surfaces have a node there) don't move.
+
+    Args:
+        mesh0: Mesh of Γ0's body.
+        facets0: Its local facets on Γ0.
+        mesh1: Mesh of Γ1's body.
+        facets1: Its local facets on Γ1.
+
+    Returns:
+        The distance that the farthest node has moved.
+
+    Raises:
+        InterfaceError: The nodes don't come to rest; or the surfaces form no interface.
+    """
+    W = [_coordinate_space(mesh) for mesh in (mesh0, mesh1)]
+    before = mesh1.geometry.x.copy()
+    comm = mesh1.comm
+    for _ in range(MAX_MOVES):
+        surfaces = create_surface(W[0], facets0, "Γ0"), create_surface(W[1], facets1, "Γ1")
+        domain = create_gap_domain(comm, *surfaces)
+        constraint = create_constraint(domain, (W[0], W[1]), free_interior=False)
+        # Relative to a point of Γ0: far from the origin, digits are few
+        origin = surfaces[0].x[0]
+        X = [_positions(V) - origin for V in W]
+        moved = _solve(constraint, domain, X)
+        constraint.destroy()
+        distance = comm.allreduce(np.abs(moved - X[1]).max(initial=0), MPI.MAX)
+        _set_positions(W[1], moved + origin)
+        if distance <= TOLERANCE * max(np.abs(surfaces[0].x).max(), np.ptp(surfaces[0].x, 0).max()):
+            break
+    else:
+        raise InterfaceError(
+            f"adjust: Γ1 does not come to rest, it still moves by {distance:.1e} after {MAX_MOVES} "
+            "rounds; bring the surfaces closer together or refine the coarser one."
+        )
+    return float(
+        comm.allreduce(np.linalg.norm(mesh1.geometry.x - before, axis=1).max(initial=0), MPI.MAX)
+    )
+
+
+def _coordinate_space(mesh: Mesh) -> fem.FunctionSpace:
+    """The scalar Lagrange space of a mesh's geometry."""
+    cmap = compat.coordinate_element(mesh)
+    element = basix.ufl.element(
+        "Lagrange",
+        mesh.topology.cell_name(),
+        cmap.degree,
+        lagrange_variant=basix.LagrangeVariant(int(cmap.variant)),
+    )
+    return fem.functionspace(mesh, element)
+
+
+def _positions(W: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Coordinates of the geometry nodes, in the order of the owned dofs, ``(num_owned, n)``."""
+    mesh = W.mesh
+    x = np.empty((W.dofmap.index_map.size_local + W.dofmap.index_map.num_ghosts, 3))
+    x[W.dofmap.list] = mesh.geometry.x[compat.geometry_dofmap(mesh)]
+    return x[: W.dofmap.index_map.size_local, : mesh.geometry.dim]
+
+
+def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
+    """Move the geometry nodes, on all ranks that know them. Collective."""
+    mesh = W.mesh
+    f = fem.Function(W)
+    for axis in range(x.shape[1]):
+        f.x.array[: len(x)] = x[:, axis]
+        f.x.scatter_forward()
+        mesh.geometry.x[compat.geometry_dofmap(mesh), axis] = f.x.array[W.dofmap.list]
+
+
+def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:
+    """The positions of Γ1's body with Σ_i B_i X_i = 0; only nodes under multipliers move."""
+    shape = (len(constraint.dofs), 1)
+    _, at, count = np.unique(constraint.dofs, return_inverse=True, return_counts=True)
+    drop = (count[at] > 1)[:, None]
+    E, _ = independent_rows(constraint, domain, Dropped(drop, np.zeros(shape, dtype=bool), []))
+    B = [E.transposeMatMult(B_i) if E else B_i.copy() for B_i in constraint.B]
+    start, end = B[1].getOwnershipRangeColumn()
+    free = np.setdiff1d(constraint.dofs, constraint.dofs[drop[:, 0]])
+    free = free[(free >= start) & (free < end)]
+    columns = PETSc.IS().createGeneral(free.astype(PETSc.IntType), comm=B[1].comm)
+    first, last = B[1].getOwnershipRange()
+    rows = PETSc.IS().createStride(last - first, first, comm=B[1].comm)
+    B_free = B[1].createSubMatrix(rows, columns)
+    moved = X[1].copy()
+    if B_free.getSize()[0] > 0:
+        solver = PETSc.KSP().create(B[1].comm)
+        solver.setOperators(B_free)
+        solver.setType("preonly")
+        solver.getPC().setType("lu")
+        solver.getPC().setFactorSolverType("mumps")
+        residual, step = B_free.createVecLeft(), B_free.createVecRight()
+        x0, x1 = (B_i.createVecRight() for B_i in B)
+        for axis in range(X[1].shape[1]):
+            for _ in range(2):  # a step, and one of refinement
+                x0.array[:], x1.array[:] = X[0][:, axis], moved[:, axis]
+                B[0].mult(x0, residual)
+                B[1].multAdd(x1, residual, residual)
+                solver.solve(residual, step)
+                moved[free - start, axis] -= step.array_r
+        for obj in (solver, residual, step, x0, x1):
+            obj.destroy()
+    for obj in (*B, B_free, rows, columns, *([E] if E else [])):
+        obj.destroy()
+    return moved

@@ -1,0 +1,111 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""``Tie(adjust=True)``: Γ1 moves to where the tie knows rigid motions exactly."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import Body, check, comm, inertia, problem, rectangle, tie
+
+import meshes
+from dolfinx import fem
+from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
+
+FULL = 2 * np.pi
+
+
+def ring(n, r0, r1, degree, cell="quadrilateral", angle=FULL):
+    mesh, ft = meshes.ring_sector(comm, n, 1, r0, r1, degree=degree, cell=cell, angle=angle)
+    return Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", degree, (2,))))
+
+
+def rotation(x):
+    """A rotation by 1e-3 and a shift."""
+    return -1e-3 * x[1] + 0.2, 1e-3 * x[0] - 0.1
+
+
+def largest_stress(p, bodies):
+    """Of a solution, over E."""
+    largest = 0.0
+    for body, u in zip(bodies, p.u, strict=True):
+        W = fem.functionspace(body.mesh, ("Discontinuous Lagrange", 2, (2, 2)))
+        points = W.element.interpolation_points
+        f = fem.Function(W)
+        f.interpolate(fem.Expression(body.stress(u), points() if callable(points) else points))
+        largest = max(largest, np.abs(f.x.array).max(initial=0) / body.E)
+    return comm.allreduce(largest, MPI.MAX)
+
+
+PAIR = [(0, OUTER), (1, INNER)]
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("degree", (1, 2, 3))
+@pytest.mark.parametrize("cells", ((3, 5), (12, 20), (13, 48), (20, 20)))
+def test_nested_rings(cells, degree, swap):
+    """Held by nothing they have three zero modes, and a prescribed rotation strains nothing."""
+    bodies = [ring(n, r, r + 0.5, degree) for n, r in zip(cells, (1, 1.5), strict=True)]
+    ties = [tie(bodies, *(PAIR[::-1] if swap else PAIR), adjust=True)]
+    p = problem(bodies, ties, PAIR, [], rotation)
+    p.assemble_matrix()
+    negative, zero, multipliers = inertia(p)
+    held = problem(bodies, ties, PAIR, [(1, OUTER, (0, 1))], rotation)
+    held.solve()
+    stress = largest_stress(held, bodies)
+    print(zero, stress)
+    assert (negative, zero) == (multipliers, 3)
+    assert stress <= 1e-10
+
+
+@pytest.mark.parametrize("degree", (1, 2))
+def test_without(degree):
+    """Two zero modes are left, and a rotation strains."""
+    bodies = [ring(n, r, r + 0.5, degree) for n, r in zip((12, 20), (1, 1.5), strict=True)]
+    ties = [tie(bodies, *PAIR)]
+    p = problem(bodies, ties, PAIR, [], rotation)
+    p.assemble_matrix()
+    assert inertia(p)[1] == 2
+    held = problem(bodies, ties, PAIR, [(1, OUTER, (0, 1))], rotation)
+    held.solve()
+    stress = largest_stress(held, bodies)
+    print(stress)
+    assert 1e-8 < stress < 1e-4
+
+
+@pytest.mark.parametrize("gap", (0.5, 0.1, -0.1, -0.5))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_initial_gap(degree, gap):
+    """Blocks that gape or overlap by a part of the cell size: patch test after adjusting."""
+    h = 0.25
+    for swap in (False, True):
+        bodies = [
+            rectangle((3, 3), (0, 0), (1, 1), degree=degree),
+            rectangle((4, 4), (0, 1 + gap * h), (1, 2), degree=degree),
+        ]
+        tied = [(0, TOP), (1, BOTTOM)]
+        ties = [tie(bodies, *(tied[::-1] if swap else tied), adjust=True)]
+        x0, x1 = (surface.nodes[..., 1] for surface in ties[0].surfaces)
+        assert np.ptp(x0) <= 1e-14 and np.abs(x1 - x0[0, 0]).max() <= 1e-14
+        check(bodies, ties, tied, [(0, BOTTOM, (0, 1))])
+
+
+def test_nodes_at_kinks_stay():
+    """A kink that both sides have a node at stays where it is."""
+
+    def mapping(low, high):
+        def placed(x):
+            y = np.where(x[:, 0] < 0.5, x[:, 0], 1 - x[:, 0])
+            return np.column_stack((x[:, 0], low + y + x[:, 1] * (high - low)))
+
+        return placed
+
+    bodies = [rectangle((n, 1), 0, 0, mapping=mapping(*at)) for n, at in ((4, (0, 1)), (6, (1, 2)))]
+    tied = [(0, TOP), (1, BOTTOM)]
+    ties = [tie(bodies, *tied, adjust=True)]
+    x = ties[0].surfaces[1].x
+    assert np.abs(x - (0.5, 1.5)).sum(axis=1).min() <= 1e-15
+    check(bodies, ties, tied, [(0, LEFT, (0, 1)), (0, RIGHT, (0, 1))])
