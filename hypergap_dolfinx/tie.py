@@ -111,9 +111,11 @@ class Tie:
         self._close_gap = close_gap
         self._spaces = (V0, V1)
         if adjust:
-            adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
+            move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
         self._domain = create_gap_domain(comm, *surfaces)
+        if adjust:
+            move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
 
     def __del__(self):
