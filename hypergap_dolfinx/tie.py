@@ -5,6 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The tie between two surfaces: the user's door to Σ and the constraint."""
 
+import logging
 from functools import cached_property
 
 from mpi4py import MPI
@@ -21,6 +22,8 @@ from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface
 
+LOG = logging.getLogger("hypergap_dolfinx")
+
 
 class Tie:
     """Ties two surfaces whose meshes don't match.
@@ -30,7 +33,7 @@ class Tie:
     ∂φ_a/∂α (eq. 20).
 
     Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
-    softer) side. Everything here is collective.
+    softer) side, or leave that to :meth:`between`. Everything here is collective.
 
     Example:
         Two squares, one on top of the other:
@@ -109,6 +112,7 @@ class Tie:
             )
         self._interior = interior
         self._close_gap = close_gap
+        self._swapped = False
         self._spaces = (V0, V1)
         if adjust:
             move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
@@ -117,6 +121,50 @@ class Tie:
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
+
+    @classmethod
+    def between(
+        cls,
+        a: tuple[fem.FunctionSpace, npt.ArrayLike],
+        b: tuple[fem.FunctionSpace, npt.ArrayLike],
+        *,
+        stiffness: tuple[float, float] | None = None,
+        **options,
+    ) -> "Tie":
+        """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
+
+        Which one it is stands in :attr:`swapped` and in the log of ``hypergap_dolfinx``.
+
+        Args:
+            a: A space and facets, as for the constructor.
+            b: The same of the other side.
+            stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
+                the distances between nodes differ by less than a tenth, and without them b is Γ1.
+            options: Of the constructor.
+
+        Returns:
+            The tie.
+        """
+        size = []
+        for side, name in ((a, "the first side"), (b, "the second side")):
+            surface = create_surface(*side, name)
+            size.append(float(np.median(surface.size)) / surface.element.degree)
+        ratio = size[0] / size[1]
+        if 1 / 1.1 < ratio < 1.1:
+            swapped = stiffness is not None and stiffness[0] < stiffness[1]
+            why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
+        else:
+            swapped, why = ratio > 1, "coarser"
+        tie = cls(*((b, a) if swapped else (a, b)), **options)
+        tie._swapped = swapped
+        if tie.sigma.comm.rank == 0:
+            LOG.info("Γ1 is the %s side, which is the %s", "first" if swapped else "second", why)
+        return tie
+
+    @property
+    def swapped(self) -> bool:
+        """Whether :meth:`between` made its first side Γ1."""
+        return self._swapped
 
     def __del__(self):
         """Destroy the PETSc matrices."""

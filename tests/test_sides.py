@@ -1,0 +1,110 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which side is Γ1, and ties that close a gap: interference fits."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import Body, comm, rectangle
+
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
+from meshes import BOTTOM, END, INNER, OUTER, START, TOP
+
+
+@pytest.mark.parametrize(
+    "cells, degrees, stiffness, swapped, why",
+    (
+        ((2, 5), (1, 1), None, True, "coarser"),
+        ((5, 2), (1, 1), (1, 100), False, "coarser"),
+        ((3, 3), (1, 2), None, True, "coarser"),
+        ((3, 3), (1, 1), (1, 100), True, "softer"),
+        ((3, 3), (1, 1), (100, 1), False, "softer"),
+        ((3, 3), (1, 1), None, False, "second"),
+    ),
+)
+def test_between(cells, degrees, stiffness, swapped, why, caplog):
+    bodies = [
+        rectangle((n, 1), (0, y), (1, y + 1), degree=k)
+        for n, k, y in zip(cells, degrees, (0, 1), strict=True)
+    ]
+    sides = [(bodies[0].V, bodies[0].facets(TOP)), (bodies[1].V, bodies[1].facets(BOTTOM))]
+    with caplog.at_level(logging.INFO, "hypergap_dolfinx"):
+        tie = Tie.between(*sides, stiffness=stiffness)
+    assert tie.swapped is swapped
+    assert tie.spaces[1] == bodies[0 if swapped else 1].V
+    if comm.rank == 0:
+        assert f"Γ1 is the {'first' if swapped else 'second'} side" in caplog.text
+        assert why in caplog.text
+
+
+# A shaft ring pressed into a hub: benchmark of facts, u1(c), u2(c) and the pressure are linear in
+# the interference δ up to O(δ/c)
+
+A, C, B, YOUNG, NU = 1.0, 2.0, 3.0, 1000.0, 0.3
+
+
+def press(delta, degree, swap, n=8):
+    """Radial displacements at the interface and the pressure there, over δ."""
+    bodies = []
+    for n_hoop, radii in ((2 * n, (A, C + delta / 2)), (3 * n, (C - delta / 2, B))):
+        mesh, ft = meshes.ring_sector(comm, n_hoop, n, *radii, degree=degree)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        bodies.append(Body(mesh, ft, V, YOUNG, NU))
+    sides = [(bodies[0].V, bodies[0].facets(OUTER)), (bodies[1].V, bodies[1].facets(INNER))]
+    tie = Tie(*(sides[::-1] if swap else sides), close_gap=True)
+    L, bcs = [], []
+    for body in bodies:
+        zero = fem.Constant(body.mesh, default_scalar_type((0, 0)))
+        L.append(ufl.inner(zero, ufl.TestFunction(body.V)) * ufl.dx)
+        for tag, component in ((START, 1), (END, 0)):
+            W = body.V.sub(component)
+            dofs = fem.locate_dofs_topological(W, 1, body.facets(tag))
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, W))
+    problem = TiedProblem([body.a for body in bodies], L, bcs=bcs, ties=[tie])
+    us = problem.solve()
+    radial = []
+    for body, u, tag in zip(bodies, us, (OUTER, INNER), strict=True):
+        x = ufl.SpatialCoordinate(body.mesh)
+        ds = ufl.Measure("ds", body.mesh, subdomain_data=body.ft)(tag)
+        r = ufl.sqrt(ufl.dot(x, x))
+        forms = (ufl.dot(u, x) / r * ds, fem.Constant(body.mesh, default_scalar_type(1)) * ds)
+        total, length = (comm.allreduce(fem.assemble_scalar(fem.form(f))) for f in forms)
+        radial.append(total / length / delta)
+    q = tie.quadrature(4)
+    normal = np.einsum("cpi,cpi->cp", q.evaluate(tie.traction(problem)), q.normal)
+    pressure = -q.integrate(normal) / q.integrate(np.ones_like(normal)) / delta
+    return np.array([*radial, pressure])
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_interference_fit(degree, swap):
+    q = YOUNG / (1 - NU**2) * (C**2 - A**2) * (B**2 - C**2) / (2 * C**3 * (B**2 - A**2))
+    exact = np.array([-0.290178571429, 0.709821428571, q])
+    assert abs(q * 0.01 - 1.28777472527) < 1e-9
+    if degree == 1:  # the gap between two polygons is closed too: h² / (8 c) of δ
+        assert np.abs(press(0.08, degree, swap, 16) / exact - 1).max() < 0.05
+        return
+    errors = [np.abs(press(d, degree, swap) / exact - 1).max() for d in (0.08, 0.04, 0.02, 0.01)]
+    print(errors)
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert errors[-1] < 1.0 * 0.01 / C
+    assert np.abs(rates - 1).max() < 0.05
+
+
+def test_close_gap_needs_displacements():
+    bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 1)]
+    V = [fem.functionspace(body.mesh, ("Lagrange", 1)) for body in bodies]
+    sides = [(V[0], bodies[0].facets(TOP)), (V[1], bodies[1].facets(BOTTOM))]
+    with pytest.raises(InterfaceError, match="close_gap needs displacements"):
+        Tie(*sides, close_gap=True)
+    assert comm.allreduce(1, MPI.SUM) == comm.size
