@@ -65,7 +65,7 @@ def set_triplets(A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray, values: npt.NDArr
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Points of the reference cell at which a function is evaluated to be interpolated."""
     points = V.element.interpolation_points
-    return points() if VERSION < (0, 10) else points
+    return points() if VERSION < (0, 10) else points  # type: ignore[operator]
 
 
 def read_from_msh(filename, comm: MPI.Comm, gdim: int = 3):
