@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import saddle
+from hypergap_dolfinx import saddle, solvers
 from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
@@ -50,6 +50,7 @@ class TiedProblem(TiedSystem):
         bcs: Sequence[fem.DirichletBC] = (),
         ties: Sequence[Tie] = (),
         u: Sequence[fem.Function] | None = None,
+        solver: str | None = None,
         petsc_options_prefix: str = "hypergap_",
         petsc_options: dict | None = None,
         form_compiler_options: dict | None = None,
@@ -63,8 +64,12 @@ class TiedProblem(TiedSystem):
             bcs: Dirichlet conditions of any of the bodies.
             ties: The ties between them.
             u: Solution functions; made if not given.
+            solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
+                iterates over the ties, ``"iterative"`` takes a multigrid cycle for each body
+                instead of factors. If not given, ``"direct"`` or, for large bodies in 3D,
+                ``"bodies"``.
             petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
-            petsc_options: Options of the KSP; MUMPS's LU unless they name a KSP or PC.
+            petsc_options: Options of the KSP instead of those in ``solvers.OPTIONS``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -92,7 +97,29 @@ class TiedProblem(TiedSystem):
         super().__init__([compiled(form) for form in a], bcs, ties, solutions)
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
-        self._set_options(petsc_options_prefix, petsc_options, saddle.DIRECT)
+        self._bodywise: solvers.BodywiseSystem | None = None
+        self._fall_back = False
+        if solver is None:
+            known = petsc_options is not None
+            solver = "direct" if known else solvers.default(self._K, self._constraints, spaces)
+            self._fall_back = solver != "direct"
+        elif solver not in solvers.SOLVERS:
+            raise ValueError(f"solver is one of {', '.join(solvers.SOLVERS)}, not {solver!r}.")
+        elif solver != "direct":
+            reason = solvers.why_not_bodywise(
+                self._A.comm.tompi4py(), self._constraints, len(spaces)
+            )
+            if reason:
+                raise ValueError(f'solver="{solver}" is not possible: {reason}; take "direct".')
+        self._method = solver
+        self._prefix = petsc_options_prefix
+        self._set_options(petsc_options_prefix, petsc_options, solvers.OPTIONS[solver])
+
+    def __del__(self):
+        """Destroy the PETSc objects."""
+        if getattr(self, "_bodywise", None) is not None:
+            self._bodywise.destroy()
+        super().__del__()
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -139,10 +166,44 @@ class TiedProblem(TiedSystem):
             SolveError: The solver failed; says how.
         """
         with self._options_set():
-            self._solver.solve(self._b, self._x)
+            if self._method == "direct":
+                self._solver.solve(self._b, self._x)
+            else:
+                self._solve_bodywise()
+        if self._solver.getConvergedReason() < 0 and self._fall_back:
+            self._solve_directly()
         saddle.check_solved(self._solver)
         self._assign(self._x)
         return self._u
+
+    def _solve_directly(self):
+        """Where the default did not converge: Γ1 is much stiffer than Γ0."""
+        self._method, self._fall_back = "direct", False
+        self._solver.destroy()
+        self._solver = PETSc.KSP().create(self._A.comm)
+        self._solver.setOperators(self._A)
+        self._set_options(self._prefix, None, solvers.OPTIONS["direct"])
+        if self._bodywise is not None:
+            self._bodywise.destroy()
+            self._bodywise = None
+        with self._options_set():
+            self._solver.solve(self._b, self._x)
+
+    def _solve_bodywise(self):
+        state = self._A.stateGet()
+        if self._bodywise is None:
+            self._bodywise = solvers.BodywiseSystem(
+                self._K,
+                self._constraints,
+                [u.function_space for u in self._u],
+                self._method == "iterative",
+            )
+            self._solver.setOperators(self._bodywise.matrix)
+            self._solver.getPC().setPythonContext(self._bodywise.preconditioner)
+        elif state != self._state:
+            self._bodywise.matrix.assemble()
+        self._state = state
+        self._bodywise.solve(self._solver, self._b, self._x)
 
     @property
     def a(self) -> list[fem.Form]:

@@ -1,0 +1,175 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""How the saddle system is solved, and which way is taken if the user names none."""
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx import saddle
+from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.substructures import Substructures, column_sums, order_of_bodies, rigid_modes
+
+SOLVERS = ("direct", "bodies", "iterative")
+
+_KRYLOV = {
+    "ksp_type": "gmres",
+    "ksp_pc_side": "right",  # so that the residual is that of the system
+    "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
+    "ksp_gmres_restart": 60,
+    "ksp_max_it": 120,
+    "pc_type": "python",
+}
+_LU = {
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_14": 30,
+}
+_MULTIGRID = {"ksp_type": "preonly", "pc_type": "gamg"}
+
+
+def _prefixed(prefix: str, options: dict) -> dict:
+    return {prefix + key: value for key, value in options.items()}
+
+
+OPTIONS = {
+    "direct": saddle.DIRECT,
+    "bodies": {
+        **_KRYLOV,
+        "ksp_rtol": 1e-13,
+        **_prefixed("body_", _LU),
+        **_prefixed("square_", _LU),
+    },
+    "iterative": {
+        **_KRYLOV,
+        "ksp_rtol": 1e-10,
+        "ksp_max_it": 300,
+        **_prefixed("body_", _MULTIGRID),
+        **_prefixed("square_", _LU),
+    },
+}
+"""PETSc options of each solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at
+a time, and ``"iterative"`` takes a multigrid cycle for each body instead."""
+
+LARGE = 20000
+"""Number of displacements in 3D from which the default is ``"bodies"``."""
+
+
+def default(
+    K: Sequence[PETSc.Mat],
+    constraints: ConstraintBlocks,
+    spaces: Sequence[fem.FunctionSpace],
+) -> str:
+    """The solver that is taken if the user names none. Collective.
+
+    In the plane, and for small bodies, factors of the whole system cost no more than those of the
+    parts. In space they soon do, and the larger the system the more.
+    """
+    size = sum(k.getSize()[0] for k in K)
+    mesh = spaces[0].mesh
+    large = constraints.bodies and mesh.topology.dim == 3 and size >= LARGE
+    possible = large and why_not_bodywise(mesh.comm, constraints, len(spaces)) is None
+    return "bodies" if possible else "direct"
+
+
+def why_not_bodywise(comm: MPI.Comm, constraints: ConstraintBlocks, num_bodies: int) -> str | None:
+    """What keeps a system from being solved body by body, or None. Collective."""
+    if constraints.interior_sizes:
+        return "free interior nodes belong to no body"
+    if order_of_bodies(num_bodies, constraints.bodies) is None:
+        return "the ties lead round in a circle, or from a body to itself"
+    wrong = 0
+    for body in range(num_bodies):
+        ties = [t for t, (_, i1) in enumerate(constraints.bodies) if i1 == body]
+        dofs = [constraints.own[t] for t in ties]
+        rows = [constraints.free[t][body].getLocalSize()[0] for t in ties]  # type: ignore[union-attr]
+        wrong += any(len(own) != num for own, num in zip(dofs, rows, strict=True))
+        wrong += len(np.unique(np.concatenate([[], *dofs]))) != sum(map(len, dofs))
+    if comm.allreduce(wrong):
+        return "some multipliers have no dof of Γ1 of their own"
+    return None
+
+
+class BodywiseSystem:
+    """The saddle system for a KSP that is preconditioned body by body.
+
+    Multipliers and constraints are scaled to the size of K: a small residual would hide a large one
+    of the constraints otherwise, if that has other units.
+    """
+
+    def __init__(
+        self,
+        K: Sequence[PETSc.Mat],
+        constraints: ConstraintBlocks,
+        spaces: Sequence[fem.FunctionSpace],
+        multigrid: bool,
+    ):
+        """Scale the ties by the values that K has now. Collective.
+
+        Args:
+            K: Stiffness of each body.
+            constraints: The ties' blocks.
+            spaces: Space of each body.
+            multigrid: Whether the bodies' solvers are multigrid.
+        """
+        self._K, bodies = K, constraints.bodies
+        self.scales, self._B = [], []
+        for own, row, (_, i1) in zip(constraints.own, constraints.free, bodies, strict=True):
+            self.scales.append(_mean_diagonal(K[i1], own) / _mean_column(row[i1], own))
+            self._B.append([b and b.copy() for b in row])
+            for b in self._B[-1]:
+                if b is not None:
+                    b.scale(self.scales[-1])
+        self.matrix, self._Bt = saddle.saddle_matrix(K, self._B)
+        self.matrix.setNestVecType("standard")  # KSPs that make vectors want no nested ones
+        self.matrix.assemble()
+        self.x, self.b = self.matrix.createVecs()
+        modes = [rigid_modes(*pair) for pair in zip(spaces, constraints.prescribed, strict=True)]
+        order = order_of_bodies(len(K), bodies)
+        assert order is not None
+        columns = [own.astype(PETSc.IntType) for own in constraints.own]
+        self.preconditioner = Substructures(K, self._B, bodies, columns, order, modes, multigrid)
+
+    def destroy(self):
+        """Destroy the PETSc objects. Collective."""
+        blocks = [b for row in self._B for b in row if b is not None]
+        for obj in (self.preconditioner, self.matrix, self.x, self.b, *self._Bt, *blocks):
+            obj.destroy()
+
+    def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
+        """Solve with nested vectors in the units of the system. Collective."""
+        parts = [part.array_r.copy() for part in b.getNestSubVecs()]
+        num_bodies = len(self._K)
+        for part, scale in zip(parts[num_bodies:], self.scales, strict=True):
+            part *= scale
+        self.b.array[:] = np.concatenate(parts)
+        ksp.solve(self.b, self.x)
+        values = np.split(self.x.array_r, np.cumsum([len(part) for part in parts])[:-1])
+        scales = [1.0] * num_bodies + self.scales
+        for part, value, scale in zip(x.getNestSubVecs(), values, scales, strict=True):
+            part.array[:] = scale * value
+
+
+def _mean_diagonal(K: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
+    diagonal = K.getDiagonal()
+    values = diagonal.array_r[dofs - K.getOwnershipRange()[0]]
+    total, num = K.comm.tompi4py().allreduce(np.array((np.abs(values).sum(), len(values))))
+    diagonal.destroy()
+    return total / num
+
+
+def _mean_column(B: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
+    sums = column_sums(B)
+    values = sums.array_r[dofs - B.getOwnershipRangeColumn()[0]]
+    total, num = B.comm.tompi4py().allreduce(np.array((values.sum(), len(values))))
+    sums.destroy()
+    return total / num

@@ -1,0 +1,200 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The ways to solve the saddle system agree, and each says when it can't."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import dolfinx
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Tie, TiedProblem, solvers
+
+comm = MPI.COMM_WORLD
+
+
+def pile(dim, degree=1, stiffness=(1.0, 1.0), held=(0,), kind="vector"):
+    """Blocks on top of each other, the upper ones Γ1 of the ties, all pulled sideways."""
+    V, a, L, bcs, ends = [], [], [], [], []
+    cell = "triangle" if dim == 2 else "tetrahedron"
+    for i, E in enumerate(stiffness):
+        n = (4 - i % 2, 2) if dim == 2 else (4 - i % 2, 4 - i % 2, 2)
+        shift = np.eye(dim)[-1] * i
+        mesh, ft = meshes.block(comm, n, lambda x, shift=shift: x + shift, cell=cell)
+        lower, upper = (meshes.BOTTOM, meshes.TOP) if dim == 2 else (meshes.BACK, meshes.FRONT)
+        shape = (dim,) if kind == "vector" else ()
+        W = fem.functionspace(mesh, ("Lagrange", degree, shape))
+        u, v = ufl.TrialFunction(W), ufl.TestFunction(W)
+        if kind == "vector":
+            a.append(E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx)
+            load = default_scalar_type(np.eye(dim)[0] * (i + 1))
+        else:
+            a.append(E * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+            load = default_scalar_type(i + 1)
+        L.append(ufl.inner(fem.Constant(mesh, load), v) * ufl.dx)
+        facets = ft.find(lower), ft.find(upper)
+        if i in held:
+            zero = fem.Function(W)
+            where = facets[0] if i == 0 else facets[1]
+            bcs.append(fem.dirichletbc(zero, fem.locate_dofs_topological(W, dim - 1, where)))
+        V.append(W)
+        ends.append(facets)
+    ties = [Tie((V[i], ends[i][1]), (V[i + 1], ends[i + 1][0])) for i in range(len(stiffness) - 1)]
+    return a, L, bcs, ties
+
+
+def difference(problem, reference):
+    """Largest difference of displacements and multipliers, relative to the largest values."""
+    worst = 0.0
+    pairs = [(u.x.array, v.x.array) for u, v in zip(problem.u, reference.u, strict=True)]
+    pairs += [(problem.multipliers(t), reference.multipliers(t)) for t in problem.ties]
+    for x, y in pairs:
+        size = comm.allreduce(np.abs(y).max(initial=0), MPI.MAX)
+        error = comm.allreduce(np.abs(x - y).max(initial=0), MPI.MAX)
+        worst = max(worst, error / size)
+    return worst
+
+
+def residual(problem):
+    """Of the saddle system, relative to its right-hand side."""
+    r = problem.b.duplicate()
+    problem.A.mult(problem.x, r)
+    r.axpy(-1.0, problem.b)
+    return r.norm() / problem.b.norm()
+
+
+@pytest.mark.parametrize("kind", ("vector", "scalar"))
+@pytest.mark.parametrize("dim", (2, 3))
+@pytest.mark.parametrize("solver, tolerance", (("bodies", 1e-10), ("iterative", 1e-6)))
+def test_solvers_agree(dim, kind, solver, tolerance):
+    if dim == 3:
+        pytest.importorskip("gmsh")
+    a, L, bcs, ties = pile(dim, kind=kind, stiffness=(3.0, 1.0, 1.0))
+    direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    direct.solve()
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver)
+    problem.solve()
+    assert problem.solver.getType() == "gmres" and problem.solver.getIterationNumber() > 1
+    assert difference(problem, direct) <= tolerance
+
+
+@pytest.mark.parametrize("solver", ("bodies", "iterative"))
+@pytest.mark.parametrize("held", ((0,), (2,)))
+def test_bodies_held_by_ties_alone(solver, held):
+    """Among them one that carries no Γ1: nothing but springs would hold it on its own."""
+    a, L, bcs, ties = pile(2, stiffness=(1.0, 1.0, 1.0), held=held)
+    direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    direct.solve()
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver)
+    problem.solve()
+    assert difference(problem, direct) <= (1e-9 if solver == "bodies" else 1e-6)
+
+
+def test_residual_of_the_saddle_system():
+    a, L, bcs, ties = pile(2, degree=2)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    problem.solve()
+    assert residual(problem) <= 1e-12
+
+
+@pytest.mark.parametrize("unit", (1e-6, 1.0, 1e9))
+def test_units_do_not_matter(unit):
+    """Stiffness in other units: as many iterations, and the same multipliers."""
+    a, L, bcs, ties = pile(2, stiffness=(unit, unit))
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    problem.solve()
+    a, L, bcs, ties = pile(2, stiffness=(1.0, 1.0))
+    reference = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    reference.solve()
+    its = problem.solver.getIterationNumber(), reference.solver.getIterationNumber()
+    assert abs(its[0] - its[1]) <= 1
+    x, y = (p.multipliers(p.ties[0]) for p in (problem, reference))
+    np.testing.assert_allclose(x, y, atol=1e-9)
+
+
+def test_a_changed_matrix_is_factorised_anew():
+    a, L, bcs, ties = pile(2)
+    modulus = fem.Constant(ties[0].spaces[0].mesh, default_scalar_type(1.0))
+    a = [modulus * a[0], a[1]]
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    for value in (1.0, 0.5):
+        modulus.value = value
+        problem.solve()
+        direct.solve()
+        assert difference(problem, direct) <= 1e-10
+    problem.assemble_vector()
+    with PETSc.Log.Event("MatLUFactorNum") as event:
+        pass
+    PETSc.Log.begin()
+    count = event.getPerfInfo()["count"]
+    problem.solve_system()
+    assert event.getPerfInfo()["count"] == count
+
+
+def test_the_default(monkeypatch):
+    """The whole system is factorised in the plane and for small bodies; one name overrules that."""
+    a, L, bcs, ties = pile(2)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+    problem.solve()
+    assert problem.solver.getPC().getType() == "lu"
+    pytest.importorskip("gmsh")
+    a, L, bcs, ties = pile(3)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+    problem.solve()
+    assert problem.solver.getPC().getType() == "lu"
+    monkeypatch.setattr(solvers, "LARGE", 100)
+    large = TiedProblem(a, L, bcs=bcs, ties=ties)
+    large.solve()
+    assert large.solver.getPC().getType() == "python"
+    assert difference(large, problem) <= 1e-10
+    alone = TiedProblem(a[:1], L[:1], bcs=bcs)
+    alone.solve()
+    assert alone.solver.getPC().getType() == "lu"
+
+
+def test_the_default_falls_back(monkeypatch):
+    """A much stiffer Γ1 would take hundreds of iterations."""
+    monkeypatch.setattr(solvers, "LARGE", 100)
+    pytest.importorskip("gmsh")
+    a, L, bcs, ties = pile(3, stiffness=(1.0, 1e6))
+    options = dict(solvers.OPTIONS["bodies"], ksp_max_it=5)
+    monkeypatch.setitem(solvers.OPTIONS, "bodies", options)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+    problem.solve()
+    assert problem.solver.getPC().getType() == "lu"
+    direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    direct.solve()
+    assert difference(problem, direct) <= 1e-12
+    problem.solve()
+
+
+def test_what_is_not_possible():
+    a, L, bcs, ties = pile(2)
+    with pytest.raises(ValueError, match="solver is one of"):
+        TiedProblem(a, L, bcs=bcs, ties=ties, solver="cholesky")
+    V = ties[0].spaces
+    sides = [(V[0], facets_at(V[0], 1.0)), (V[1], facets_at(V[1], 1.0))]
+    free = Tie(*sides, interior="free")
+    with pytest.raises(ValueError, match="free interior"):
+        TiedProblem(a, L, bcs=bcs, ties=[free], solver="bodies")
+
+
+def facets_at(V, y):
+    """Boundary facets at a height."""
+    return dolfinx.mesh.locate_entities_boundary(V.mesh, 1, lambda x: np.isclose(x[1], y))
+
+
+def test_order_of_bodies():
+    order = solvers.order_of_bodies
+    assert order(3, [(0, 1), (1, 2)]) == [2, 1, 0]
+    assert order(2, []) == [0, 1]
+    assert order(3, [(0, 1), (1, 2), (2, 0)]) is None
+    assert order(1, [(0, 0)]) is None
