@@ -30,7 +30,7 @@ from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 # -
 
@@ -248,16 +248,18 @@ def main():
     results = []
     for degree in (args.degree,) if args.degree else (1, 2):
         # Coarser than this, cells between faces on a sphere fold when they are refined
-        coarsest = (0.175 if args.refine else 0.2) * degree
+        coarsest = (0.15 if args.refine else 0.2) * degree
         run(comm, 2 * coarsest, degree, args.swap)  # compiles the forms, so that no level has to
         rows = []
         for level in range(args.levels):
+            progress.show(comm, f"degree {degree}, level {level + 1} of {args.levels}")
             h = coarsest / 2**level
             row, *_ = run(comm, h, degree, args.swap, level if args.refine else 0)
             row["level"] = level
             if args.fused:
                 row["fused"] = run_fused(comm, h, degree)
             rows.append(row)
+        progress.show(comm)
         if comm.rank == 0:
             print_table(rows)
         results += rows

@@ -318,7 +318,8 @@ def test_gmsh_missing(monkeypatch):
 @pytest.mark.serial
 def test_gmsh_is_imported_for_3d_only():
     code = (
-        "from mpi4py import MPI\nfrom dolfinx import fem\nimport sys, meshes, hypergap_dolfinx as h\n"
+        "from mpi4py import MPI\nfrom dolfinx import fem\n"
+        "import sys, meshes, hypergap_dolfinx as h\n"
         "m, f = meshes.block(MPI.COMM_SELF, (2, 2)); V = fem.functionspace(m, ('Lagrange', 1))\n"
         "n, g = meshes.block(MPI.COMM_SELF, (3, 3), lambda x: x + (1, 0))\n"
         "W = fem.functionspace(n, ('Lagrange', 1))\n"
