@@ -31,7 +31,7 @@ from dolfinx.mesh import locate_entities_boundary
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 # -
 
@@ -183,7 +183,9 @@ def main():
         plot.deformed(us, args.plot / "patch_test.png")
 
     rows = []
-    for test, name, shape, ratio, swap in cases():
+    todo = list(cases())
+    for i, (test, name, shape, ratio, swap) in enumerate(todo):
+        progress.show(comm, f"case {i + 1} of {len(todo)}")
         l2, stress = solve(comm, ELEMENTS[name], shape, ratio, swap, test)
         rows.append(
             {
@@ -196,6 +198,7 @@ def main():
                 "stress": stress,
             }
         )
+    progress.show(comm)
     if comm.rank > 0:
         return
     for test in ("linear", "bending"):

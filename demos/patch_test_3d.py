@@ -30,7 +30,7 @@ from dolfinx.mesh import locate_entities_boundary
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 # -
 
@@ -166,7 +166,9 @@ def main():
         plot.deformed(us, args.plot / "patch_test_3d.png")
 
     rows = []
-    for test, degrees, kind, shape, ratio, swap in cases():
+    todo = list(cases())
+    for i, (test, degrees, kind, shape, ratio, swap) in enumerate(todo):
+        progress.show(comm, f"case {i + 1} of {len(todo)}")
         l2, stress = solve(comm, DEGREES[degrees], kind, shape, ratio, swap, test)
         rows.append(
             {
@@ -180,6 +182,7 @@ def main():
                 "stress": stress,
             }
         )
+    progress.show(comm)
     if comm.rank > 0:
         return
     print("largest of the relative errors of displacement and stress,")

@@ -29,7 +29,7 @@ from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 # -
 
@@ -277,7 +277,11 @@ def main():
     results = []
     for degree in (args.degree,) if args.degree else (1, 2):
         run(comm, 0, degree, args.cell, args.swap)  # compiles the forms, so that no level has to
-        rows = [run(comm, level, degree, args.cell, args.swap)[0] for level in range(args.levels)]
+        rows = []
+        for level in range(args.levels):
+            progress.show(comm, f"degree {degree}, level {level + 1} of {args.levels}")
+            rows.append(run(comm, level, degree, args.cell, args.swap)[0])
+        progress.show(comm)
         if comm.rank == 0:
             print_table(rows)
         results += rows
