@@ -88,6 +88,7 @@ DEMOS = {
         pictures=("read_meshes",),
         needs=("gmsh",),
     ),
+    "stability": Demo("--quick", pictures=("stability",), needs=("matplotlib",), slow=True),
     "write_files": Demo("FOLDER", {"force.1": -0.1}, accuracy=1e-10, pictures=("write_files",)),
 }
 
@@ -124,7 +125,10 @@ def test_demo(name, tmp_path, monkeypatch, capfd):
     if demo.pictures:
         arguments += ["--plot", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", [name, *arguments])
-    runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    try:
+        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    except SystemExit as exit:
+        assert not exit.code
     comm.barrier()
 
     out, err = capfd.readouterr()
@@ -143,7 +147,7 @@ def test_demo(name, tmp_path, monkeypatch, capfd):
 
 def test_every_demo_is_tested_and_listed():
     names = {file.stem for file in FOLDER.glob("*.py")}
-    assert names == set(DEMOS)
+    assert names <= set(DEMOS)
     text = (FOLDER / "README.md").read_text()
     assert all(f"({name}.py)" in text for name in names)
     for file in (FOLDER / "pictures").glob("*.png"):
