@@ -167,7 +167,7 @@ class TiedProblem(TiedSystem):
         """
         with self._options_set():
             if self._method == "direct":
-                self._solver.solve(self._b, self._x)
+                saddle.solve(self._solver, self._b, self._x)
             else:
                 self._solve_bodywise()
         if self._solver.getConvergedReason() < 0 and self._fall_back:
@@ -187,7 +187,7 @@ class TiedProblem(TiedSystem):
             self._bodywise.destroy()
             self._bodywise = None
         with self._options_set():
-            self._solver.solve(self._b, self._x)
+            saddle.solve(self._solver, self._b, self._x)
 
     def _solve_bodywise(self):
         state = self._A.stateGet()

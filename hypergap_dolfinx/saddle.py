@@ -23,6 +23,8 @@ RESIDUAL = 1e-3
 """Largest residual of a direct solve, relative to the right-hand side: 1e-15 times how ill the
 system is conditioned if there is a solution, and about 1 if there is none."""
 
+RETRIES = 4  # with three times MUMPS's workspace each
+
 
 class SolveError(RuntimeError):
     """The linear solver failed; nothing that it returned may be used."""
@@ -65,6 +67,21 @@ def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
         comm: Communicator.
     """
     return PETSc.Mat().createConstantDiagonal((size, size), 0.0, comm=comm).convert("aij")
+
+
+def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
+    """Solve, with more workspace where MUMPS asks for it: pivoting can't be foreseen. Collective."""
+    for attempt in range(RETRIES + 1):
+        ksp.solve(b, x)
+        pc = ksp.getPC()
+        direct = pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps"
+        if not direct or attempt == RETRIES:
+            break
+        factor = pc.getFactorMatrix()
+        if factor.getMumpsInfog(1) not in (-8, -9):
+            break
+        factor.setMumpsIcntl(14, 3 * max(100, factor.getMumpsIcntl(14)))
+        ksp.getOperators()[1].stateIncrease()  # to be factorised again
 
 
 def check_solved(ksp: PETSc.KSP):
