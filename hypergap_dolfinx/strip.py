@@ -12,6 +12,7 @@ midpoints of both chains is all that takes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,13 @@ from hypergap_dolfinx.surface import InterfaceError, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
 END = 1e-7  # ends this close (in facet lengths) are no partial overlap
+DIRECTION = np.array((np.cos(1), np.sin(1)))
 KINK = np.pi / 3  # a turn that is a corner whatever is beside it
+
+
+def _length(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Lengths of vectors in the plane, ``(num,)``: ``np.linalg.norm`` is slow on short axes."""
+    return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2)
 
 
 @dataclass(frozen=True)
@@ -36,11 +43,27 @@ class Chain:
     """Node coordinates, ``(num_edges + 1, 2)``; a closed chain's last node is its first."""
     closed: bool
 
-    @property
+    @cached_property
+    def tangents(self) -> npt.NDArray[np.float64]:
+        """From each edge's start to its end, ``(num_edges, 2)``."""
+        return np.diff(self.x, axis=0)
+
+    @cached_property
+    def lengths(self) -> npt.NDArray[np.float64]:
+        """Length of each edge, ``(num_edges,)``."""
+        return _length(self.tangents)
+
+    @cached_property
     def arc(self) -> npt.NDArray[np.float64]:
         """Arc length at the nodes, from 0 to 1, ``(num_edges + 1,)``."""
-        s = np.append(0, np.cumsum(np.linalg.norm(np.diff(self.x, axis=0), axis=1)))
+        s = np.append(0, np.cumsum(self.lengths))
         return s / s[-1]
+
+    @cached_property
+    def box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Smallest and largest coordinates."""
+        x = np.ascontiguousarray(self.x.T)
+        return x.min(axis=1), x.max(axis=1)
 
     @property
     def reversed(self) -> "Chain":
@@ -59,9 +82,9 @@ class Chain:
 
     def project(self, point: npt.NDArray[np.float64]) -> tuple[int, float, float]:
         """The edge, the position on it (0 to 1) and the distance of the point nearest to one."""
-        a, t = self.x[:-1], np.diff(self.x, axis=0)
+        a, t = self.x[:-1], self.tangents
         position = np.clip(np.einsum("ei,ei->e", point - a, t) / (t**2).sum(axis=1), 0, 1)
-        distance = np.linalg.norm(a + position[:, None] * t - point, axis=1)
+        distance = _length(a + position[:, None] * t - point)
         edge = int(distance.argmin())
         return edge, float(position[edge]), float(distance[edge])
 
@@ -97,31 +120,45 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
                 f"{surface.name} branches at {surface.x[count.argmax()]}: its facets must form "
                 "chains (make one tie for each branch)."
             )
-    edge_from = np.full(len(surface.x), -1)
-    edge_from[start] = np.arange(len(start))
-    # Open chains begin at a node that no edge enters; what is left over are loops
-    heads = np.setdiff1d(start, end)
-    following, edges = end.tolist(), edge_from.tolist()
+    edge_to = np.full(len(surface.x), -1)
+    edge_to[end] = np.arange(len(end))
+    previous = edge_to[start]
     if breaks is not None:
-        heads = np.union1d(heads, start[breaks[start]])
-        following = np.where(breaks[end], -1, end).tolist()
-    left = np.ones(len(start), dtype=bool)
+        previous[breaks[start]] = -1
+    first, place, smallest = _trace(previous)
+    # Open chains come by their first node. What has no first edge is a loop: it gets one
+    loop = previous[first] >= 0
+    if loop.any():
+        previous[smallest[loop]] = -1
+        first, place, _ = _trace(previous)
+    order = np.lexsort((place, np.where(loop, first, start[first]), loop))
     found = []
-    for closed in (False, True):
-        for head in heads if not closed else start:
-            edge = edges[head]
-            chain: list[int] = []
-            if not left[edge]:
-                continue
-            while edge >= 0 and (not chain or edge != chain[0]):
-                chain.append(edge)
-                node = following[edge]
-                edge = edges[node] if node >= 0 else -1
-            left[chain] = False
-            nodes = np.append(start[chain], end[chain[-1]])
-            X = np.tile((0.0, 1.0), (len(chain), 1))
-            found.append(Chain(np.array(chain, dtype=np.int32), X, surface.x[nodes], closed))
+    for chain in np.split(order, np.flatnonzero(place[order] == 0)[1:]):
+        nodes = np.append(start[chain], end[chain[-1]])
+        X = np.tile((0.0, 1.0), (len(chain), 1))
+        closed = bool(loop[chain[0]])
+        found.append(Chain(chain.astype(np.int32), X, surface.x[nodes], closed))
     return found
+
+
+def _trace(previous: npt.NDArray[np.intp]):
+    """Go back along the edges of all chains at once, in steps of 1, 2, 4, ...
+
+    Args:
+        previous: The edge before each edge, −1 before the first of a chain.
+
+    Returns:
+        For each edge, the first one of its chain, its place in the chain, and the smallest number
+        of an edge in reach. In a loop there is no first one.
+    """
+    edges = np.arange(len(previous), dtype=np.int32)  # half the memory to go through
+    back = np.where(previous >= 0, previous, edges).astype(np.int32)
+    place, smallest = (previous >= 0).astype(np.int32), edges
+    for _ in range(len(previous).bit_length()):
+        place = place + place[back]
+        smallest = np.minimum(smallest, smallest[back])
+        back = back[back]
+    return back, place, smallest
 
 
 def kinks(surface: Surface) -> npt.NDArray[np.bool_]:
@@ -186,8 +223,9 @@ def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: 
     pairs = []
     for c0 in chains0:
         for c1 in chains1:
-            reach = np.ptp(c0.x, axis=0).max() if alone else h
-            apart = np.maximum(c0.x.min(0) - c1.x.max(0), c1.x.min(0) - c0.x.max(0))
+            (low0, high0), (low1, high1) = c0.box, c1.box
+            reach = (high0 - low0).max() if alone else h
+            apart = np.maximum(low0 - high1, low1 - high0)
             if apart.max() <= reach and (pair := _overlap(c0, c1, surface0, surface1, reach)):
                 pairs.append(pair)
     if not pairs:
@@ -218,8 +256,8 @@ def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: 
         hits = [c0.project(c1.x[end]), c1.project(c0.x[end])]
         inside = []
         for chain, (edge, position, distance) in zip((c0, c1), hits):
-            length = np.linalg.norm(np.diff(chain.x[edge : edge + 2], axis=0))
-            arc = chain.arc * np.linalg.norm(np.diff(chain.x, axis=0), axis=1).sum()
+            length = chain.lengths[edge]
+            arc = chain.arc * chain.lengths.sum()
             s = arc[edge] + position * length
             inset = s if end == 0 else arc[-1] - s
             # Across a gap the foot of an end may lie beside the other end: that is no overlap
@@ -251,11 +289,8 @@ def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
 def _aligned(c0: Chain, c1: Chain) -> bool:
     """Whether two chains run side by side in the same direction."""
     s = (np.arange(64) + 0.5) / 64
-    tangents = [
-        np.diff(c.x, axis=0)[np.searchsorted(c.arc[1:-1], s)]
-        / np.linalg.norm(np.diff(c.x, axis=0), axis=1)[np.searchsorted(c.arc[1:-1], s), None]
-        for c in (c0, c1)
-    ]
+    edges = [np.searchsorted(c.arc[1:-1], s) for c in (c0, c1)]
+    tangents = [c.tangents[e] / c.lengths[e, None] for c, e in zip((c0, c1), edges, strict=True)]
     return bool(np.einsum("si,si->s", *tangents).mean() > 0)
 
 
@@ -276,15 +311,33 @@ def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
 
 def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices of the points of two sets that lie at the same place."""
-    origin, size = x0.min(axis=0), np.ptp(np.vstack((x0, x1)), axis=0).max()
+    origin = np.array([min(a.min(), b.min()) for a, b in zip(x0.T, x1.T, strict=True)])
+    size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
     cell = 2e-9 * size + 64 * np.finfo(float).eps * np.abs(x0).max()
+    # Few have another one's shadow on a line as good as any
+    shadows = x0 @ DIRECTION, x1 @ DIRECTION
+    near = [np.flatnonzero(_any_within(*pair, 2 * cell)) for pair in (shadows, shadows[::-1])]
+    x0, x1 = x0[near[0]], x1[near[1]]
     found: set[tuple[int, int]] = set()
     for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):  # off the borders of one is in another
-        z0, z1 = (np.rint((x - origin) / cell + shift) @ (1, 1j) for x in (x0, x1))
+        grid = (np.rint((x - origin) / cell + shift).astype(np.int64) for x in (x0, x1))
+        z0, z1 = ((z[:, 0] << 31) + z[:, 1] for z in grid)  # less than 2³⁰ each
         _, i, j = np.intersect1d(z0, z1, return_indices=True)
-        found.update(zip(i.tolist(), j.tolist(), strict=True))
+        found.update(zip(near[0][i].tolist(), near[1][j].tolist(), strict=True))
     i, j = np.array(sorted(found), dtype=np.intp).reshape(-1, 2).T
     return i, j
+
+
+def _any_within(a, b, distance: float) -> npt.NDArray[np.bool_]:
+    """Which of a have one of b within a distance, on a line."""
+    order = np.argsort(a)
+    b = np.sort(b)
+    near = np.empty(len(a), dtype=bool)
+    a_sorted = a[order]  # a search for sorted values stays in the cache
+    near[order] = np.searchsorted(b, a_sorted - distance) < np.searchsorted(
+        b, a_sorted + distance, side="right"
+    )
+    return near
 
 
 def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
