@@ -26,8 +26,8 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
     """Where the geometry nodes on Γ1 have Σ_i B_i X_i = 0. Collective.
 
     B depends on where the nodes are, which is why they are moved and looked at again a few times.
-    The last move is left to the caller: the B from before it and the nodes from after it satisfy the
-    equation to round-off, however far the move. Nodes where two smooth pieces of Γ1 meet (both
+    The last move is left to the caller: the B from before it and the nodes from after it satisfy
+    the equation to round-off, however far the move. Nodes where two smooth pieces of Γ1 meet (both
     surfaces have a node there) stay.
 
     Args:

@@ -70,18 +70,26 @@ def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
 
 
 def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-    """Solve, with more workspace where MUMPS asks for it: pivoting can't be foreseen. Collective."""
-    for attempt in range(RETRIES + 1):
-        ksp.solve(b, x)
-        pc = ksp.getPC()
-        direct = pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps"
-        if not direct or attempt == RETRIES:
-            break
+    """Solve; with more workspace where MUMPS runs out of it, as with many pivots. Collective."""
+    ksp.solve(b, x)
+    pc = ksp.getPC()
+    if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+        return
+    database, key = PETSc.Options(), f"{ksp.getOptionsPrefix() or ''}mat_mumps_icntl_14"
+    before = database.getAll().get(key)
+    for _ in range(RETRIES):
         factor = pc.getFactorMatrix()
         if factor.getMumpsInfog(1) not in (-8, -9):
             break
-        factor.setMumpsIcntl(14, 3 * max(100, factor.getMumpsIcntl(14)))
-        ksp.getOperators()[1].stateIncrease()  # to be factorised again
+        database[key] = max(100, factor.getMumpsIcntl(14)) * 3
+        operators = ksp.getOperators()
+        pc.reset()
+        ksp.setOperators(*operators)
+        ksp.solve(b, x)
+    if database.hasName(key):
+        del database[key]
+    if before is not None:
+        database[key] = before
 
 
 def check_solved(ksp: PETSc.KSP):
