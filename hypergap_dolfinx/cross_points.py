@@ -11,7 +11,8 @@ are dropped and λ follows its neighbours there, as in mortar methods with cross
 
 A patch must carry forces and moments though, and for that it needs n multipliers. On one that is
 left with fewer, λ is constant and linear in space instead, as far as these constraints don't follow
-from those of other such patches. (Every other patch's multipliers have a dof of their own.)
+from those of other such patches. (Every other patch's multipliers have a dof of their own.) A small
+one that is prescribed all over takes all that don't: what faces it on Γ0 must follow.
 """
 
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.constraint import Dropped, Replaced, triplets
 from hypergap_dolfinx.tie import Tie
 
+FEW = 32  # multipliers of a patch; with more, Γ1 must not be prescribed all over
 INDEPENDENT = 1e-3  # sine of the angle between a row and the others, from which it counts
 
 
@@ -77,7 +79,7 @@ def dropped_multipliers(
         dropped.append(mark | (shared | (count[at] > 1))[:, None])
     replaced: list[list[Replaced]] = [[] for _ in ties]
     if any(drop.any() for drop in dropped):
-        _replace(ties, bodies, prescribed, dropped, replaced)
+        _replace(ties, bodies, prescribed, marks, dropped, replaced)
     return [Dropped(*parts) for parts in zip(dropped, marks, replaced, strict=True)]
 
 
@@ -186,7 +188,7 @@ class _Patch:
         return np.vstack((np.ones(len(x)), moments / scale, np.eye(len(x))[kept]))
 
 
-def _replace(ties, bodies, prescribed, dropped, replaced):
+def _replace(ties, bodies, prescribed, marks, dropped, replaced):
     """Give patches with fewer than n multipliers left other ones instead. Collective."""
     n = ties[0].surfaces[1].gdim
     patches: dict[tuple[int, int], _Patch] = {}
@@ -212,7 +214,14 @@ def _replace(ties, bodies, prescribed, dropped, replaced):
                 if rows.add(patch.columns, free, float(np.linalg.norm(row))):
                     taken.append(values[0])
                 values.pop(0)
-    for t, patch, component, _, taken in short:
+    for t, patch, component, values, taken in short:
+        if marks[t][patch.multipliers, component].all() and len(patch.x) <= FEW:
+            values += list(np.eye(len(patch.x)))
+            for value in values:
+                row = value @ patch.B
+                free = row * patch.free[:, component]
+                if accepted[component].add(patch.columns, free, float(np.linalg.norm(row))):
+                    taken.append(value)
         dropped[t][patch.multipliers, component] = True
         dropped[t][patch.multipliers[: len(taken)], component] = False
         rank = np.linalg.matrix_rank(patch.B * patch.free[:, component])

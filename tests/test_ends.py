@@ -77,11 +77,17 @@ def test_clamp(name, swap):
 
 def test_all_of_one_side_is_prescribed():
     """As Γ0 it ties; as Γ1, the side to be constrained, it can't, and the message says so."""
-    bodies, fixed = blocks("P2", (1, 5)), [(0, TOP, (0, 1))]
+    bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
     check(bodies, [tie(bodies, *TIED)], TIED, fixed, bending)
     ties = [tie(bodies, *TIED[::-1])]
     with pytest.raises(InterfaceError, match="prescribed on whole facets.*swap the sides"):
         problem(bodies, ties, TIED, fixed, bending)
+
+
+@pytest.mark.parametrize("ratio", ((1, 5), (3, 2), (3, 3), (5, 1)))
+def test_all_of_a_small_side_is_prescribed(ratio):
+    bodies, fixed = blocks("P2", ratio), [(0, TOP, (0, 1))]
+    check(bodies, [tie(bodies, *TIED[::-1])], TIED, fixed, bending)
 
 
 @pytest.mark.parametrize("components", ((0,), (1,), (0, 1)))
