@@ -88,7 +88,7 @@ def elastic_body(mesh, ft, degree, pressure):
     return V, form, load, bcs
 
 
-def solve(shells, degree, swap, seconds):
+def solve(shells, degree, swap, adjust, seconds):
     """Solve the tied problem; returns it, its tie and what took how long."""
     (inner, inner_tags), (outer, outer_tags) = shells
     V0, a0, L0, bcs0 = elastic_body(inner, inner_tags, degree, p)
@@ -98,7 +98,7 @@ def solve(shells, degree, swap, seconds):
     # carries the multipliers.
     sides = [(V0, inner_tags.find(meshes.OUTER)), (V1, outer_tags.find(meshes.INNER))]
     with stopwatch(seconds, "sigma"):
-        tie = Tie(*(sides[::-1] if swap else sides))
+        tie = Tie(*(sides[::-1] if swap else sides), adjust=adjust)
     with stopwatch(seconds, "gap"):
         tie.blocks()
     with stopwatch(seconds, "assemble"):
@@ -146,12 +146,12 @@ def stopwatch(seconds, name):
     seconds[name] = time.perf_counter() - start
 
 
-def run(comm, h, degree, swap, refinements=0):
+def run(comm, h, degree, swap, refinements=0, adjust=False):
     """One row of the table, and what was solved."""
     seconds = {}
     with stopwatch(seconds, "mesh"):
         shells = create_shells(comm, h, degree, refinements)
-    problem, tie = solve(shells, degree, swap, seconds)
+    problem, tie = solve(shells, degree, swap, adjust, seconds)
     l2, stress = relative_errors(problem.u, degree)
     row = {
         "degree": degree,
@@ -239,6 +239,7 @@ def main():
     parser.add_argument("--levels", type=int, default=3)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the inner shell")
     parser.add_argument("--refine", action="store_true", help="refine the coarsest meshes instead")
+    parser.add_argument("--adjust", action="store_true", help="move Γ1 to where Γ0 is first")
     parser.add_argument("--fused", action="store_true", help="also solve on one mesh without a tie")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
@@ -254,7 +255,8 @@ def main():
         for level in range(args.levels):
             progress.show(comm, f"degree {degree}, level {level + 1} of {args.levels}")
             h = coarsest / 2**level
-            row, *_ = run(comm, h, degree, args.swap, level if args.refine else 0)
+            refinements = level if args.refine else 0
+            row, *_ = run(comm, h, degree, args.swap, refinements, args.adjust)
             row["level"] = level
             if args.fused:
                 row["fused"] = run_fused(comm, h, degree)

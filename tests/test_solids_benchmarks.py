@@ -85,14 +85,15 @@ def test_rates_on_refined_meshes(degree, swap):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("adjust", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
-def test_as_accurate_as_one_fused_mesh(degree):
-    """The faces of straight cells at the interface cost 3 % of L²: so they do without a tie."""
+def test_as_accurate_as_one_fused_mesh(degree, adjust):
+    """Flat facets of different size overlap: 3 % of L², gone when Γ1 is moved onto Γ0."""
     h = 0.05 * degree
-    row, fused = sphere.run(comm, h, degree, False)[0], sphere.run_fused(comm, h, degree)
+    row, fused = sphere.run(comm, h, degree, False, 0, adjust)[0], sphere.run_fused(comm, h, degree)
     print(row["l2"] / fused["l2"], row["stress"] / fused["stress"])
     assert row["stress"] <= 1.02 * fused["stress"]
-    assert row["l2"] <= (1.04 if degree == 1 else 1.02) * fused["l2"]
+    assert row["l2"] <= (1.02 if adjust or degree > 1 else 1.04) * fused["l2"]
 
 
 def gathered(u):
