@@ -249,7 +249,7 @@ class Tie:
         """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
 
         Args:
-            problem: A :class:`TiedProblem` with this tie.
+            problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
 
         Returns:
             λ on Σ, discontinuous; force per area (2D: per length and unit depth). It is the
