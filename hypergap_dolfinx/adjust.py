@@ -99,7 +99,7 @@ def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:
     free = free[(free >= start) & (free < end)]
     columns = PETSc.IS().createGeneral(free.astype(PETSc.IntType), comm=B[1].comm)
     first, last = B[1].getOwnershipRange()
-    rows = PETSc.IS().createStride(last - first, first, comm=B[1].comm)
+    rows = PETSc.IS().createStride(last - first, first, 1, comm=B[1].comm)
     B_free = B[1].createSubMatrix(rows, columns)
     moved = X[1].copy()
     if B_free.getSize()[0] > 0:
