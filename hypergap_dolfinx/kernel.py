@@ -21,6 +21,7 @@ matrix of :math:`\mathbf X`, in any dimension and without inverting anything:
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -43,13 +44,17 @@ def cofactor(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     Returns:
         ``(..., n, n)``.
     """
+    cof = np.empty_like(X)  # in the memory layout of X
     if X.shape[-1] == 2:
-        cof = np.empty_like(X)
         cof[..., 0, 0], cof[..., 0, 1] = X[..., 1, 1], -X[..., 1, 0]
         cof[..., 1, 0], cof[..., 1, 1] = -X[..., 0, 1], X[..., 0, 0]
         return cof
-    a, b, c = X[..., 0], X[..., 1], X[..., 2]
-    return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=-1)
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            cof[..., i, j] = X[..., k, p] * X[..., m, q] - X[..., k, q] * X[..., m, p]
+    return cof
 
 
 def normal_and_direction(X, dalpha):
@@ -62,11 +67,15 @@ def normal_and_direction(X, dalpha):
     Returns:
         N and v, ``(..., n)`` each.
     """
-    cof = cofactor(X)
-    N = np.einsum("...ij,...j->...i", cof, dalpha)
-    v = np.einsum("...ij,...i->...j", cof, N)
+    cof, n = cofactor(X), X.shape[-1]
+    N, v = (np.empty_like(X[..., 0]) for _ in range(2))
+    for i in range(n):  # products of whole arrays: einsum is slow on axes this short
+        N[..., i] = sum(cof[..., i, j] * dalpha[..., j] for j in range(n))
     with np.errstate(divide="ignore", invalid="ignore"):  # empty cells are found by their N
-        return N, v / np.einsum("...i,...i->...", N, N)[..., None]
+        inverse = 1 / sum(N[..., i] ** 2 for i in range(n))
+        for j in range(n):
+            v[..., j] = sum(cof[..., i, j] * N[..., i] for i in range(n)) * inverse
+    return N, v
 
 
 @dataclass(frozen=True)
@@ -97,12 +106,19 @@ class GapElement:
         """Tabulate basix elements at the points of a Gauss rule of a given degree."""
         return cls.at(geometry, element, *basix.make_quadrature(element.cell_type, degree))
 
-    @property
-    def reference_tensor(self) -> npt.NDArray[np.float64]:
-        """∫ ∂φ_a/∂ξ_i ∂φ_b/∂ξ_j d□, ``(n * n, num_nodes * num_nodes)``."""
-        T = np.einsum("p,pai,pbj->ijab", self.weights, self.dphi, self.dphi, optimize=True)
+    @cached_property
+    def reference_tensors(self) -> npt.NDArray[np.float64]:
+        """∂φ_a/∂ξ_i ∂φ_b/∂ξ_j times the weight at each point, its symmetric part in i and j.
+
+        Of both pairs of indices the upper triangle, i ≤ j and a ≤ b: the parts for j < i are added
+        to those for i < j. ``(num_points, n (n + 1) / 2, num_nodes (num_nodes + 1) / 2)``.
+        """
+        T = np.einsum("p,pai,pbj->pijab", self.weights, self.dphi, self.dphi, optimize=True)
         n, nodes = self.dphi.shape[2], self.dphi.shape[1]
-        return T.reshape(n * n, nodes * nodes)
+        i, j = np.triu_indices(n)
+        T = T[:, i, j] + np.where(i < j, 1.0, 0.0)[:, None, None] * T[:, j, i]
+        a, b = np.triu_indices(nodes)
+        return T[:, :, a, b]
 
 
 def geometry_at_points(element: GapElement, x, alpha):
@@ -141,17 +157,10 @@ def affine_gap_matrices(element: GapElement, x, alpha, normal):
     Raises:
         InvertedCellError: N points against the reference normal.
     """
-    T = element.reference_tensor
-    nodes = element.phi.shape[1]
-    G = np.empty((len(x), nodes * nodes))
-    for start in range(0, len(x), CHUNK):
-        part = slice(start, start + CHUNK)
-        X = (x[part, 1:] - x[part, :1]).transpose(0, 2, 1)
-        N, v = normal_and_direction(X, alpha[part, 1:] - alpha[part, :1])
-        _check_orientation(N, normal[part], x[part])
-        vv = np.linalg.norm(N, axis=1)[:, None, None] * v[:, :, None] * v[:, None, :]
-        np.matmul(vv.reshape(len(vv), -1), T, out=G[part])
-    return G.reshape(-1, nodes, nodes)
+    n = x.shape[2]
+    edges = np.hstack((-np.ones((n, 1)), np.eye(n)))[None]  # ∂ψ_m/∂ξ_j, (1, j, m)
+    T = element.reference_tensors.sum(axis=0, keepdims=True)
+    return _contract(edges, T, x, alpha, normal)
 
 
 def curved_gap_matrices(element: GapElement, x, alpha, normal):
@@ -169,22 +178,46 @@ def curved_gap_matrices(element: GapElement, x, alpha, normal):
     Raises:
         InvertedCellError: N points against the reference normal at a point.
     """
-    nodes = element.phi.shape[1]
-    G = np.empty((len(x), nodes, nodes))
-    for start in range(0, len(x), CHUNK):
-        part = slice(start, start + CHUNK)
-        N, v = geometry_at_points(element, x[part], alpha[part])
-        _check_orientation(N, normal[part, None], x[part])
-        dphi = alpha_derivatives(element, v)  # (cell, point, node)
-        weights = element.weights * np.linalg.norm(N, axis=2)
-        np.matmul((dphi * weights[..., None]).transpose(0, 2, 1), dphi, out=G[part])
-    return G
+    dpsi = element.dpsi.transpose(0, 2, 1)
+    return _contract(dpsi, element.reference_tensors, x, alpha, normal)
+
+
+def _contract(dpsi, T, x, alpha, normal):
+    """G_ab = Σ_p Σ_ij (|N| v_i v_j)_p T_pijab, as one product of matrices for many cells.
+
+    Args:
+        dpsi: ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``.
+        T: Reference tensors there, see :attr:`GapElement.reference_tensors`.
+        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
+        alpha: α at the vertices, ``(num_cells, n + 1)``.
+        normal: Reference normals, ``(num_cells, n)``.
+    """
+    num_points, n, num_geometry = dpsi.shape
+    nodes = int(np.sqrt(2 * T.shape[2]))
+    dpsi = np.ascontiguousarray(dpsi.transpose(1, 0, 2)).reshape(-1, num_geometry)
+    T = T.transpose(1, 0, 2).reshape(-1, T.shape[2])  # (pair of i j, point), (pair of a b)
+    upper = np.zeros((nodes, nodes), dtype=np.intp)
+    upper[np.triu_indices(nodes)] = np.arange(T.shape[1])
+    pair = np.maximum(upper, upper.T).ravel()
+    G = np.empty((len(x), nodes * nodes))
+    size = max(CHUNK // num_points, 64)
+    for start in range(0, len(x), size):
+        part = slice(start, start + size)
+        xs = np.ascontiguousarray(x[part].transpose(2, 1, 0))  # (i, m, cell): long axis last
+        X = (dpsi @ xs).reshape(n, n, num_points, -1)  # (i, j, point, cell)
+        vertices = alpha[part].T
+        N, v = normal_and_direction(np.moveaxis(X, (0, 1), (2, 3)), (vertices[1:] - vertices[0]).T)
+        _check_orientation(N, normal[part], x[part])
+        length = np.sqrt(sum(N[..., i] ** 2 for i in range(n)))
+        vv = np.stack([length * v[..., i] * v[..., j] for i in range(n) for j in range(i, n)])
+        np.take(vv.reshape(len(T), -1).T @ T, pair, axis=1, out=G[part])
+    return G.reshape(-1, nodes, nodes)
 
 
 def _check_orientation(N, normal, x):
-    """The length in eq. (12) hides the sign of dΣ; look at it before it is lost."""
-    sign = np.einsum("...i,...i->...", N, np.broadcast_to(normal, N.shape))
-    wrong = ~(sign > 0) if sign.ndim == 1 else ~(sign > 0).all(axis=1)
+    """N is ``(num_points, num_cells, n)``. The length in eq. (12) hides the sign of dΣ; look at it before it is lost."""
+    sign = sum(N[..., i] * normal[..., i] for i in range(normal.shape[-1]))
+    wrong = ~(sign > 0).all(axis=0)
     if wrong.any():
         raise InvertedCellError(
             f"{wrong.sum()} gap elements are inverted or empty, the first at "
