@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.checks import Coincidences
 from hypergap_dolfinx.constraint import Dropped, independent_rows
-from hypergap_dolfinx.cross_points import dropped_multipliers
+from hypergap_dolfinx.cross_points import dropped_multipliers, look_up
 from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
 
@@ -52,6 +53,7 @@ class ConstraintBlocks:
         self._free: list[list[PETSc.Mat | None]] = []
         self._own: list[npt.NDArray[np.int64]] = []
         self._gaps: dict[int, PETSc.Vec] = {}
+        self._pairs: dict[int, Coincidences] = {}
         prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._held = prescribed
         interior = len(self._spaces)
@@ -131,6 +133,28 @@ class ConstraintBlocks:
             self._gaps[t] = c
         return self._gaps[t]
 
+    def check_prescribed(self, values: Sequence[PETSc.Vec]):
+        """Raise where both sides of a tie are prescribed, and differently. Collective.
+
+        Args:
+            values: The prescribed displacements of each body, zero elsewhere.
+
+        Raises:
+            InterfaceError: With the place and the values.
+        """
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True)):
+            if tie.closes_gap:
+                continue
+            if t not in self._pairs:
+                self._pairs[t] = Coincidences(tie)
+            pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
+            for V, body, dofs in zip(tie.spaces, bodies, pairs.dofs, strict=True):
+                shape, start = (-1, tie.block_size), V.dofmap.index_map.local_range[0]
+                held = self._held[body].reshape(shape).astype(np.int8)
+                both.append(look_up(comm, held, start, dofs).astype(bool))
+                given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
+            pairs.check(t, both, given)
+
     def multipliers(self, t: int, x: PETSc.Vec) -> npt.NDArray[np.float64]:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective."""
         E = self._rows[t]
@@ -170,7 +194,7 @@ class ConstraintBlocks:
         tie, bodies = self._ties[t], self._bodies[t]
         E, lost = independent_rows(tie.constraint, tie.domain, dropped)
         self._check_lost_rows(t, lost, prescribed[bodies[0]])
-        dofs = (tie.constraint.dofs[:, None] * tie.block_size + np.arange(tie.block_size))
+        dofs = tie.constraint.dofs[:, None] * tie.block_size + np.arange(tie.block_size)
         dofs = dofs[~dropped.dropped]
         start, end = np.multiply(tie.spaces[1].dofmap.index_map.local_range, tie.block_size)
         self._own.append(dofs[(dofs >= start) & (dofs < end)])

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import saddle, solvers
+from hypergap_dolfinx import checks, saddle, solvers
 from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
@@ -135,6 +135,8 @@ class TiedProblem(TiedSystem):
             g.set(0.0)
             petsc.set_bc(g, bcs)
             prescribed.append(g)
+        checks.check_finite(self._b_bodies, "the load")
+        self._constraints.check_prescribed(prescribed)
         for t, c in enumerate(self._b_ties):
             self._constraints.apply(t, prescribed, c)
             c.scale(-1.0)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import compat, saddle
+from hypergap_dolfinx import checks, compat, saddle
 from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.tie import Tie
 
@@ -58,6 +58,8 @@ class TiedSystem:
         if len({id(tie) for tie in ties}) < len(ties):
             raise ValueError("a tie is given twice; that would make the matrix singular.")
         spaces = [f.function_space for f in self._u]
+        for i, V in enumerate(spaces):
+            checks.check_cells(V.mesh, f"body {i}")
         self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
@@ -120,6 +122,7 @@ class TiedSystem:
             K.zeroEntries()
             petsc.assemble_matrix(K, form, bcs=bcs)
             K.assemble()
+        checks.check_finite(self._K, "the stiffness")
         self._A.assemble()
 
     def _assign(self, x: PETSc.Vec):

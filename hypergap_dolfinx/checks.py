@@ -1,0 +1,128 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Input that no solver would complain about: tangled cells, numbers that are none, contradictions.
+
+Every check is collective and raises the same exception on every rank.
+"""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.surface import InterfaceError, raise_on_all
+from hypergap_dolfinx.tie import Tie
+
+CHUNK = 100_000  # cells at a time
+FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts as none
+
+
+def check_cells(mesh: Mesh, name: str):
+    """Raise where a cell has no volume or is turned over somewhere. Collective.
+
+    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part.
+
+    Args:
+        mesh: Mesh of a body.
+        name: What the message calls it.
+
+    Raises:
+        ValueError: With the place of the first such cell.
+    """
+    n = mesh.geometry.dim
+    cmap = compat.coordinate_element(mesh)
+    cell_type = getattr(basix.CellType, mesh.topology.cell_name())
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    element = basix.create_element(basix.ElementFamily.P, cell_type, cmap.degree, variant)
+    simplex = cell_type in (basix.CellType.triangle, basix.CellType.tetrahedron)
+    points = basix.make_quadrature(
+        cell_type, 1 if simplex and cmap.degree == 1 else 2 * cmap.degree
+    )
+    dpsi = element.tabulate(1, points[0])[1:, :, :, 0]  # (axis, point, node)
+    message = None
+    cells = compat.geometry_dofmap(mesh)
+    for start in range(0, len(cells), CHUNK):
+        x = mesh.geometry.x[cells[start : start + CHUNK], :n]  # (cell, node, n)
+        det = np.linalg.det(np.einsum("cmi,jpm->cpij", x, dpsi, optimize=True))
+        size = np.ptp(x, axis=1).max(axis=1) ** n
+        bad = ~(np.abs(det).min(axis=1) > FLAT * size) | (det.min(axis=1) * det.max(axis=1) <= 0)
+        # Far away and tiny cells: products underflow or coordinates have no digits left
+        bad &= np.isfinite(det).all(axis=1)
+        if bad.any():
+            i = int(bad.argmax())
+            message = (
+                f"{name} has a cell without volume or turned over in part, at {x[i].mean(axis=0)} "
+                f"(det J from {det[i].min():.3g} to {det[i].max():.3g}); mend its mesh."
+            )
+            break
+    raise_on_all(mesh.comm, message, ValueError)
+
+
+def check_finite(objects: Sequence[PETSc.Object], what: str):
+    """Raise where a body's matrix or vector has a NaN or an infinity. Collective.
+
+    Args:
+        objects: Matrices or vectors of the bodies.
+        what: What the message calls them.
+
+    Raises:
+        ValueError: Names the body.
+    """
+    for i, obj in enumerate(objects):
+        if not np.isfinite(obj.norm()):
+            raise ValueError(
+                f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
+                "coordinates and prescribed displacements."
+            )
+
+
+class Coincidences:
+    """Nodes of Γ0 and Γ1 at the same place, where both sides may be prescribed."""
+
+    def __init__(self, tie: Tie):
+        """Find them, on every rank alike."""
+        x, dofs = [], []
+        for surface in tie.surfaces:
+            every, first = np.unique(surface.dofs, return_index=True)
+            facet, local = np.divmod(first, surface.dofs.shape[1])
+            x.append(surface.points(facet, surface.element.points[local]))
+            dofs.append(every)
+        h = min(surface.size.min() for surface in tie.surfaces)
+        cell = 1e-6 * h + 64 * np.finfo(float).eps * np.abs(x[0]).max()
+        keys = [np.rint((p - x[0].min(axis=0)) / cell).astype(np.int64) for p in x]
+        _, at = np.unique(np.vstack(keys), axis=0, return_inverse=True)
+        at0, at1 = np.split(at.ravel(), [len(x[0])])
+        _, i, j = np.intersect1d(at0, at1, return_indices=True)
+        self.dofs = dofs[0][i], dofs[1][j]
+        """Global dofs (blocks) of both sides, ``(num_pairs,)`` each."""
+        self.x: npt.NDArray[np.float64] = x[0][i]
+        """Where they are, ``(num_pairs, n)``."""
+
+    def check(self, t: int, prescribed, values):
+        """Raise where both sides are prescribed, and differently.
+
+        Args:
+            t: Number of the tie.
+            prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
+            values: The prescribed values.
+
+        Raises:
+            InterfaceError: With the place and the values.
+        """
+        both = prescribed[0] & prescribed[1]
+        size = max(np.abs(v).max(initial=0) for v in values)
+        wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size)
+        if wrong.any():
+            i = int(wrong.any(axis=1).argmax())
+            raise InterfaceError(
+                f"the prescribed displacements contradict tie {t} at {self.x[i]}: {values[0][i]} "
+                f"on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on one side only."
+            )
