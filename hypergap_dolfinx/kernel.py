@@ -215,7 +215,13 @@ def _contract(dpsi, T, x, alpha, normal):
 
 
 def _check_orientation(N, normal, x):
-    """N is ``(num_points, num_cells, n)``. The length in eq. (12) hides the sign of dΣ; look at it before it is lost."""
+    """The length in eq. (12) hides the sign of dΣ; look at it before it is lost.
+
+    Args:
+        N: ``(num_points, num_cells, n)``.
+        normal: ``(num_cells, n)``.
+        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
+    """
     sign = sum(N[..., i] * normal[..., i] for i in range(normal.shape[-1]))
     wrong = ~(sign > 0).all(axis=0)
     if wrong.any():

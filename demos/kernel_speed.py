@@ -1,0 +1,123 @@
+# # How fast Σ is meshed and integrated
+#
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+#
+# What a tie costs before anything is solved, on one core: gap element matrices a second; the strip
+# between two chains of 100 000 edges; and the whole way from facets to the blocks $B_0$ and $B_1$,
+# over the number of facets. That should grow in proportion: the exponent of a fit is printed.
+
+# +
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix
+from dolfinx import fem
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+import meshes
+from hypergap_dolfinx import Tie, kernel, strip
+from hypergap_dolfinx.surface import create_surface
+
+# -
+
+
+def fastest(run, repeats=5):
+    """Seconds of processor time of the fastest of several runs."""
+    seconds = []
+    for _ in range(repeats):
+        start = time.process_time()
+        run()
+        seconds.append(time.process_time() - start)
+    return min(seconds)
+
+
+# ## Gap element matrices
+#
+# of tetrahedra with a base on Γ0 and an apex on Γ1. Curved ones have their edge nodes displaced.
+
+
+def cells_per_second(degree, geometry, num_cells):
+    """Speed of the kernel on random cells."""
+    cell = basix.CellType.tetrahedron
+    psi, phi = (
+        basix.create_element(basix.ElementFamily.P, cell, d, basix.LagrangeVariant.equispaced)
+        for d in (geometry, degree)
+    )
+    random = np.random.default_rng(0)
+    x = psi.points * (0.5 + random.random((num_cells, 1, 1))) * (1, 1, 0.01)
+    alpha, normal = np.zeros((num_cells, 4)), np.zeros((num_cells, 3))
+    alpha[:, 3] = normal[:, 2] = 1
+    if geometry == 1:
+        tables = kernel.GapElement.with_quadrature(psi, phi, 2 * degree - 2)
+        matrices = kernel.affine_gap_matrices
+    else:
+        x += 0.02 * random.random(x.shape) * (1, 1, 0.1)
+        tables = kernel.GapElement.with_quadrature(psi, phi, 2 * (degree + geometry))
+        matrices = kernel.curved_gap_matrices
+    return num_cells / fastest(lambda: matrices(tables, x, alpha, normal))
+
+
+# ## Σ and its blocks
+#
+# between rings that are one cell thick.
+
+
+def rings(n, degree=1):
+    """Spaces on two rings and their facets: n and n − 7 edges face each other."""
+    inner, ft0 = meshes.ring_sector(MPI.COMM_SELF, n, 1, 1.0, 1.5, degree=degree)
+    outer, ft1 = meshes.ring_sector(MPI.COMM_SELF, n - 7, 1, 1.5, 2.0, degree=degree)
+    V = [fem.functionspace(mesh, ("Lagrange", degree, (2,))) for mesh in (inner, outer)]
+    return (V[0], ft0.find(meshes.OUTER)), (V[1], ft1.find(meshes.INNER))
+
+
+def strip_seconds(n):
+    """Meshing the strip, the surfaces being there."""
+    sides = [create_surface(*side, name) for side, name in zip(rings(n), ("Γ0", "Γ1"), strict=True)]
+    return fastest(lambda: strip.mesh_strip(*sides))
+
+
+def tie_seconds(n, degree):
+    """From facets to blocks."""
+    sides = rings(n, degree)
+    return fastest(lambda: Tie(*sides).blocks(), repeats=3)
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="How fast Σ is meshed and integrated.")
+    parser.add_argument("--quick", action="store_true", help="a hundredth of the cells")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    args = parser.parse_args()
+    scale = 100 if args.quick else 1
+
+    result = {
+        "affine P1 tetrahedra, cells/s": cells_per_second(1, 1, 200000 // scale),
+        "affine P2 tetrahedra, cells/s": cells_per_second(2, 1, 100000 // scale),
+        "curved P2 tetrahedra, cells/s": cells_per_second(2, 2, 50000 // scale),
+        f"strip of 2 × {100000 // scale} edges, s": strip_seconds(100000 // scale),
+    }
+    for degree in (1, 2):
+        num = [n // scale for n in (4000, 8000, 16000, 32000)]
+        seconds = [tie_seconds(n, degree) for n in num]
+        slope, constant = np.polyfit(num, seconds, 1)
+        result[f"tie of degree {degree}, s per facet of Γ0"] = slope
+        result[f"tie of degree {degree}, s at no facets"] = constant
+        result[f"tie of degree {degree}, exponent"] = np.polyfit(np.log(num), np.log(seconds), 1)[0]
+    if MPI.COMM_WORLD.rank == 0:
+        for name, value in result.items():
+            print(f"{name:45s} {value:12.4g}")
+        if args.json:
+            args.json.write_text(json.dumps({k: float(v) for k, v in result.items()}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
