@@ -1,0 +1,298 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Bad input that test_errors doesn't have: one line on every rank, and nothing left behind."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from assembly import comm, linear, problem, rectangle, tie
+
+import hypergap_dolfinx.tie
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+TIED = [(0, TOP), (1, BOTTOM)]
+HELD = [(0, BOTTOM, (0, 1))]
+
+
+def raises(error, match, call):
+    """The same line on every rank."""
+    with pytest.raises(error, match=match) as info:
+        call()
+    message = str(info.value)
+    assert "\n" not in message and len(message) > 20
+    assert len(set(comm.allgather(message))) == 1
+
+
+def blocks(**options):
+    return [rectangle((n, 2), (0, i), (1, i + 1), **options) for i, n in enumerate((2, 3))]
+
+
+def forms(bodies, E=(1.0, 1.0), load=(0.0, 0.0)):
+    """Forms with coefficients."""
+    a, L = [], []
+    for body, e, f in zip(bodies, E, load, strict=True):
+        modulus = fem.Constant(body.mesh, default_scalar_type(e))
+        force = fem.Constant(body.mesh, default_scalar_type((f, 0)))
+        a.append(modulus * body.a)
+        L.append(ufl.inner(force, ufl.TestFunction(body.V)) * ufl.dx)
+    return a, L
+
+
+def held(body, tag, value=(0.0, 0.0)):
+    dofs = fem.locate_dofs_topological(body.V, 1, body.facets(tag))
+    return fem.dirichletbc(np.array(value, dtype=default_scalar_type), dofs, body.V)
+
+
+@pytest.mark.parametrize("number", (np.nan, np.inf, -np.inf))
+@pytest.mark.parametrize("body", (0, 1))
+def test_stiffness_that_is_no_number(body, number):
+    bodies = blocks()
+    E = [1.0, 1.0]
+    E[body] = number
+    a, L = forms(bodies, E=E)
+    p = TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=[tie(bodies, *TIED)])
+    raises(ValueError, f"^the stiffness of body {body} has NaN or infinite", p.solve)
+
+
+@pytest.mark.parametrize("number", (np.nan, np.inf))
+@pytest.mark.parametrize("body", (0, 1))
+def test_load_that_is_no_number(body, number):
+    bodies = blocks()
+    load = [0.0, 0.0]
+    load[body] = number
+    a, L = forms(bodies, load=load)
+    p = TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=[tie(bodies, *TIED)])
+    raises(ValueError, f"^the load of body {body} has NaN or infinite", p.solve)
+
+
+@pytest.mark.parametrize("number", (np.nan, np.inf))
+def test_prescribed_displacement_that_is_no_number(number):
+    bodies = blocks()
+    a, L = forms(bodies)
+    bcs = [held(bodies[0], BOTTOM, (0.0, number))]
+    p = TiedProblem(a, L, bcs=bcs, ties=[tie(bodies, *TIED)])
+    raises(ValueError, "^the load of body 0 has NaN or infinite", p.solve)
+
+
+@pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
+@pytest.mark.parametrize("body", (0, 1))
+def test_cells_without_volume(body, cell):
+    bodies = blocks(cell=cell)
+    ties = [tie(bodies, *TIED)]
+    x = bodies[body].mesh.geometry.x
+    x[np.isclose(x[:, 1], body + 0.5), 1] = body + (0 if body else 1)
+    a, L = forms(bodies)
+    raises(
+        ValueError,
+        f"^body {body} has a cell without volume or turned over in part, at",
+        lambda: TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties),
+    )
+
+
+@pytest.mark.parametrize("move", ((0.6, 0.0), (0.0, 0.6), (0.45, 0.45)))
+def test_cells_turned_over_in_part(move):
+    bodies = blocks()
+    ties = [tie(bodies, *TIED)]
+    x = bodies[0].mesh.geometry.x
+    x[np.isclose(x[:, 0], 0.5) & np.isclose(x[:, 1], 0.5), :2] += move
+    a, L = forms(bodies)
+    raises(
+        ValueError,
+        "^body 0 has a cell without volume or turned over in part, at",
+        lambda: TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties),
+    )
+
+
+def test_mirrored_cells_are_none_of_these():
+    """DOLFINx takes them, as a whole."""
+    bodies = blocks(cell="triangle", mapping=None)
+    for body in bodies:
+        body.mesh.geometry.x[:, 0] *= -1
+    a, L = forms(bodies)
+    TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=[tie(bodies, *TIED)]).solve()
+
+
+@pytest.mark.parametrize("other", ((0.1, 0.0), (0.0, -0.1), (0.2, 0.2)))
+@pytest.mark.parametrize("swap", (False, True))
+def test_contradiction(other, swap):
+    """Both sides are prescribed beside the interface's end, differently."""
+    bodies = blocks()
+    ties = [tie(bodies, *(TIED[::-1] if swap else TIED))]
+    bcs = [held(bodies[0], LEFT), held(bodies[1], LEFT, other)]
+    a, L = forms(bodies)
+    p = TiedProblem(a, L, bcs=bcs, ties=ties)
+    raises(InterfaceError, r"^the prescribed displacements contradict tie 0 at \[", p.solve)
+
+
+def test_no_contradiction():
+    bodies = blocks()
+    bcs = [held(body, LEFT, (0.1, -0.1)) for body in bodies]
+    a, L = forms(bodies)
+    us = TiedProblem(a, L, bcs=bcs, ties=[tie(bodies, *TIED)]).solve()
+    assert all(np.allclose(u.x.array.reshape(-1, 2), (0.1, -0.1), atol=1e-12) for u in us)
+
+
+def test_contradiction_in_a_later_step():
+    bodies = blocks()
+    values = [fem.Constant(b.mesh, default_scalar_type((0, 0))) for b in bodies]
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(b.V, 1, b.facets(LEFT)), b.V)
+        for value, b in zip(values, bodies, strict=True)
+    ]
+    a, L = forms(bodies)
+    p = TiedProblem(a, L, bcs=bcs, ties=[tie(bodies, *TIED)])
+    p.solve()
+    values[1].value[0] = 1.0
+    raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
+
+
+@pytest.mark.parametrize("fixed, count", (((), 3), (((0, BOTTOM, (1,)),), 1)))
+@pytest.mark.parametrize("swap", (False, True))
+def test_an_assembly_that_can_still_move(fixed, count, swap):
+    bodies = blocks()
+    p = problem(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed)
+    raises(SolveError, f"singular: {count} rigid motions", p.solve)
+
+
+@pytest.mark.parametrize("num", (2, 3))
+def test_bodies_without_ties(num):
+    """Each of the others has its three."""
+    bodies = [rectangle((2, 2), (0, i), (1, i + 1)) for i in range(num)]
+    p = problem(bodies, [], [], HELD)
+    raises(SolveError, f"singular: {3 * (num - 1)} rigid motions", p.solve)
+
+
+def test_a_scalar_that_nothing_holds():
+    mesh = rectangle((2, 2), (0, 0), (1, 1)).mesh
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    zero = fem.Constant(mesh, default_scalar_type(0))
+    p = TiedProblem([ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx], [zero * v * ufl.dx])
+    raises(SolveError, "singular: 1 rigid motions", p.solve)
+    # With a reaction it is held
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 1e-8 * u * v * ufl.dx
+    TiedProblem([a], [zero * v * ufl.dx]).solve()
+
+
+@pytest.mark.parametrize(
+    "pair, match",
+    (
+        (((0, TOP), (1, TOP)), "don't face each other"),
+        (((0, BOTTOM), (1, TOP)), "don't face each other"),
+        (((0, LEFT), (1, RIGHT)), "don't face each other"),
+        (((0, RIGHT), (1, RIGHT)), "don't face each other"),
+    ),
+)
+def test_wrong_sides(pair, match):
+    bodies = blocks()
+    raises(InterfaceError, match, lambda: tie(bodies, *pair))
+
+
+def test_inside_out():
+    """Both bodies lie below the interface."""
+    bodies = [rectangle((n, 1), (0, 0), (1, 1)) for n in (2, 3)]
+    raises(InterfaceError, "their outward normals agree", lambda: tie(bodies, (0, TOP), (1, TOP)))
+
+
+def test_far_apart():
+    bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 50)]
+    raises(InterfaceError, "don't face each other: no part of Γ1", lambda: tie(bodies, *TIED))
+
+
+def test_complex_numbers(monkeypatch):
+    class Complex:
+        ScalarType = np.complex128
+
+    bodies = blocks()
+    monkeypatch.setattr(hypergap_dolfinx.tie, "PETSc", Complex)
+    raises(RuntimeError, "PETSc's scalars are complex", lambda: tie(bodies, *TIED))
+
+
+@pytest.mark.parametrize("kind", ("DG", "Bubble"))
+def test_families(kind):
+    bodies = blocks(cell="triangle")
+    element = ("Discontinuous Lagrange", 1, (2,)) if kind == "DG" else ("Bubble", 3, (2,))
+    V = fem.functionspace(bodies[1].mesh, element)
+    sides = [(bodies[0].V, bodies[0].facets(TOP)), (V, bodies[1].facets(BOTTOM))]
+    raises(InterfaceError, "the space of Γ1 .* is not a continuous Lagrange", lambda: Tie(*sides))
+
+
+@pytest.mark.parametrize("facets", ([[0, 1]], 3.5, "TOP", None))
+def test_facets_of_strange_kinds(facets):
+    bodies = blocks()
+    sides = [(bodies[0].V, facets), (bodies[1].V, bodies[1].facets(BOTTOM))]
+    raises(InterfaceError, "the facets of Γ0 must be a flat array", lambda: Tie(*sides))
+
+
+def test_a_tie_that_was_never_made():
+    """Its destructor has nothing to destroy."""
+    with pytest.raises(TypeError):
+        Tie()
+    Tie.__new__(Tie).__del__()
+    TiedProblem.__new__(TiedProblem).__del__()
+
+
+@pytest.mark.serial
+def test_workspace(monkeypatch):
+    """MUMPS runs out of workspace, gets more, and all is well."""
+    from hypergap_dolfinx import saddle
+
+    bodies = [
+        rectangle((n, 12), (0, i), (1, i + 1), degree=2, E=E)
+        for i, (n, E) in enumerate(((1, 1.0), (100, 1e-10)))
+    ]
+    p = problem(bodies, [tie(bodies, *TIED[::-1])], TIED, HELD, solver="direct")
+    p.solve()
+    reference = [u.x.array.copy() for u in p.u]
+    solves = []
+
+    class Factor:
+        def getMumpsInfog(self, i):
+            return -9 if len(solves) < 3 else 0
+
+        def getMumpsIcntl(self, i):
+            return 100
+
+    class PC:
+        def getType(self):
+            return "lu"
+
+        def getFactorSolverType(self):
+            return "mumps"
+
+        def getFactorMatrix(self):
+            return Factor()
+
+        def reset(self):
+            pass
+
+    class KSP:
+        def solve(self, b, x):
+            solves.append(1)
+
+        def getPC(self):
+            return PC()
+
+        def getOptionsPrefix(self):
+            return "x_"
+
+        def getOperators(self):
+            return ()
+
+        def setOperators(self):
+            pass
+
+    saddle.solve(KSP(), None, None)
+    assert len(solves) == 3
+    assert not PETSc.Options().hasName("x_mat_mumps_icntl_14")
+    p.solve()
+    assert all(np.allclose(u.x.array, r) for u, r in zip(p.u, reference, strict=True))
+    assert linear((1, 0)) == (0.3, 0.5) and MPI.COMM_WORLD.size == 1
