@@ -161,13 +161,14 @@ def _trace(previous: npt.NDArray[np.intp]):
     return back, place, smallest
 
 
-def kinks(surface: Surface) -> npt.NDArray[np.bool_]:
-    """Vertices where a surface has a corner: it turns there, and hardly beside it.
+def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """By what angle a surface turns at its vertices, and where that is a corner.
 
-    A polygon that stands for a smooth curve turns at all of its vertices about as much.
+    A corner turns and there is hardly a turn beside it; a polygon that stands for a smooth curve
+    turns at all of its vertices about as much.
 
     Returns:
-        ``(num_vertices,)``.
+        Angles (0 where they are round-off) and corners, ``(num_vertices,)`` each.
     """
     start, end = surface.facets.T
     before, after = (np.full(len(surface.x), -1) for _ in range(2))
@@ -180,24 +181,30 @@ def kinks(surface: Surface) -> npt.NDArray[np.bool_]:
     beside = np.zeros(len(surface.x))
     beside[inner] = np.maximum(turn[start[before[inner]]], turn[end[after[inner]]])
     noise = 64 * np.finfo(float).eps * np.abs(surface.x).max() / surface.size.min()
-    return (turn > KINK) | (turn > np.maximum(4 * beside, 1e-8 + noise))
+    turn[turn <= 1e-8 + noise] = 0
+    return turn, (turn > KINK) | (turn > 4 * beside)
 
 
 def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:
     """The smooth pieces of both surfaces, all travelled in the direction of Γ0.
 
-    One ends and the next begins where both surfaces have a node at a kink.
+    One ends and the next begins where both surfaces have a node at a kink: a corner of both, or a
+    corner of one where the other turns by the same angle. (With one edge a side, a polygon's own
+    corners can't be told from a curve; nodes on a curve turn by different angles if edges differ.)
 
     Raises:
         InterfaceError: The edges branch.
     """
     surfaces = (surface0, surface1)
     breaks = [np.zeros(len(surface.x), dtype=bool) for surface in surfaces]
-    at = [np.flatnonzero(kinks(surface)) for surface in surfaces]
+    (turn0, corner0), (turn1, corner1) = (turns(surface) for surface in surfaces)
+    at = [np.flatnonzero(turn) for turn in (turn0, turn1)]
     if len(at[0]) and len(at[1]):
-        pairs = _coincident(surface0.x[at[0]], surface1.x[at[1]])
-        for b, vertices, found in zip(breaks, at, pairs, strict=True):
-            b[vertices[found]] = True
+        i, j = _coincident(surface0.x[at[0]], surface1.x[at[1]])
+        i, j = at[0][i], at[1][j]
+        same = np.abs(turn0[i] - turn1[j]) <= 1e-3 * turn0[i] + 1e-8
+        kink = (corner0[i] & corner1[j]) | (same & (corner0[i] | corner1[j]))
+        breaks[0][i[kink]] = breaks[1][j[kink]] = True
     c0, c1 = (chains(surface, b) for surface, b in zip(surfaces, breaks, strict=True))
     return c0, [chain.reversed for chain in c1]
 
