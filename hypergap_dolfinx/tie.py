@@ -33,7 +33,9 @@ class Tie:
     ∂φ_a/∂α (eq. 20).
 
     Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
-    softer) side, or leave that to :meth:`between`. Everything here is collective.
+    softer) side, or leave that to :meth:`between`; but a layer far thinner than its cells are long
+    wants to be Γ1, or to have the larger cells. Where surfaces have a kink, both need a node there
+    and one of them two edges on each side. Everything here is collective.
 
     Example:
         Two squares, one on top of the other:
