@@ -371,7 +371,8 @@ def _exponents(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.in
 def _determined(element: basix.finite_element.FiniteElement, free: tuple[bool, ...]) -> bool:
     """Whether a polynomial of degree k − 1 follows from the dofs that are free."""
     P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)
-    return bool(np.linalg.matrix_rank(P[np.asarray(free)]) == P.shape[1])
+    where = np.asarray(free)
+    return bool(where.any() and np.linalg.matrix_rank(P[where]) == P.shape[1])
 
 
 @lru_cache(maxsize=1024)

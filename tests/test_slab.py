@@ -344,6 +344,7 @@ def test_a_session_of_the_users():
         assert gmsh.model.getCurrent() == "mine" and gmsh.model.list() == models
         assert gmsh.option.getNumber("Mesh.MeshSizeMax") == 0.4
         assert gmsh.option.getNumber("Mesh.Algorithm3D") == 4
+        gmsh.option.setNumber("Mesh.Algorithm3D", 1)  # 4 needs Netgen, which Debian's has not
         gmsh.model.mesh.generate(3)
         assert len(gmsh.model.mesh.getElementsByType(4)[0]) > 10
     finally:
