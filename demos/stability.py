@@ -276,13 +276,14 @@ def diagnosis(problem):
     parts, solution = r.getNestSubVecs(), x.getNestSubVecs()
     size = max(part.norm(PETSC_INF) for part in solution[: len(problem.u)])
     gap = max((part.norm(PETSC_INF) for part in parts[len(parts) - num :] if num), default=0.0)
-    factor = problem.solver.getPC().getFactorMatrix()
+    pc = problem.solver.getPC()
+    factor = pc.getFactorMatrix() if pc.getType() in ("lu", "cholesky") else None
     result = {
         "residual": r.norm() / b.norm(),
         "constraint": gap / size,
         "reason": problem.solver.getConvergedReason(),
-        "infog12": factor.getMumpsInfog(12),
-        "infog28": factor.getMumpsInfog(28),
+        "infog12": factor and factor.getMumpsInfog(12),
+        "infog28": factor and factor.getMumpsInfog(28),
     }
     r.destroy()
     return result
@@ -415,7 +416,7 @@ def main():
         text = f"{r['value']:.5g}" if isinstance(r["value"], float) else str(r["value"])
         line = f"{r['scene']:13s}{r['axis']:21s}{text:>14s} {r['dim']}D  {r['degree']}  "
         line += f"{r['error']:.1e}   {r['bound']:.1e}   {ratio:7.1e}   {r['residual']:.1e}   "
-        line += f"{r['constraint']:.1e}   {r['reason']} {r['infog12']:7d} {r['infog28']:5d}   "
+        line += f"{r['constraint']:.1e}   {r['reason']} {r['infog12']!s:>7} {r['infog28']!s:>5}   "
         if comm.rank == 0:
             print(line + ("met" if r["ok"] else "NOT MET"), flush=True)
     if comm.rank == 0:

@@ -109,6 +109,8 @@ class Coincidences:
         """Global dofs (blocks) of both sides, ``(num_pairs,)`` each."""
         self.x: npt.NDArray[np.float64] = x[0][i]
         """Where they are, ``(num_pairs, n)``."""
+        self.extent = float(np.ptp(x[0], axis=0).max())
+        """Size of Γ0."""
 
     def check(self, t: int, prescribed, values):
         """Raise where both sides are prescribed, and differently.
@@ -123,7 +125,8 @@ class Coincidences:
         """
         both = prescribed[0] & prescribed[1]
         size = max(np.abs(v).max(initial=0) for v in values)
-        wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size)
+        noise = 1e-12 * self.extent
+        wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size + noise)
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(

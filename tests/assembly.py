@@ -176,20 +176,23 @@ def inertia(problem: TiedProblem) -> tuple[int, int, int]:
 
     The matrix is scaled to a unit diagonal of K and unit rows of B, so that zero means zero.
     """
+    rows = [part.getIndices() for part in problem.A.getNestISs()[0]]  # of this rank
+    ties = np.concatenate([np.empty(0, int), *rows[len(rows) - len(problem.ties) :]])
+    ties = np.concatenate(comm.allgather(ties)).astype(int)
     A = dense(problem.A)
-    num_multipliers = sum(
-        next(B for B in row if B is not None).getSize()[0] for row in problem._constraints.free
-    )
-    n = len(A) - num_multipliers
+    bodies = np.setdiff1d(np.arange(len(A)), ties)
+    order = np.concatenate((bodies, ties))
+    A = A[np.ix_(order, order)]
+    n = len(bodies)
     diagonal = np.sqrt(np.abs(A.diagonal()))
     diagonal[n:] = 1
     A /= diagonal[:, None] * diagonal
-    rows = np.linalg.norm(A[n:, :n], axis=1)
-    rows[rows == 0] = 1
-    A[n:] /= rows[:, None]
-    A[:, n:] /= rows
+    size = np.linalg.norm(A[n:, :n], axis=1)
+    size[size == 0] = 1
+    A[n:] /= size[:, None]
+    A[:, n:] /= size
     values = np.linalg.eigvalsh(A)
-    return int((values < -1e-9).sum()), int((np.abs(values) <= 1e-9).sum()), num_multipliers
+    return int((values < -1e-9).sum()), int((np.abs(values) <= 1e-9).sum()), len(ties)
 
 
 def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, traction=True) -> TiedProblem:
