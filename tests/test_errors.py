@@ -270,8 +270,8 @@ def arguments():
 
 
 SINGULAR = (
-    r"^the linear solve failed: KSP reason -?\d+ \(\w+\), MUMPS INFOG\(1\) = (0|-10), .*"
-    r"; the matrix is singular: is every body held, .* or by a tie to one that is"
+    r"^the matrix is singular: 3 rigid motions of the bodies are free; hold every body, by boundary "
+    r"conditions or by a tie to one that is held\.$"
 )
 
 
