@@ -12,7 +12,10 @@ import pytest
 from assembly import Body, check, comm, inertia, problem, rectangle, tie
 
 import meshes
-from dolfinx import fem
+import meshes.solids
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Tie, TiedProblem
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
 FULL = 2 * np.pi
@@ -111,3 +114,21 @@ def test_nodes_at_kinks_stay():
     distance = np.abs(bodies[1].mesh.geometry.x - (0.5, 1.5, 0)).sum(axis=1).min(initial=9)
     assert comm.allreduce(distance, MPI.MIN) <= 1e-15
     check(bodies, ties, tied, [(0, LEFT, (0, 1)), (0, RIGHT, (0, 1))])
+
+
+@pytest.mark.parametrize("adjust, zero_modes", ((True, 6), (False, 3)))
+def test_nested_shells(adjust, zero_modes):
+    """Closed shells, free: six zero modes, three of which are lost without adjusting."""
+    pytest.importorskip("gmsh")
+    a, L, sides = [], [], []
+    for h, radii, tag in ((0.9, (1, 1.5), OUTER), (0.7, (1.5, 2), INNER)):
+        mesh, ft = meshes.solids.spherical_shell(comm, h, *radii, octant=False)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        a.append(ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx)
+        L.append(ufl.inner(fem.Constant(mesh, default_scalar_type((0, 0, 0))), v) * ufl.dx)
+        sides.append((V, ft.find(tag)))
+    p = TiedProblem(a, L, ties=[Tie(*sides, adjust=adjust)], solver="direct")
+    p.assemble_matrix()
+    negative, zero, multipliers = inertia(p)
+    assert (negative, zero) == (multipliers, zero_modes)

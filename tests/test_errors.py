@@ -270,8 +270,8 @@ def arguments():
 
 
 SINGULAR = (
-    r"^the matrix is singular: 3 rigid motions of the bodies are free; hold every body, by boundary "
-    r"conditions or by a tie to one that is held\.$"
+    r"^the matrix is singular: 3 rigid motions of the bodies are free; hold every body, by "
+    r"boundary conditions or by a tie to one that is held\.$"
 )
 
 
