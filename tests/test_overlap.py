@@ -1,0 +1,95 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Γ1 is shorter than Γ0, longer, shifted, and ends in the middle of edges."""
+
+import numpy as np
+import pytest
+from assembly import NU, displacement_error, rectangle, tie, traction_error
+
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import TiedProblem
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+TIED = [(0, TOP), (1, BOTTOM)]
+SPANS = ((0.3, 0.71), (-0.2, 0.5), (0.13, 1.4), (-0.3, 1.3), (0.25, 0.75))
+
+
+def stretching(x):
+    """No stress but σ_xx, so that what faces nothing is free of load."""
+    return (1 - NU**2) * x[0], -NU * (1 + NU) * x[1]
+
+
+def bodies_of(span, element):
+    cell, degree = element
+    return [
+        rectangle((4, 2), (0, 0), (1, 1), cell=cell, degree=degree),
+        rectangle((3, 2), (span[0], 1), (span[1], 1.5), cell=cell, degree=degree),
+    ]
+
+
+def solve(bodies, swap, load, held):
+    """Blocks under a load on the right or upper edges."""
+    a, L, bcs = [], [], []
+    for i, body in enumerate(bodies):
+        v = ufl.TestFunction(body.V)
+        ds = ufl.Measure("ds", body.mesh, subdomain_data=body.ft)
+        a.append(body.a)
+        L.append(load(i, v, ds, ufl.FacetNormal(body.mesh)))
+        bcs += held(i, body)
+    ties = [tie(bodies, *(TIED[::-1] if swap else TIED))]
+    p = TiedProblem(a, L, bcs=bcs, ties=ties)
+    p.solve()
+    return p
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("element", (("triangle", 1), ("triangle", 2), ("quadrilateral", 2)))
+@pytest.mark.parametrize("span", SPANS)
+def test_patch(span, element, swap):
+    """Both are stretched alike; the part that faces nothing has no load, as is exact."""
+
+    def load(i, v, ds, n):
+        return n[0] * v[0] * ds((LEFT, RIGHT))
+
+    def held(i, body):
+        if i == 1:
+            return []
+        g = fem.Function(body.V)
+        g.interpolate(lambda x: np.array(stretching(x)))
+        return [fem.dirichletbc(g, fem.locate_dofs_topological(body.V, 1, body.facets(BOTTOM)))]
+
+    bodies = bodies_of(span, element)
+    p = solve(bodies, swap, load, held)
+    assert displacement_error(p, stretching) <= 1e-12
+    # Where Γ1 sticks out, its last facet has a multiplier for each dof but Σ sees a part of it only:
+    # λ there is as good as that system's condition (5e-10 at worst), u is not touched
+    assert traction_error(p, p.ties[0], bodies, stretching) <= 2e-9
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("element", (("triangle", 1), ("quadrilateral", 2)))
+@pytest.mark.parametrize("span", SPANS)
+def test_resultants(span, element, swap):
+    """The tie's force and moment balance the loads on the upper block."""
+    force = np.array((0.3, -1.0))
+
+    def load(i, v, ds, n):
+        return (force[0] * v[0] + force[1] * v[1]) * ds(TOP if i == 1 else 99)
+
+    def held(i, body):
+        zero = np.zeros(2, dtype=default_scalar_type)
+        dofs = fem.locate_dofs_topological(body.V, 1, body.facets(BOTTOM))
+        return [fem.dirichletbc(zero, dofs, body.V)] if i == 0 else []
+
+    p = solve(bodies_of(span, element), swap, load, held)
+    q = p.ties[0].quadrature(6)
+    traction = q.evaluate(p.ties[0].traction(p)) * (-1 if swap else 1)  # on the lower block
+    length, middle = span[1] - span[0], (span[0] + span[1]) / 2
+    moment = q.x[..., 0] * traction[..., 1] - q.x[..., 1] * traction[..., 0]
+    assert np.abs(q.integrate(traction) - length * force).max() <= 1e-12
+    if element[1] > 1:  # of degree 1, λ is constant on each edge and has its moment from Bᵀλ alone
+        assert abs(q.integrate(moment) - length * (middle * force[1] - 1.5 * force[0])) <= 1e-12
