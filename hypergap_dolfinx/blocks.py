@@ -125,6 +125,7 @@ class ConstraintBlocks:
             origin = self._ties[t].surfaces[0].x[0]  # far from the origin digits are few
             for body in sorted(set(bodies)):
                 V, B = self._spaces[body], self._full[t][body]
+                assert B is not None
                 x = B.createVecRight()
                 n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
                 x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()

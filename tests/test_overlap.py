@@ -65,8 +65,8 @@ def test_patch(span, element, swap):
     bodies = bodies_of(span, element)
     p = solve(bodies, swap, load, held)
     assert displacement_error(p, stretching) <= 1e-12
-    # Where Γ1 sticks out, its last facet has a multiplier for each dof but Σ sees a part of it only:
-    # λ there is as good as that system's condition (5e-10 at worst), u is not touched
+    # Where Γ1 sticks out, its last facet has a multiplier for each dof but Σ sees a part of it
+    # only: λ there is as good as that system's condition (5e-10 at worst), u is not touched
     assert traction_error(p, p.ties[0], bodies, stretching) <= 2e-9
 
 
