@@ -66,9 +66,8 @@ class TiedProblem(TiedSystem):
             ties: The ties between them.
             u: Solution functions; made if not given.
             solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
-                iterates over the ties, ``"iterative"`` takes a multigrid cycle for each body
-                instead of factors. If not given, ``"direct"`` or, for large bodies in 3D,
-                ``"bodies"``.
+                iterates over the ties, ``"iterative"`` takes algebraic multigrid. If not given,
+                ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
             petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
             petsc_options: Options of the KSP instead of those in ``solvers.OPTIONS``.
             form_compiler_options: Options of FFCx.
@@ -98,7 +97,7 @@ class TiedProblem(TiedSystem):
         super().__init__([compiled(form) for form in a], bcs, ties, solutions)
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
-        self._bodywise: solvers.BodywiseSystem | None = None
+        self._bodywise: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
         self._fall_back = False
         if solver is None:
             known = petsc_options is not None
@@ -209,16 +208,16 @@ class TiedProblem(TiedSystem):
     def _solve_bodywise(self):
         state = self._A.stateGet()
         if self._bodywise is None:
-            self._bodywise = solvers.BodywiseSystem(
+            self._bodywise = solvers.create_system(
+                self._method,
                 self._K,
                 self._constraints,
                 [u.function_space for u in self._u],
-                self._method == "iterative",
+                self._prefix,
             )
-            self._solver.setOperators(self._bodywise.matrix)
-            self._solver.getPC().setPythonContext(self._bodywise.preconditioner)
+            self._bodywise.attach(self._solver)
         elif state != self._state:
-            self._bodywise.matrix.assemble()
+            self._bodywise.update(self._solver)
         self._state = state
         self._bodywise.solve(self._solver, self._b, self._x)
 

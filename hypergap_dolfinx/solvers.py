@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx import saddle
 from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.projected import ProjectedSystem
 from hypergap_dolfinx.substructures import Substructures, column_sums, order_of_bodies, rigid_modes
 
 SOLVERS = ("direct", "bodies", "iterative")
@@ -34,7 +35,6 @@ _LU = {
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_14": 30,
 }
-_MULTIGRID = {"ksp_type": "preonly", "pc_type": "gamg"}
 
 
 def _prefixed(prefix: str, options: dict) -> dict:
@@ -50,15 +50,16 @@ OPTIONS = {
         **_prefixed("square_", _LU),
     },
     "iterative": {
-        **_KRYLOV,
+        "ksp_type": "cg",
+        "ksp_norm_type": "unpreconditioned",
         "ksp_rtol": 1e-10,
-        "ksp_max_it": 300,
-        **_prefixed("body_", _MULTIGRID),
+        "ksp_max_it": 500,
+        "pc_type": "gamg",
         **_prefixed("square_", _LU),
     },
 }
 """PETSc options of each solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at
-a time, and ``"iterative"`` takes a multigrid cycle for each body instead."""
+a time, and ``"iterative"`` eliminates Γ1 and takes algebraic multigrid for the rest."""
 
 LARGE = 20000
 """Number of displacements in 3D from which the default is ``"bodies"``."""
@@ -99,6 +100,23 @@ def why_not_bodywise(comm: MPI.Comm, constraints: ConstraintBlocks, num_bodies: 
     return None
 
 
+def create_system(
+    solver: str,
+    K: Sequence[PETSc.Mat],
+    constraints: ConstraintBlocks,
+    spaces: Sequence[fem.FunctionSpace],
+    prefix: str,
+):
+    """What takes the place of the saddle system for a solver that isn't direct. Collective."""
+    if solver == "bodies":
+        return BodywiseSystem(K, constraints, spaces)
+    order = order_of_bodies(len(K), constraints.bodies)
+    assert order is not None
+    return ProjectedSystem(
+        K, constraints.free, constraints.bodies, constraints.own, order, spaces, prefix
+    )
+
+
 class BodywiseSystem:
     """The saddle system for a KSP that is preconditioned body by body.
 
@@ -111,7 +129,6 @@ class BodywiseSystem:
         K: Sequence[PETSc.Mat],
         constraints: ConstraintBlocks,
         spaces: Sequence[fem.FunctionSpace],
-        multigrid: bool,
     ):
         """Scale the ties by the values that K has now. Collective.
 
@@ -119,7 +136,6 @@ class BodywiseSystem:
             K: Stiffness of each body.
             constraints: The ties' blocks.
             spaces: Space of each body.
-            multigrid: Whether the bodies' solvers are multigrid.
         """
         self._K, bodies = K, constraints.bodies
         self.scales, self._B = [], []
@@ -137,7 +153,16 @@ class BodywiseSystem:
         order = order_of_bodies(len(K), bodies)
         assert order is not None
         columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, bodies, columns, order, modes, multigrid)
+        self.preconditioner = Substructures(K, self._B, bodies, columns, order, modes)
+
+    def attach(self, ksp: PETSc.KSP):
+        """Give a KSP what it is to solve. Collective."""
+        ksp.setOperators(self.matrix)
+        ksp.getPC().setPythonContext(self.preconditioner)
+
+    def update(self, ksp: PETSc.KSP):
+        """Take the stiffness as it is now. Collective."""
+        self.matrix.assemble()
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""

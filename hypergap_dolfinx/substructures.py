@@ -98,7 +98,6 @@ class Body:
         prefix: str,
         held: dict[int, tuple[PETSc.Mat, npt.NDArray[np.int32]]],
         loaded: Sequence[PETSc.Mat],
-        whole: bool,
     ):
         """Set up the solvers, without values yet. Collective.
 
@@ -108,30 +107,25 @@ class Body:
             prefix: Of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
             loaded: B₀ of the ties whose Γ0 the body has.
-            whole: Whether held dofs stay in the matrix: multigrid wants whole nodes.
         """
-        self._K, self._modes, self._loaded, self._whole = K, modes, loaded, whole
+        self._K, self._modes, self._loaded = K, modes, loaded
         start, end = K.getOwnershipRange()
-        self._held = np.concatenate([[], *(own for _, own in held.values())]).astype(PETSc.IntType)
-        free = np.setdiff1d(np.arange(start, end), self._held).astype(PETSc.IntType)
+        own = np.concatenate([[], *(own for _, own in held.values())])
+        free = np.setdiff1d(np.arange(start, end), own).astype(PETSc.IntType)
         self._own = {t: own - start for t, (_, own) in held.items()}
-        cut = bool(held) and not whole
-        self._part = free - start if cut else np.arange(end - start)
-        self._is = PETSc.IS().createGeneral(free, comm=K.comm) if cut else None
+        self._part = free - start
+        self._is = PETSc.IS().createGeneral(free, comm=K.comm) if held else None
         self._u, self._r = K.createVecs()
-        self._solver = _create_solver(f"{prefix}body_", K.comm)
+        self._solver = create_solver(f"{prefix}body_", K.comm)
         self._matrix: PETSc.Mat | None = None
         self._vectors: tuple[PETSc.Vec, ...] = ()
         self._squares = {}
         for t, (B, own) in held.items():
-            rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, K.comm)
-            columns = PETSc.IS().createGeneral(own, comm=K.comm)
-            square = B.createSubMatrix(rows, columns)
-            solver = _create_solver(f"{prefix}square_", K.comm)
+            square = square_part(B, own)
+            solver = create_solver(f"{prefix}square_", K.comm)
             solver.setOperators(square)
             self._squares[t] = solver, *square.createVecs()
-            for obj in (rows, columns, square):
-                obj.destroy()
+            square.destroy()
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -150,16 +144,7 @@ class Body:
             self._matrix = self._K.createSubMatrix(self._is, self._is)
         else:
             self._matrix = self._K.copy()
-            if self._own:
-                self._matrix.zeroRowsColumns(self._held, diag=_mean_diagonal(self._K))
-            else:
-                self._pin(self._matrix)
-        if self._whole:
-            near = [_vector(self._K, mode) for mode in self._modes.T]
-            space = PETSc.NullSpace().create(vectors=near, comm=self._K.comm)
-            self._matrix.setNearNullSpace(space)
-            for obj in (space, *near):
-                obj.destroy()
+            self._pin(self._matrix)
         self._vectors = self._matrix.createVecs()
         self._solver.setOperators(self._matrix)
         self._solver.setUp()
@@ -172,7 +157,7 @@ class Body:
             self._u.array[:] = mode
             K.mult(self._u, self._r)
             image[:] = self._r.array_r
-        stiffness = _mean_diagonal(K)
+        stiffness = mean_diagonal(K)
         energy, vectors = np.linalg.eigh(comm.allreduce(Q.T @ KQ) / stiffness)
         floating = Q @ vectors[:, energy < FLOATING]
         if not floating.shape[1] or not self._loaded:
@@ -217,8 +202,6 @@ class Body:
         known = u.array_r.copy()
         self._K.mult(u, self._r)
         rest = r - self._r.array_r
-        if self._whole:
-            rest[self._held - self._K.getOwnershipRange()[0]] = 0
         b.array[:] = rest[self._part]
         self._solver.solve(b, x)
         u.array[:] = known
@@ -234,7 +217,8 @@ class Body:
         return u.array_r, multipliers
 
 
-def _mean_diagonal(K: PETSc.Mat) -> float:
+def mean_diagonal(K: PETSc.Mat) -> float:
+    """Mean of the diagonal. Collective."""
     diagonal = K.getDiagonal()
     mean = diagonal.sum() / diagonal.getSize()
     diagonal.destroy()
@@ -247,7 +231,18 @@ def _vector(K: PETSc.Mat, values) -> PETSc.Vec:
     return x
 
 
-def _create_solver(prefix: str, comm) -> PETSc.KSP:
+def square_part(B: PETSc.Mat, own: npt.NDArray) -> PETSc.Mat:
+    """Columns of B₁ under its rows' multipliers. Collective."""
+    rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, B.comm)
+    columns = PETSc.IS().createGeneral(own.astype(PETSc.IntType), comm=B.comm)
+    square = B.createSubMatrix(rows, columns)
+    for obj in (rows, columns):
+        obj.destroy()
+    return square
+
+
+def create_solver(prefix: str, comm) -> PETSc.KSP:
+    """A KSP with the options of a prefix. Collective."""
     solver = PETSc.KSP().create(comm)
     solver.setOptionsPrefix(prefix)
     solver.setFromOptions()
@@ -265,7 +260,6 @@ class Substructures:
         own: Sequence[npt.NDArray[np.int32]],
         order: Sequence[int],
         modes: Sequence[npt.NDArray[np.float64]],
-        whole: bool,
     ):
         """Name the parts; solvers are made when they are needed.
 
@@ -276,10 +270,9 @@ class Substructures:
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
             order: Of the bodies, see :func:`order_of_bodies`.
             modes: The bodies' :func:`rigid_modes`.
-            whole: Whether held dofs stay in the bodies' matrices.
         """
         self._K, self._B, self._bodies, self._own = K, B, bodies, own
-        self._order, self._modes, self._whole = order, modes, whole
+        self._order, self._modes = order, modes
         sizes = [k.getLocalSize()[0] for k in K]
         sizes += [len(columns) for columns in own]
         ends = np.cumsum([0, *sizes])
@@ -298,7 +291,7 @@ class Substructures:
                     if i1 == i
                 }
                 loaded = [self._B[t][i] for t, (i0, _) in enumerate(self._bodies) if i0 == i]
-                self._solvers.append(Body(K, self._modes[i], prefix, held, loaded, self._whole))
+                self._solvers.append(Body(K, self._modes[i], prefix, held, loaded))
             for t, (i0, _) in enumerate(self._bodies):
                 self._loads[t] = self._B[t][i0].createVecs()  # type: ignore[union-attr]
         for body in self._solvers:
