@@ -59,7 +59,12 @@ OPTIONS = {
     },
 }
 """PETSc options of each solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at
-a time, and ``"iterative"`` eliminates Γ1 and takes algebraic multigrid for the rest."""
+a time, and ``"iterative"`` eliminates Γ1 and takes algebraic multigrid for the rest.
+
+The number of iterations of the latter two doesn't grow with the mesh (in 3D about 25 and 30), nor
+with the contrast in stiffness as long as Γ1 is the softer side. If Γ1 is 1000 times the stiffer
+one, ``"bodies"`` takes twice as many; ``"iterative"`` takes six times as many, and fails from 10⁶
+on."""
 
 LARGE = 20000
 """Number of displacements in 3D from which the default is ``"bodies"``."""
@@ -73,7 +78,8 @@ def default(
     """The solver that is taken if the user names none. Collective.
 
     In the plane, and for small bodies, factors of the whole system cost no more than those of the
-    parts. In space they soon do, and the larger the system the more.
+    parts and an iteration. In space they soon do: with 56 000 displacements of degree 2 the whole
+    takes 1.4 × 10¹¹ operations, one fused mesh 0.95 × 10¹¹, the bodies 0.3 × 10¹¹.
     """
     size = sum(k.getSize()[0] for k in K)
     mesh = spaces[0].mesh

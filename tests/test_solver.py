@@ -104,6 +104,18 @@ def test_residual_of_the_saddle_system():
     assert residual(problem) <= 1e-12
 
 
+@pytest.mark.parametrize("solver", ("bodies", "iterative"))
+def test_contrasts(solver):
+    """With Γ1 on the softer side, however much softer, there are about as many iterations."""
+    its = []
+    for contrast in (1.0, 1e-3, 1e-6):
+        a, L, bcs, ties = pile(2, stiffness=(1.0, contrast))
+        problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver)
+        problem.solve()
+        its.append(problem.solver.getIterationNumber())
+    assert max(its) <= 2 * its[0]
+
+
 @pytest.mark.parametrize("unit", (1e-6, 1.0, 1e9))
 def test_units_do_not_matter(unit):
     """Stiffness in other units: as many iterations, and the same multipliers."""
