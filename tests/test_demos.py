@@ -36,6 +36,13 @@ class Demo:
 
 
 DEMOS = {
+    "error_against_run_time": Demo(
+        "--scene cylinder --degrees 2 --levels 2 --repeats 1",
+        {"rows.0.l2": 3.359e-6, "rows.2.l2": 4.201e-7, "rows.3.stress": 1.738e-4},
+        {"rows.*.residual": 1e-11},
+        pictures=("cylinder",),
+        needs=("matplotlib",),
+    ),
     "gap_domain": Demo(
         pinned={"triangles": 12},
         pictures=("apart", "gap_domain"),
@@ -52,6 +59,7 @@ DEMOS = {
         {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
         pictures=("hyperelasticity",),
     ),
+    "kernel_speed": Demo("--quick"),
     "modal_analysis": Demo(
         "--modes 4",
         {"frequencies.0": 0.2890020, "frequencies.3": 1.0574755},

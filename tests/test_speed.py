@@ -5,25 +5,11 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """What must not get slow: shapes of the cost, never seconds."""
 
-import json
-import sys
-
-from mpi4py import MPI
-
 import kernel_speed
 import numpy as np
 import pytest
 
 from hypergap_dolfinx import strip
-
-
-def test_kernel_speed_demo(tmp_path, monkeypatch):
-    file = tmp_path / "speed.json"
-    monkeypatch.setattr(sys, "argv", ["kernel_speed.py", "--quick", "--json", str(file)])
-    kernel_speed.main()
-    MPI.COMM_WORLD.barrier()
-    result = json.loads(file.read_text())
-    assert all(np.isfinite(value) for value in result.values())
 
 
 def test_chains_are_followed_in_a_few_steps():
