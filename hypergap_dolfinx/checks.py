@@ -9,6 +9,7 @@ Every check is collective and raises the same exception on every rank.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 from petsc4py import PETSc
 
@@ -85,6 +86,31 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             raise ValueError(
                 f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
                 "coordinates and prescribed displacements."
+            )
+
+
+def check_apart(ties: Sequence[Tie], bodies: Sequence[tuple[int, int]]):
+    """Raise where two ties tie the same facets to each other.
+
+    Args:
+        ties: The ties.
+        bodies: Numbers of the bodies on both sides of each.
+
+    Raises:
+        InterfaceError: Names the ties.
+    """
+    for t, s in combinations(range(len(ties)), 2):
+        if sorted(bodies[t]) != sorted(bodies[s]):
+            continue
+        facets = [
+            {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+            for tie, pair in ((ties[t], bodies[t]), (ties[s], bodies[s]))
+            for surface, body in zip(tie.surfaces, pair, strict=True)
+        ]
+        others = facets[2] | facets[3]
+        if facets[0] & others and facets[1] & others:
+            raise InterfaceError(
+                f"ties {t} and {s} tie the same facets to each other; once is enough."
             )
 
 

@@ -49,7 +49,7 @@ def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
 
 
 def gap_domain(
-    ties: Sequence[Tie],
+    ties: Tie | Sequence[Tie],
     filename: str | Path | None = None,
     *,
     distance: float | None = None,
@@ -58,7 +58,7 @@ def gap_domain(
     """The bodies, pulled apart along their interfaces, and Σ between them coloured by α.
 
     Args:
-        ties: The ties; their bodies are drawn.
+        ties: A tie or several; their bodies are drawn.
         filename: Where to save the picture.
         distance: How far Γ1 is drawn from Γ0; a sixth of the interface's extent if not given.
         window: Whether to open a window.
@@ -66,6 +66,7 @@ def gap_domain(
     Returns:
         The plotter on rank 0, None on the others.
     """
+    ties = [ties] if isinstance(ties, Tie) else ties
     comm, dim = ties[0].sigma.comm, ties[0].sigma.geometry.dim
     if distance is None:
         distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
@@ -109,6 +110,8 @@ def deformed(
         The plotter on rank 0, None on the others.
     """
     us = list(us)
+    if any(len(u.function_space.value_shape) != 1 for u in us):
+        raise ValueError("deformed draws displacements; draw other fields with plot.field.")
     comm, dim = us[0].function_space.mesh.comm, us[0].function_space.mesh.geometry.dim
     plotter = _plotter(comm, window)
     drawn = [(_with_values(u, "displacement"), u) for u in us]
@@ -151,6 +154,8 @@ def field(
         The plotter on rank 0, None on the others.
     """
     fs = list(fs)
+    if any(len(f.function_space.value_shape) > 1 for f in fs):
+        raise ValueError("field draws scalars and vectors; take a component or an invariant.")
     mesh = fs[0].function_space.mesh
     plotter = _plotter(mesh.comm, window)
     grids = [_with_values(f, "values") for f in fs]

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 from petsc4py import PETSc
 
+import numpy as np
+
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
@@ -16,6 +18,22 @@ from hypergap_dolfinx import checks, saddle, solvers
 from hypergap_dolfinx.motions import free_motions
 from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
+
+
+def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
+    """The linear form of a body, zero if there is none; checks that it goes with the other one."""
+    if len(a.arguments()) != 2:
+        raise ValueError(
+            f"a[{i}] has {len(a.arguments())} arguments, not a trial and a test function; "
+            "residuals go into NonlinearTiedProblem."
+        )
+    v = a.arguments()[0]
+    V = v.ufl_function_space()
+    if L is None:
+        return ufl.inner(fem.Constant(V.mesh, np.zeros(V.value_shape)), v) * ufl.dx
+    if [argument.ufl_function_space() for argument in L.arguments()] != [V]:
+        raise ValueError(f"a[{i}] and L[{i}] are on different function spaces; same order in both?")
+    return L
 
 
 class TiedProblem(TiedSystem):
@@ -46,9 +64,9 @@ class TiedProblem(TiedSystem):
     def __init__(
         self,
         a: Sequence[ufl.Form],
-        L: Sequence[ufl.Form],
+        L: Sequence[ufl.Form | None],
         *,
-        bcs: Sequence[fem.DirichletBC] = (),
+        bcs: Sequence[fem.DirichletBC] | None = None,
         ties: Sequence[Tie] = (),
         u: Sequence[fem.Function] | None = None,
         solver: str | None = None,
@@ -61,9 +79,10 @@ class TiedProblem(TiedSystem):
 
         Args:
             a: Bilinear form of each body.
-            L: Linear form of each body.
+            L: Linear form of each body; None where there is no load.
             bcs: Dirichlet conditions of any of the bodies.
-            ties: The ties between them.
+            ties: The ties between them. They find their bodies by their spaces, so neither the
+                order of the bodies nor the sides of a tie matter here.
             u: Solution functions; made if not given.
             solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
                 iterates over the ties, ``"iterative"`` takes algebraic multigrid. If not given,
@@ -78,10 +97,14 @@ class TiedProblem(TiedSystem):
                 belongs to no body.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
+        if isinstance(a, ufl.Form) or isinstance(L, ufl.Form):
+            raise ValueError("a and L are lists, with one form for each body.")
         if len(a) != len(L) or not a:
             raise ValueError(
                 f"{len(a)} bilinear and {len(L)} linear forms: give one of each for every body."
             )
+        ties = [ties] if isinstance(ties, Tie) else ties
+        loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
         def compiled(form):
             return fem.form(
@@ -91,10 +114,10 @@ class TiedProblem(TiedSystem):
                 jit_options=jit_options,
             )
 
-        self._L = [compiled(form) for form in L]
-        spaces = [form.arguments()[0].ufl_function_space() for form in L]
+        self._L = [compiled(form) for form in loads]
+        spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
-        super().__init__([compiled(form) for form in a], bcs, ties, solutions)
+        super().__init__([compiled(form) for form in a], bcs or (), ties, solutions)
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._bodywise: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
@@ -116,11 +139,11 @@ class TiedProblem(TiedSystem):
         self._prefix = petsc_options_prefix
         self._set_options(petsc_options_prefix, petsc_options, solvers.OPTIONS[solver])
 
-    def __del__(self):
-        """Destroy the PETSc objects."""
-        if getattr(self, "_bodywise", None) is not None:
+    def destroy(self):
+        """Free the PETSc objects' memory at once. Collective."""
+        if self._bodywise is not None:
             self._bodywise.destroy()
-        super().__del__()
+        super().destroy()
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -188,7 +211,8 @@ class TiedProblem(TiedSystem):
         free = free_motions(spaces, self._K, self._constraints)
         if free:
             raise saddle.SolveError(
-                f"the matrix is singular: {free} rigid motions of the bodies are free; hold every "
+                f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
+                f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held."
             )
 

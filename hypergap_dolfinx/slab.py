@@ -192,7 +192,9 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
             worst = distance.argmax()
             raise InterfaceError(
                 f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "in 3D both sides must cover the same part of the interface."
+                "in 3D both sides must cover the same part of the interface. Give only the facets "
+                "of the common part; to have some, split the larger surface along the outline of "
+                "the other in the mesher."
             )
 
 

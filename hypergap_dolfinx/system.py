@@ -47,6 +47,8 @@ class TiedSystem:
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         self._a, self._ties, self._u = list(a), list(ties), list(u)
+        self._solved = False
+        PETSc.garbage_cleanup(self._u[0].function_space.mesh.comm)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -61,6 +63,7 @@ class TiedSystem:
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
         self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
+        checks.check_apart(self._ties, self._constraints.bodies)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
@@ -107,8 +110,12 @@ class TiedSystem:
                 if key in before:
                     database[key] = before[key]
 
-    def __del__(self):
-        """Destroy the PETSc objects."""
+    def destroy(self):
+        """Free the PETSc objects' memory at once. Collective.
+
+        Without it they go when Python lets them go; on several ranks, when the next tie or problem
+        is made: the ranks may let go in different orders.
+        """
         single = ("_solver", "_A", "_b", "_x", "_constraints")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [getattr(self, name, None) for name in single]
@@ -127,6 +134,7 @@ class TiedSystem:
 
     def _assign(self, x: PETSc.Vec):
         """Copy the bodies' part of a vector into u."""
+        self._solved = True
         for u, part in zip(self._u, x.getNestSubVecs()):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
@@ -143,6 +151,8 @@ class TiedSystem:
         t = next((t for t, other in enumerate(self._ties) if other is tie), None)
         if t is None:
             raise ValueError("the tie is not one of this problem's.")
+        if not self._solved:
+            raise ValueError("the problem is not solved yet: call solve() first.")
         x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) + t]
         return self._constraints.multipliers(t, x)
 

@@ -20,7 +20,7 @@ from hypergap_dolfinx import results
 from hypergap_dolfinx.adjust import adjust_surface
 from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface
+from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface, raise_on_all
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -91,8 +91,12 @@ class Tie:
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
+        for side in (side0, side1):
+            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
+                raise ValueError("each side of a tie is a pair: a function space and facets.")
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
+        PETSc.garbage_cleanup(comm)
         if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
                 "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
@@ -107,6 +111,8 @@ class Tie:
                 f"the mesh of Γ0 has {V0.mesh.geometry.dim} coordinates, that of Γ1 "
                 f"{V1.mesh.geometry.dim}; they must be equal."
             )
+        twice = int(np.isin(facets0, facets1).sum()) if V0.mesh is V1.mesh else 0
+        raise_on_all(comm, f"Γ0 and Γ1 share {twice} facets; give each side its own." * bool(twice))
         if close_gap and V1.value_shape != (V1.mesh.geometry.dim,):
             raise InterfaceError(
                 f"close_gap needs displacements, with {V1.mesh.geometry.dim} components; the value "
@@ -168,12 +174,17 @@ class Tie:
         """Whether :meth:`between` made its first side Γ1."""
         return self._swapped
 
-    def __del__(self):
-        """Destroy the PETSc matrices."""
-        for matrix in getattr(self, "_blocks", ()):
+    def destroy(self):
+        """Free the PETSc matrices' memory at once; problems with the tie keep theirs. Collective.
+
+        Without it they go when Python lets them go; on several ranks, when the next tie or problem
+        is made.
+        """
+        for matrix in self._blocks:
             matrix.destroy()
+        self._blocks = ()
         if "constraint" in self.__dict__:
-            self.constraint.destroy()
+            self.__dict__.pop("constraint").destroy()
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
@@ -237,14 +248,21 @@ class Tie:
         """Normal gap and tangential slip, eq. (17), of the displacements.
 
         Args:
-            u0: Displacement of Γ0's body.
+            u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
+                bodies.
             u1: Displacement of Γ1's body.
 
         Returns:
             n · ∂u/∂α, positive where the surfaces part, and ∂u/∂α without its normal part; both on
             Σ, discontinuous, in units of the displacement. For scalars ∂u/∂α takes the place of
             the first, and the second is None.
+
+        Raises:
+            ValueError: A displacement that is not on its side's space.
         """
+        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
+            if u.function_space != V:
+                raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
         return results.gap(self, u0, u1)
 
     def traction(self, problem) -> fem.Function:
@@ -255,7 +273,9 @@ class Tie:
 
         Returns:
             λ on Σ, discontinuous; force per area (2D: per length and unit depth). It is the
-            traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ.
+            traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of a
+            temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
+            :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
         """
         return results.traction(self, problem.multipliers(self))
 

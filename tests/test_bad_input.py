@@ -159,7 +159,7 @@ def test_contradiction_in_a_later_step():
 def test_an_assembly_that_can_still_move(fixed, count, swap):
     bodies = blocks()
     p = problem(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed)
-    raises(SolveError, f"singular: {count} rigid motions", p.solve)
+    raises(SolveError, f"singular: {count} rigid motion", p.solve)
 
 
 @pytest.mark.parametrize("num", (2, 3))
@@ -167,7 +167,7 @@ def test_bodies_without_ties(num):
     """Each of the others has its three."""
     bodies = [rectangle((2, 2), (0, i), (1, i + 1)) for i in range(num)]
     p = problem(bodies, [], [], HELD)
-    raises(SolveError, f"singular: {3 * (num - 1)} rigid motions", p.solve)
+    raises(SolveError, f"singular: {3 * (num - 1)} rigid motion", p.solve)
 
 
 def test_a_scalar_that_nothing_holds():
@@ -176,7 +176,7 @@ def test_a_scalar_that_nothing_holds():
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     zero = fem.Constant(mesh, default_scalar_type(0))
     p = TiedProblem([ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx], [zero * v * ufl.dx])
-    raises(SolveError, "singular: 1 rigid motions", p.solve)
+    raises(SolveError, "singular: 1 rigid motion", p.solve)
     # With a reaction it is held
     a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 1e-8 * u * v * ufl.dx
     TiedProblem([a], [zero * v * ufl.dx]).solve()
@@ -230,14 +230,6 @@ def test_facets_of_strange_kinds(facets):
     bodies = blocks()
     sides = [(bodies[0].V, facets), (bodies[1].V, bodies[1].facets(BOTTOM))]
     raises(InterfaceError, "the facets of Γ0 must be a flat array", lambda: Tie(*sides))
-
-
-def test_a_tie_that_was_never_made():
-    """Its destructor has nothing to destroy."""
-    with pytest.raises(TypeError):
-        Tie()
-    Tie.__new__(Tie).__del__()
-    TiedProblem.__new__(TiedProblem).__del__()
 
 
 @pytest.mark.serial

@@ -80,7 +80,7 @@ def test_all_of_one_side_is_prescribed():
     bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
     check(bodies, [tie(bodies, *TIED)], TIED, fixed, bending)
     ties = [tie(bodies, *TIED[::-1])]
-    with pytest.raises(InterfaceError, match="prescribed on whole facets.*swap the sides"):
+    with pytest.raises(InterfaceError, match=r"prescribed on whole facets.*swap the sides"):
         problem(bodies, ties, TIED, fixed, bending)
 
 

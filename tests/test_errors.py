@@ -270,7 +270,7 @@ def arguments():
 
 
 SINGULAR = (
-    r"^the matrix is singular: 3 rigid motions of the bodies are free; hold every body, by "
+    r"^the matrix is singular: 3 rigid motion of the bodies are free; hold every body, by "
     r"boundary conditions or by a tie to one that is held\.$"
 )
 

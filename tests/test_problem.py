@@ -16,7 +16,7 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 
 comm = MPI.COMM_WORLD
 
@@ -183,3 +183,58 @@ def test_traction_of_another_problem():
     problem = TiedProblem(a, L, bcs=bcs, ties=[])
     with pytest.raises(ValueError, match="not one of this problem's"):
         tie.traction(problem)
+
+
+def test_traction_before_the_solve():
+    _, a, L, bcs, tie = two_blocks()
+    problem = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    with pytest.raises(ValueError, match="not solved yet"):
+        tie.traction(problem)
+
+
+def test_no_loads_no_lists():
+    """A body without a load needs no form; one tie needs no list."""
+    _, a, _, bcs, tie = two_blocks()
+    assert largest_error(TiedProblem(a, [None, None], bcs=bcs, ties=tie).solve()) <= 1e-12
+
+
+def test_mistaken_forms():
+    V, a, L, bcs, tie = two_blocks()
+    with pytest.raises(ValueError, match="are lists"):
+        TiedProblem(a[0], L[0])
+    with pytest.raises(ValueError, match=r"a\[0\] and L\[0\] are on different function spaces"):
+        TiedProblem(a, L[::-1], bcs=bcs, ties=[tie])
+    with pytest.raises(ValueError, match=r"a\[0\] has 1 arguments"):
+        TiedProblem(L, L, bcs=bcs, ties=[tie])
+    with pytest.raises(ValueError, match="u0 is not on the space of Γ0"):
+        tie.gap(*(fem.Function(W) for W in V[::-1]))
+
+
+def test_an_interface_tied_twice():
+    V, a, L, bcs, tie = two_blocks()
+    facets = [
+        dolfinx.mesh.locate_entities_boundary(W.mesh, 1, lambda x: np.isclose(x[1], 0)) for W in V
+    ]
+    again = Tie((V[1], facets[1]), (V[0], facets[0]))
+    with pytest.raises(InterfaceError, match="ties 0 and 1 tie the same facets"):
+        TiedProblem(a, L, bcs=bcs, ties=[tie, again])
+    with pytest.raises(InterfaceError, match="Γ0 and Γ1 share"):
+        Tie((V[0], facets[0]), (V[0], facets[0]))
+    with pytest.raises(ValueError, match="is a pair"):
+        Tie(*V)
+
+
+def test_ranks_may_forget_problems_in_any_order():
+    """Destruction is collective in PETSc, garbage collection is not."""
+    _, a, L, bcs, tie = two_blocks()
+    problems = [TiedProblem(a, L, bcs=bcs, ties=[tie]) for _ in range(2)]
+    for problem in problems:
+        problem.solve()
+    del problem
+    problems.pop(comm.rank % 2)
+    problems.pop()
+    other = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    assert largest_error(other.solve()) <= 1e-12
+    other.destroy()
+    tie.destroy()
+    tie.blocks()  # made anew
