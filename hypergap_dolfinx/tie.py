@@ -111,8 +111,6 @@ class Tie:
                 f"the mesh of Γ0 has {V0.mesh.geometry.dim} coordinates, that of Γ1 "
                 f"{V1.mesh.geometry.dim}; they must be equal."
             )
-        twice = int(np.isin(facets0, facets1).sum()) if V0.mesh is V1.mesh else 0
-        raise_on_all(comm, f"Γ0 and Γ1 share {twice} facets; give each side its own." * bool(twice))
         if close_gap and V1.value_shape != (V1.mesh.geometry.dim,):
             raise InterfaceError(
                 f"close_gap needs displacements, with {V1.mesh.geometry.dim} components; the value "
@@ -125,6 +123,8 @@ class Tie:
         if adjust:
             move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
+        twice = int(np.isin(facets0, facets1).sum()) if V0.mesh is V1.mesh else 0
+        raise_on_all(comm, f"Γ0 and Γ1 share {twice} facets; give each side its own." * bool(twice))
         self._domain = create_gap_domain(comm, *surfaces)
         if adjust:
             move()
