@@ -492,7 +492,8 @@ def print_level(rows):
         split = "  ".join(f"{row['split'][part]:7.3f}" for part in PARTS)
         print(
             f"{row['method']:6s} {row['h']:>7} {row['dofs']:>8d}  {row['l2']:.3e}  "
-            f"{row['stress']:.3e}  {row['traction']:.2e}  {row['residual']:.0e}  {row['total']:8.3f} "
+            f"{row['stress']:.3e}  {row['traction']:.2e}  {row['residual']:.0e}  "
+            f"{row['total']:8.3f} "
             f"[{row['range'][0]:.3f}, {row['range'][1]:.3f}]  {split}  {row['peak'] / 2**20:6.0f}"
             f"  {row['solver']} {row['iterations']}"
         )
