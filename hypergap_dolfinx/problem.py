@@ -88,7 +88,7 @@ class TiedProblem(TiedSystem):
                 iterates over the ties, ``"iterative"`` takes algebraic multigrid. If not given,
                 ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
             petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
-            petsc_options: Options of the KSP instead of those in ``solvers.OPTIONS``.
+            petsc_options: Options of the KSP instead of those of ``solvers.options``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -137,13 +137,9 @@ class TiedProblem(TiedSystem):
         self._method = solver
         self._watch_motions = solver == "direct"
         self._prefix = petsc_options_prefix
-        self._set_options(petsc_options_prefix, petsc_options, solvers.OPTIONS[solver])
-
-    def destroy(self):
-        """Free the PETSc objects' memory at once. Collective."""
-        if self._bodywise is not None:
-            self._bodywise.destroy()
-        super().destroy()
+        self._dim = spaces[0].mesh.topology.dim
+        defaults = solvers.options(solver, self._dim)
+        self._set_options(petsc_options_prefix, petsc_options, defaults)
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -222,7 +218,7 @@ class TiedProblem(TiedSystem):
         self._solver.destroy()
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
-        self._set_options(self._prefix, None, solvers.OPTIONS["direct"])
+        self._set_options(self._prefix, None, solvers.options("direct", self._dim))
         if self._bodywise is not None:
             self._bodywise.destroy()
             self._bodywise = None

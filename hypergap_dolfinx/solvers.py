@@ -66,8 +66,16 @@ with the contrast in stiffness as long as Γ1 is the softer side. If Γ1 is 1000
 one, ``"bodies"`` takes twice as many; ``"iterative"`` takes six times as many, and fails from 10⁶
 on."""
 
+PLANE = {"mat_mumps_icntl_7": 2}
+"""In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than
+with METIS, for bodies tied or not, from 10 000 to 500 000 displacements and degrees 1 to 3."""
 LARGE = 20000
 """Number of displacements in 3D from which the default is ``"bodies"``."""
+
+
+def options(solver: str, dim: int) -> dict:
+    """PETSc options of a solver in the plane or in space."""
+    return {**OPTIONS[solver], **PLANE} if solver == "direct" and dim == 2 else OPTIONS[solver]
 
 
 def default(
