@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import checks, compat, saddle
+from hypergap_dolfinx import checks, compat, disposal, saddle
 from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.tie import Tie
 
@@ -48,7 +48,7 @@ class TiedSystem:
         """
         self._a, self._ties, self._u = list(a), list(ties), list(u)
         self._solved = False
-        PETSc.garbage_cleanup(self._u[0].function_space.mesh.comm)
+        self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -111,17 +111,24 @@ class TiedSystem:
                     database[key] = before[key]
 
     def destroy(self):
-        """Free the PETSc objects' memory at once. Collective.
+        """Destroy the PETSc objects now. Collective.
 
-        Without it they go when Python lets them go; on several ranks, when the next tie or problem
-        is made: the ranks may let go in different orders.
+        Without it they go by themselves; on several ranks, when the next tie or problem is made.
         """
-        single = ("_solver", "_A", "_b", "_x", "_constraints")
+        for obj in self._release():
+            obj.destroy()
+
+    def __del__(self):
+        """Let the PETSc objects go."""
+        disposal.leave(getattr(self, "_ticket", None), self._release())
+
+    def _release(self) -> list:
+        """The PETSc objects, which the problem forgets."""
+        single = ("_bodywise", "_solver", "_A", "_b", "_x", "_constraints")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
-        objects = [getattr(self, name, None) for name in single]
-        for obj in chain(objects, *(getattr(self, name, []) for name in several)):
-            if obj is not None:
-                obj.destroy()
+        objects = [self.__dict__.pop(name, None) for name in single]
+        objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)
+        return [obj for obj in objects if obj is not None]
 
     def assemble_matrix(self):
         """Assemble the bodies' stiffness into A. Collective."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import results
+from hypergap_dolfinx import disposal, results
 from hypergap_dolfinx.adjust import adjust_surface
 from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
@@ -96,7 +96,7 @@ class Tie:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
-        PETSc.garbage_cleanup(comm)
+        self._ticket = disposal.enter(comm)
         if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
                 "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
@@ -175,16 +175,22 @@ class Tie:
         return self._swapped
 
     def destroy(self):
-        """Free the PETSc matrices' memory at once; problems with the tie keep theirs. Collective.
+        """Destroy the PETSc matrices now; problems with the tie have their own. Collective.
 
-        Without it they go when Python lets them go; on several ranks, when the next tie or problem
-        is made.
+        Without it they go by themselves; on several ranks, when the next tie or problem is made.
         """
-        for matrix in self._blocks:
-            matrix.destroy()
+        for obj in self._release():
+            obj.destroy()
+
+    def __del__(self):
+        """Let the PETSc matrices go."""
+        disposal.leave(getattr(self, "_ticket", None), self._release())
+
+    def _release(self) -> list:
+        """The PETSc matrices, which the tie forgets."""
+        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("constraint", None)]
         self._blocks = ()
-        if "constraint" in self.__dict__:
-            self.__dict__.pop("constraint").destroy()
+        return [obj for obj in objects if obj is not None]
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
