@@ -558,7 +558,7 @@ def draw_scene(plt, scene, rows, peers, folder):
     left.set(xlabel="seconds", ylabel="relative L² error of the displacement")
     left.set_title(f"{scene}: error over run time")
     left.grid(which="major", alpha=0.3)
-    left.legend(fontsize=8)
+    left.legend(fontsize=8, loc="center right")
 
     finest = [
         [r for r in rows if r["degree"] == d and r["method"] == m][-1]
@@ -577,8 +577,9 @@ def draw_scene(plt, scene, rows, peers, folder):
         fontsize=8,
     )
     middle.set(ylabel="seconds", title="where the time goes, finest level")
+    middle.set_ylim(top=1.3 * bottom.max())  # room for the legend
     handles, labels = middle.get_legend_handles_labels()
-    middle.legend(handles[::-1], labels[::-1], fontsize=8)
+    middle.legend(handles[::-1], labels[::-1], fontsize=8, ncols=2, loc="upper left")
 
     for degree in degrees:
         pairs = [

@@ -69,7 +69,7 @@ on."""
 PLANE = {"mat_mumps_icntl_7": 2}
 """In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than
 with METIS, for bodies tied or not, from 10 000 to 500 000 displacements and degrees 1 to 3."""
-LARGE = 20000
+LARGE = 5000
 """Number of displacements in 3D from which the default is ``"bodies"``."""
 
 
