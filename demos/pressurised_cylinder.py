@@ -75,8 +75,8 @@ def exact_displacement(x):
 def create_rings(comm, n, degree, cell):
     """The inner and the outer ring: 4n and 6n quadrilaterals around, n across.
 
-    Triangles are a quarter of these: with halves, errors that depend on the diagonals' direction
-    blur the rates, on a single mesh too.
+    Triangles are a quarter of these: with halves, coarse meshes are better than the interpolant of
+    the exact solution, which blurs the rates.
     """
     options = {"cell": cell, "degree": degree, "crossed": cell == "triangle"}
     return [

@@ -25,7 +25,7 @@ _KRYLOV = {
     "ksp_type": "gmres",
     "ksp_pc_side": "right",  # so that the residual is that of the system
     "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
-    "ksp_gmres_restart": 60,
+    "ksp_gmres_restart": 15,
     "ksp_max_it": 120,
     "pc_type": "python",
 }
