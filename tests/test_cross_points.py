@@ -23,8 +23,8 @@ ELEMENTS = {
     "Q2": ("quadrilateral", 2),
     "Q3": ("quadrilateral", 3),
 }
-# The algebra is the same on several ranks: some elements show what ranks change
-NAMES = [*ELEMENTS] if comm.size == 1 else ["P1", "Q2"]
+# The algebra is the same on several ranks: one element shows what ranks change
+NAMES = [*ELEMENTS] if comm.size == 1 else ["Q2"]
 
 
 def check_ties(bodies, pairs, swaps, fixed, degree, **options):
