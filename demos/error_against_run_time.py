@@ -316,7 +316,7 @@ def measure(scene, degree, h, repeats, solver):
                     ),
                     "residual": residual(problem),
                     "solver": problem.solver.getPC().getType(),
-                    "iterations": problem.solver.getIterationNumber(),
+                    "iterations": problem.iterations,
                     "runs": [],
                     "peak": peak,
                 }

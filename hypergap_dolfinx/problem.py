@@ -255,3 +255,10 @@ class TiedProblem(TiedSystem):
     def solver(self) -> PETSc.KSP:
         """The KSP."""
         return self._solver
+
+    @property
+    def iterations(self) -> int:
+        """Number of iterations of the last solve."""
+        if self._bodywise is not None:
+            return self._bodywise.iterations
+        return self._solver.getIterationNumber()

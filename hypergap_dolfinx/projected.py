@@ -179,6 +179,7 @@ class ProjectedSystem:
             prefix: Of the solvers' options.
         """
         self._K = K
+        self.iterations = 0
         comm = K[0].comm
         ties = [t for i in order for t, pair in enumerate(bodies) if pair[1] == i]
         self._ties = {
@@ -240,6 +241,7 @@ class ProjectedSystem:
             projection.apply_transpose(self._r)
         self.b.array[:] = np.concatenate([r.array_r for r in self._r])
         ksp.solve(self.b, self.x)
+        self.iterations = ksp.getIterationNumber()
         for u, part in zip(self._u, self._parts, strict=True):
             u.array[:] = self.x.array_r[part]
         self._project(given)
