@@ -123,8 +123,9 @@ class Tie:
         if adjust:
             move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
-        twice = int(np.isin(facets0, facets1).sum()) if V0.mesh is V1.mesh else 0
-        raise_on_all(comm, f"Γ0 and Γ1 share {twice} facets; give each side its own." * bool(twice))
+        shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
+        message = "Γ0 and Γ1 share facets; give each side its own."
+        raise_on_all(comm, message if shared else None)
         self._domain = create_gap_domain(comm, *surfaces)
         if adjust:
             move()
