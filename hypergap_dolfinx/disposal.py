@@ -10,8 +10,9 @@ until all ranks meet, when the next tie or problem is made: what all of them hav
 destroyed then, in the same order.
 """
 
+import sys
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from mpi4py import MPI
@@ -59,3 +60,26 @@ def leave(ticket: Ticket | None, objects: Iterable[Any]):
             obj.destroy()
     else:
         _waiting[ticket[0]].setdefault(ticket[1], []).extend(left)
+
+
+class Owner:
+    """What owns PETSc objects, and lets them go when it goes itself."""
+
+    _ticket: Ticket | None = None
+
+    def destroy(self):
+        """Destroy the PETSc objects now. Collective.
+
+        Without it they go by themselves; on several ranks, when the next tie or problem is made.
+        """
+        for obj in self._release():
+            obj.destroy()
+
+    def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing):
+        """Let the PETSc objects go; at the end of Python they go with the process."""
+        if not is_finalizing():  # a default, since modules have lost their names by then
+            leave(self._ticket, self._release())
+
+    def _release(self) -> list[Any]:
+        """The PETSc objects, which their owner forgets."""
+        raise NotImplementedError

@@ -21,7 +21,7 @@ from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.tie import Tie
 
 
-class TiedSystem:
+class TiedSystem(disposal.Owner):
     """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
 
     _solver: PETSc.KSP | PETSc.SNES
@@ -109,18 +109,6 @@ class TiedSystem:
                 del database[key]
                 if key in before:
                     database[key] = before[key]
-
-    def destroy(self):
-        """Destroy the PETSc objects now. Collective.
-
-        Without it they go by themselves; on several ranks, when the next tie or problem is made.
-        """
-        for obj in self._release():
-            obj.destroy()
-
-    def __del__(self):
-        """Let the PETSc objects go."""
-        disposal.leave(getattr(self, "_ticket", None), self._release())
 
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""

@@ -25,7 +25,7 @@ from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface, ra
 LOG = logging.getLogger("hypergap_dolfinx")
 
 
-class Tie:
+class Tie(disposal.Owner):
     """Ties two surfaces whose meshes don't match.
 
     Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
@@ -174,18 +174,6 @@ class Tie:
     def swapped(self) -> bool:
         """Whether :meth:`between` made its first side Γ1."""
         return self._swapped
-
-    def destroy(self):
-        """Destroy the PETSc matrices now; problems with the tie have their own. Collective.
-
-        Without it they go by themselves; on several ranks, when the next tie or problem is made.
-        """
-        for obj in self._release():
-            obj.destroy()
-
-    def __del__(self):
-        """Let the PETSc matrices go."""
-        disposal.leave(getattr(self, "_ticket", None), self._release())
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""

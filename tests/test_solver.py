@@ -119,16 +119,18 @@ def test_contrasts(solver):
 @pytest.mark.parametrize("unit", (1e-6, 1.0, 1e9))
 def test_units_do_not_matter(unit):
     """Stiffness in other units: as many iterations, and the same multipliers."""
-    a, L, bcs, ties = pile(2, stiffness=(unit, unit))
-    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
-    problem.solve()
-    a, L, bcs, ties = pile(2, stiffness=(1.0, 1.0))
-    reference = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
-    reference.solve()
-    its = problem.iterations, reference.iterations
+    its, multipliers = [], []
+    for E in (unit, 1.0):
+        a, L, bcs, ties = pile(2, stiffness=(E, E))
+        problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+        problem.solve()
+        multipliers.append(problem.multipliers(ties[0]))
+        # Near round-off, where that ends, the number of iterations is chance on several ranks
+        problem.solver.setTolerances(rtol=1e-8)
+        problem.solve()
+        its.append(problem.iterations)
     assert abs(its[0] - its[1]) <= 1
-    x, y = (p.multipliers(p.ties[0]) for p in (problem, reference))
-    np.testing.assert_allclose(x, y, atol=1e-9)
+    np.testing.assert_allclose(*multipliers, atol=1e-9)
 
 
 def test_a_changed_matrix_is_factorised_anew():
