@@ -615,6 +615,7 @@ def main():
     parser.add_argument("--degrees", default="1,2", metavar="1,2,3")
     parser.add_argument("--levels", type=int, default=4, help="the coarsest so many")
     parser.add_argument("--finest", action="store_true", help="the finest of these alone")
+    parser.add_argument("--sizes", metavar="0.05,0.02", help="cell sizes (n, h) instead of levels")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--solver", choices=("direct", "bodies", "iterative"), help="of both")
     parser.add_argument("--peers", action="store_true", help="scikit-fem's mortar method too")
@@ -636,6 +637,9 @@ def main():
                     f"[range] s   {' | '.join(PARTS)} | peak MiB | solver, iterations"
                 )
             levels = SCENES[scene].levels[degree][: args.levels]
+            if args.sizes:
+                number = int if scene == "cylinder" else float
+                levels = tuple(number(h) for h in args.sizes.split(","))
             for h in levels[-1:] if args.finest else levels:
                 level = measure(scene, degree, h, args.repeats, args.solver)
                 if first:

@@ -5,6 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The gap domain Σ as a distributed DOLFINx mesh with the field α."""
 
+import math
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -61,6 +62,17 @@ class GapDomain:
     def element(self) -> basix.finite_element.FiniteElement:
         """Basix element of the φ_a."""
         return self.space.ufl_element().basix_element
+
+    def distance(self) -> float:
+        """Mean distance of Γ0 and Γ1: the volume between them over their area. Collective."""
+        n = self.x.shape[2]
+        vertices = self.x[:, : n + 1]
+        volume = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])).sum()
+        element = self.quadrature(1)
+        N, _ = kernel.geometry_at_points(element, self.x, self.alpha_vertices)
+        area = (element.weights * np.linalg.norm(N, axis=2)).sum()
+        total = self.mesh.comm.allreduce(np.array((volume / math.factorial(n), area)))
+        return float(total[0] / total[1])
 
     def quadrature(self, degree: int) -> kernel.GapElement:
         """Tables of the gap element at the points of a Gauss rule."""

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.blocks import ConstraintBlocks
-from hypergap_dolfinx.substructures import rigid_modes
+from hypergap_dolfinx.substructures import motions, orthonormal, rigid_modes
 
 SMALL = 1e-12  # force of a motion, over the largest there could be, that counts as none
 
@@ -21,41 +22,91 @@ SMALL = 1e-12  # force of a motion, over the largest there could be, that counts
 def free_motions(
     spaces: Sequence[fem.FunctionSpace], K: Sequence[PETSc.Mat], constraints: ConstraintBlocks
 ) -> int:
-    """The number of rigid motions (constants of other fields) without any force. Collective.
+    """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
+
+    Bodies that are tied move together if nothing else holds them. Where they don't coincide, such
+    a rotation strains the tie a little; that is an error of the meshes and holds nothing either.
 
     Args:
         spaces: Space of each body.
         K: Assembled stiffness of each body.
         constraints: The ties.
     """
-    columns = []  # of this rank: forces of each motion on the bodies, the held dofs and the ties
-    for i, V in enumerate(spaces):
+    comm = spaces[0].mesh.comm
+    moved = [rigid_modes(V, np.zeros(held.shape, dtype=bool))
+             for V, held in zip(spaces, constraints.prescribed, strict=True)]  # fmt: skip
+    return max(
+        _free_alone(comm, moved, K, constraints),
+        sum(
+            _free_together(comm, [spaces[i] for i in group], [K[i] for i in group],
+                           [constraints.prescribed[i] for i in group])
+            for group in _tied_groups(len(spaces), constraints.bodies)
+        ),
+    )  # fmt: skip
+
+
+def _tied_groups(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Bodies that ties connect."""
+    group = list(range(num_bodies))
+    for i0, i1 in bodies:
+        group = [group[i0] if g == group[i1] else g for g in group]
+    return [[i for i in range(num_bodies) if group[i] == g] for g in sorted(set(group))]
+
+
+def _free_alone(comm, moved, K, constraints: ConstraintBlocks) -> int:
+    """Motions of each body by itself, or of several with whatever the ties allow."""
+    ends = np.cumsum([0, *(modes.shape[1] for modes in moved)])
+    rows = []  # of this rank: forces of the motions on the bodies, on held dofs and on the ties
+    for i, modes in enumerate(moved):
         held = constraints.prescribed[i]
-        x = K[i].createVecRight()
-        blocks = [row[i] for row in constraints.free]
-        for mode in rigid_modes(V, np.zeros_like(held)).T:
-            x.array[:] = np.where(held, 0, mode)
-            forces = [_product(A, x) for A in (K[i], *blocks)]
-            zero = [np.zeros(2 * A.getLocalSize()[0]) for A in K]
-            zero[i] = np.concatenate((forces[0], np.where(held, mode, 0)))
-            rows = [next(B for B in row if B is not None) for row in constraints.free]
-            ties = [
-                np.zeros(B.getLocalSize()[0]) if f is None else f
-                for B, f in zip(rows, forces[1:], strict=True)
-            ]
-            columns.append(np.concatenate((*zero, *ties)))
-        x.destroy()
-    R = np.linalg.qr(np.column_stack(columns), mode="r")
-    values = np.linalg.svd(np.vstack(spaces[0].mesh.comm.allgather(R)), compute_uv=False)
+        rows.append(np.zeros((ends[-1], ends[-1])))
+        forces = np.linalg.qr(_forces(K[i], held, modes), mode="r")
+        rows[-1][: len(forces), ends[i] : ends[i + 1]] = forces
+    for row in constraints.free:
+        first = next(B for B in row if B is not None)
+        rows.append(np.zeros((first.getLocalSize()[0], ends[-1])))
+        for i, (B, modes) in enumerate(zip(row, moved, strict=False)):
+            if B is not None:
+                free = np.where(constraints.prescribed[i][:, None], 0, modes)
+                rows[-1][:, ends[i] : ends[i + 1]] = _product(B, free)
+    return _num_small(comm, np.vstack(rows))
+
+
+def _free_together(comm, spaces, K, prescribed) -> int:
+    """Motions of tied bodies as one."""
+    x = [V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local] for V in spaces]
+    num = sum(V.dofmap.index_map.size_global for V in spaces)
+    centre = comm.allreduce(sum(part.sum(axis=0) for part in x)) / num
+    n = spaces[0].mesh.geometry.dim
+    parts = [motions(V, centre[:n]) for V in spaces]
+    together = orthonormal(comm, np.vstack(parts))
+    parts = np.split(together, np.cumsum([len(part) for part in parts])[:-1])
+    forces = [_forces(*body) for body in zip(K, prescribed, parts, strict=True)]
+    return _num_small(comm, np.vstack(forces))
+
+
+def _forces(K: PETSc.Mat, held, modes):
+    """Forces of motions on a body, and the motions of its held dofs; two rows a dof."""
+    held = held[:, None]
+    return np.vstack((_product(K, np.where(held, 0, modes)), np.where(held, modes, 0)))
+
+
+def _num_small(comm, rows) -> int:
+    """How many combinations of the columns are nothing."""
+    R = np.linalg.qr(rows, mode="r")
+    values = np.linalg.svd(np.vstack(comm.allgather(R)), compute_uv=False)
     return int((values < SMALL * values.max(initial=1.0)).sum())
 
 
-def _product(A: PETSc.Mat | None, x: PETSc.Vec):
-    """A x over the mean length of A's rows, or None."""
-    if A is None:
-        return None
-    y = A.createVecLeft()
-    A.mult(x, y)
-    values = y.array_r / ((A.norm() / np.sqrt(A.getSize()[0])) or 1.0)
+def _product(A: PETSc.Mat, columns) -> npt.NDArray[np.float64]:
+    """A times columns, over the mean length of A's rows."""
+    x, y = A.createVecs()
+    size = (A.norm() / np.sqrt(A.getSize()[0])) or 1.0
+    result = np.empty((A.getLocalSize()[0], columns.shape[1]))
+    for k, column in enumerate(columns.T):
+        x.array[:] = column
+        A.mult(x, y)
+        result[:, k] = y.array_r / size
+    x.destroy()
     y.destroy()
-    return values
+    return result

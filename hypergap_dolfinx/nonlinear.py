@@ -140,6 +140,9 @@ class NonlinearTiedProblem(TiedSystem):
         """
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
+        if not self._motions_known:
+            self.assemble_matrix()
+            self._check_motions()
         with self._options_set():
             self._solver.solve(None, self._x)
         self._check_solved()

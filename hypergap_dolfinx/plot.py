@@ -67,27 +67,7 @@ def gap_domain(
         The plotter on rank 0, None on the others.
     """
     ties = [ties] if isinstance(ties, Tie) else ties
-    comm, dim = ties[0].sigma.comm, ties[0].sigma.geometry.dim
-    if distance is None:
-        distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
-    places = _pulled_apart(ties, distance)
-    mean = _mean_normal(ties[0].surfaces[0])
-    closed = dim == 3 and np.linalg.norm(mean) <= 0.5
-    bodies = {id(V.mesh): V.mesh for tie in ties for V in tie.spaces}
-    plotter = _plotter(comm, window)
-    for key, mesh in bodies.items():
-        body = grid(mesh)
-        if plotter and body is not None:
-            body.points = _moved(body.points, *places[key])
-            _add(plotter, body.clip("y", crinkle=True) if closed else body, color=_BODY)
-    for tie in ties:
-        sigma = _sigma(tie, [places[id(V.mesh)] for V in tie.spaces])
-        if plotter and sigma is not None:
-            if closed:
-                sigma = sigma.clip("y", crinkle=True)
-            options = {"scalars": "α", "cmap": "viridis", "clim": (0, 1)}
-            _add(plotter, sigma, edges="white", scalar_bar_args=_bar("alpha"), **options)
-    return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(mean), mean)
+    return _draw_gap_domains(ties, None, "alpha", filename, distance, window)
 
 
 def deformed(
@@ -144,6 +124,8 @@ def field(
 ) -> pyvista.Plotter | None:
     """The bodies, coloured by the values of a function; of a vector its length.
 
+    For functions on Σ, which has no volume, there is :func:`interface`.
+
     Args:
         fs: Function on each body.
         filename: Where to save the picture.
@@ -170,6 +152,37 @@ def field(
             bar = _bar(title)
             _add(plotter, g, scalars="value", cmap="inferno", clim=clim, scalar_bar_args=bar)
     return _finish(plotter, mesh.geometry.dim, filename, window)
+
+
+def interface(
+    tie: Tie,
+    f: fem.Function,
+    filename: str | Path | None = None,
+    *,
+    title: str = "value",
+    distance: float | None = None,
+    window: bool = False,
+) -> pyvista.Plotter | None:
+    """Σ between its bodies pulled apart, coloured by a function on it; of a vector its length.
+
+    Args:
+        tie: The tie.
+        f: A function on ``tie.sigma``, as ``tie.gap`` and ``tie.traction`` give them.
+        filename: Where to save the picture.
+        title: Title of the scale.
+        distance: How far Γ1 is drawn from Γ0; a sixth of the interface's extent (3D: a third) if
+            not given.
+        window: Whether to open a window.
+
+    Returns:
+        The plotter on rank 0, None on the others.
+
+    Raises:
+        ValueError: A function on another mesh.
+    """
+    if f.function_space.mesh is not tie.sigma:
+        raise ValueError("interface draws functions on tie.sigma; draw those on bodies with field.")
+    return _draw_gap_domains([tie], f, title, filename, distance, window)
 
 
 def traction(
@@ -299,25 +312,65 @@ def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
     return np.zeros(3), centre, 1 + outward * 2 * distance / extent
 
 
-def _sigma(tie: Tie, places: Sequence[Place]) -> pyvista.UnstructuredGrid | None:
-    """Σ between two moved bodies; on rank 0. Collective."""
+def _draw_gap_domains(
+    ties: Sequence[Tie], f: fem.Function | None, title: str, filename, distance, window: bool
+) -> pyvista.Plotter | None:
+    """Bodies pulled apart and Σ between them, coloured by a function on it or else by α."""
+    comm, dim = ties[0].sigma.comm, ties[0].sigma.geometry.dim
+    if distance is None:
+        distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
+    places = _pulled_apart(ties, distance)
+    mean = _mean_normal(ties[0].surfaces[0])
+    closed = dim == 3 and np.linalg.norm(mean) <= 0.5
+    bodies = {id(V.mesh): V.mesh for tie in ties for V in tie.spaces}
+    plotter = _plotter(comm, window)
+    for key, mesh in bodies.items():
+        body = grid(mesh)
+        if plotter and body is not None:
+            body.points = _moved(body.points, *places[key])
+            _add(plotter, body.clip("y", crinkle=True) if closed else body, color=_BODY)
+    for tie in ties:
+        sigma = _sigma(tie, [places[id(V.mesh)] for V in tie.spaces], f)
+        if plotter and sigma is not None:
+            if closed:
+                sigma = sigma.clip("y", crinkle=True)
+            clim = (0, 1) if f is None else sigma.get_data_range("value")
+            options = {"scalars": "value", "cmap": "viridis", "clim": clim}
+            _add(plotter, sigma, edges="white", scalar_bar_args=_bar(title), **options)
+    return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(mean), mean)
+
+
+def _sigma(
+    tie: Tie, places: Sequence[Place], f: fem.Function | None
+) -> pyvista.UnstructuredGrid | None:
+    """Σ between two moved bodies with the values of f, or else α; on rank 0. Collective."""
     domain, mesh = tie.domain, tie.sigma
-    points = domain.geometry.points
+    cells = np.arange(len(domain.alpha_vertices))
+    if f is None:
+        points, nodes = domain.geometry.points, geometry_dofmap(mesh)
+        drawn = vtk_mesh(mesh, mesh.topology.dim, cells)
+    else:
+        V = f.function_space
+        points, nodes = V.ufl_element().basix_element.points, V.dofmap.list
+        drawn = vtk_mesh(V, cells)  # type: ignore[arg-type]
     weights = np.column_stack((1 - points.sum(axis=1), points))
-    alpha = np.zeros(len(mesh.geometry.x))
-    num_owned = len(domain.alpha_vertices)
-    alpha[geometry_dofmap(mesh)[:num_owned]] = domain.alpha_vertices @ weights.T
-    tdim = mesh.topology.dim
-    parts = mesh.comm.gather((*vtk_mesh(mesh, tdim, np.arange(num_owned)), alpha))
+    alpha = np.zeros(nodes.max(initial=-1) + 1)
+    alpha[nodes[cells]] = domain.alpha_vertices @ weights.T
+    values = alpha
+    if f is not None:
+        components = f.x.array.reshape(-1, f.function_space.dofmap.index_map_bs)
+        scalar = components.shape[1] == 1
+        values = components[:, 0] if scalar else np.linalg.norm(components, axis=1)
+    parts = mesh.comm.gather((*drawn, alpha, values))
     if parts is None:
         return None
     grids = []
-    for cells, types, x, at in parts:
+    for cells, types, x, at, values in parts:
         if len(types):
             t = at[: len(x), None]
             moved = (1 - t) * _moved(x, *places[0]) + t * _moved(x, *places[1])
             grids.append(pyvista.UnstructuredGrid(cells, types, moved))
-            grids[-1]["α"] = at[: len(x)]
+            grids[-1]["value"] = values[: len(x)]
     return pyvista.merge(grids, merge_points=False)
 
 

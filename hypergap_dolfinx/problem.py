@@ -15,7 +15,6 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import checks, saddle, solvers
-from hypergap_dolfinx.motions import free_motions
 from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
@@ -135,7 +134,6 @@ class TiedProblem(TiedSystem):
             if reason:
                 raise ValueError(f'solver="{solver}" is not possible: {reason}; take "direct".')
         self._method = solver
-        self._watch_motions = solver == "direct"
         self._prefix = petsc_options_prefix
         self._dim = spaces[0].mesh.topology.dim
         defaults = solvers.options(solver, self._dim)
@@ -187,9 +185,7 @@ class TiedProblem(TiedSystem):
         Raises:
             SolveError: The solver failed; says how.
         """
-        if self._watch_motions:
-            self._watch_motions = False
-            self._check_motions()
+        self._check_motions()
         with self._options_set():
             if self._method == "direct":
                 saddle.solve(self._solver, self._b, self._x)
@@ -200,17 +196,6 @@ class TiedProblem(TiedSystem):
         saddle.check_solved(self._solver)
         self._assign(self._x)
         return self._u
-
-    def _check_motions(self):
-        """A direct solver may not notice that an assembly can still move."""
-        spaces = [u.function_space for u in self._u]
-        free = free_motions(spaces, self._K, self._constraints)
-        if free:
-            raise saddle.SolveError(
-                f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
-                f"{'are' if free > 1 else 'is'} free; hold every "
-                "body, by boundary conditions or by a tie to one that is held."
-            )
 
     def _solve_directly(self):
         """Where the default did not converge: Γ1 is much stiffer than Γ0."""

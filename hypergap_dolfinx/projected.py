@@ -194,9 +194,8 @@ class ProjectedSystem:
         self.matrix = PETSc.Mat().createPython(size, _Operator(self), comm=comm)
         self.matrix.setUp()
         self.x, self.b = self.matrix.createVecs()
-        self._own = np.concatenate(
-            [p.own + self._parts[p.body].start for p in self._ties.values()]
-        ).astype(np.intp)
+        own = [p.own + self._parts[p.body].start for p in self._ties.values()]
+        self._own = np.concatenate([[], *own]).astype(np.intp)
         self._coordinates = self.matrix.createVecRight()
         self._coordinates.setBlockSize(K[0].getBlockSize())
         if K[0].getBlockSize() > 1:
@@ -276,11 +275,14 @@ class ProjectedSystem:
         K = nest.convert("aij", PETSc.Mat())
         nest.destroy()
         self._diagonal = mean_diagonal(K)
-        if self._T is None:
-            self._T = self._approximate()
         if self.preconditioner is not None:
             self.preconditioner.destroy()
-        self.preconditioner = K.PtAP(self._T)
+        if self._ties:
+            if self._T is None:
+                self._T = self._approximate()
+            self.preconditioner = K.PtAP(self._T)
+        else:
+            self.preconditioner = K.copy()
         ones = K.createVecRight()
         ones.set(0.0)
         ones.array[self._own] = self._diagonal
@@ -305,7 +307,7 @@ class ProjectedSystem:
         ksp.setOperators(self.matrix, self.preconditioner)
 
     def _approximate(self) -> PETSc.Mat:
-        """A sparse approximation of T. Collective."""
+        """A sparse approximation of T, if there are ties. Collective."""
         comm = self._K[0].comm.tompi4py()
         ranges = np.array([k.getOwnershipRanges() for k in self._K])  # (body, rank)
         sizes = np.diff(ranges, axis=1)

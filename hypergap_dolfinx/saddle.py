@@ -17,7 +17,7 @@ DIRECT = {
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_14": 100,  # 20 % of workspace to spare is too little for saddle systems
 }
-"""MUMPS's LU of the whole system: the default. ``facts`` behind it: LDLᵀ needs 2 × 2 pivots."""
+"""MUMPS's LU of the whole system. (LDLᵀ would need 2 × 2 pivots for the zero block.)"""
 
 RESIDUAL = 1e-3
 """Largest residual of a direct solve, relative to the right-hand side: 1e-15 times how ill the

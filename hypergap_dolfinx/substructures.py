@@ -20,6 +20,7 @@ iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ
 from collections.abc import Sequence
 from itertools import combinations, pairwise
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -60,8 +61,43 @@ def column_sums(B: PETSc.Mat) -> PETSc.Vec:
     return sums
 
 
+def motions(
+    V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
+    """Rigid displacements of a body, constants of other fields. Collective.
+
+    Args:
+        V: Its space.
+        centre: Of the rotations; the mean of the dofs' places if not given.
+
+    Returns:
+        This rank's owned rows, ``(num_dofs, num_modes)``.
+    """
+    dofmap, n, comm = V.dofmap, V.mesh.geometry.dim, V.mesh.comm
+    num, block_size = dofmap.index_map.size_local, dofmap.index_map_bs
+    modes = [np.tile(unit, (num, 1)) for unit in np.eye(block_size)]
+    if V.value_shape == (n,):
+        x = V.tabulate_dof_coordinates()[:num, :n]
+        if centre is None:
+            centre = comm.allreduce(x.sum(axis=0)) / dofmap.index_map.size_global
+        x = x - centre
+        for i, j in combinations(range(n), 2):
+            mode = np.zeros((num, n))
+            mode[:, i], mode[:, j] = x[:, j], -x[:, i]
+            modes.append(mode)
+    return np.stack([mode.ravel() for mode in modes], axis=1)
+
+
+def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Orthonormal columns that span those of R, with rows on all ranks. Collective."""
+    R = R / np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))
+    values, vectors = np.linalg.eigh(comm.allreduce(R.T @ R))
+    keep = values > 1e-10
+    return R @ (vectors[:, keep] / np.sqrt(values[keep]))
+
+
 def rigid_modes(V: fem.FunctionSpace, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Rigid displacements of a body, constants of other fields; 0 where prescribed. Collective.
+    """A basis of a body's :func:`motions`, 0 where it is prescribed. Collective.
 
     Args:
         V: Its space.
@@ -70,22 +106,7 @@ def rigid_modes(V: fem.FunctionSpace, prescribed: npt.NDArray[np.bool_]) -> npt.
     Returns:
         Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
     """
-    dofmap, n, comm = V.dofmap, V.mesh.geometry.dim, V.mesh.comm
-    num, block_size = dofmap.index_map.size_local, dofmap.index_map_bs
-    modes = [np.tile(unit, (num, 1)) for unit in np.eye(block_size)]
-    if V.value_shape == (n,):
-        x = V.tabulate_dof_coordinates()[:num, :n]
-        x = x - comm.allreduce(x.sum(axis=0)) / dofmap.index_map.size_global
-        for i, j in combinations(range(n), 2):
-            mode = np.zeros((num, n))
-            mode[:, i], mode[:, j] = x[:, j], -x[:, i]
-            modes.append(mode)
-    R = np.stack([mode.ravel() for mode in modes], axis=1)
-    R[prescribed] = 0
-    R /= np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))
-    values, vectors = np.linalg.eigh(comm.allreduce(R.T @ R))
-    keep = values > 1e-10
-    return R @ (vectors[:, keep] / np.sqrt(values[keep]))
+    return orthonormal(V.mesh.comm, np.where(prescribed[:, None], 0, motions(V)))
 
 
 class Body:

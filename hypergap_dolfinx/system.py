@@ -18,6 +18,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import checks, compat, disposal, saddle
 from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.motions import free_motions
 from hypergap_dolfinx.tie import Tie
 
 
@@ -48,6 +49,7 @@ class TiedSystem(disposal.Owner):
         """
         self._a, self._ties, self._u = list(a), list(ties), list(u)
         self._solved = False
+        self._motions_known = False
         self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
@@ -94,6 +96,19 @@ class TiedSystem(disposal.Owner):
         self._options = {prefix + key: value for key, value in options.items()}
         with self._options_set():
             self._solver.setFromOptions()
+
+    def _check_motions(self):
+        """Raise if the assembly can still move, which a solver may not notice. Once; collective."""
+        if self._motions_known:
+            return
+        self._motions_known = True
+        free = free_motions([u.function_space for u in self._u], self._K, self._constraints)
+        if free:
+            raise saddle.SolveError(
+                f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
+                f"{'are' if free > 1 else 'is'} free; hold every "
+                "body, by boundary conditions or by a tie to one that is held."
+            )
 
     @contextmanager
     def _options_set(self) -> Iterator[None]:

@@ -127,6 +127,7 @@ class Tie(disposal.Owner):
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
         self._domain = create_gap_domain(comm, *surfaces)
+        self._warn_of_distance()
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
@@ -169,6 +170,18 @@ class Tie(disposal.Owner):
         if tie.sigma.comm.rank == 0:
             LOG.info("Γ1 is the %s side, which is the %s", "first" if swapped else "second", why)
         return tie
+
+    def _warn_of_distance(self):
+        """Surfaces far apart may be meant, but mostly are a wrong tag or a mesh in other units."""
+        distance = self._domain.distance()
+        length = max(surface.size.max(initial=0.0) for surface in self.surfaces)
+        if distance > length and self.sigma.comm.rank == 0:
+            LOG.warning(
+                "Γ0 and Γ1 are %.3g apart on average, but their longest facet is %.3g: are tags "
+                "and units right? They are tied across the gap.",
+                distance,
+                length,
+            )
 
     @property
     def swapped(self) -> bool:

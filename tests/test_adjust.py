@@ -15,7 +15,7 @@ import meshes
 import meshes.solids
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
 FULL = 2 * np.pi
@@ -78,6 +78,16 @@ def test_without(degree, expected):
     stress = largest_stress(held, bodies)
     print(stress)
     assert expected / 3 < stress < 3 * expected
+
+
+@pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
+@pytest.mark.parametrize("adjust", (True, False))
+def test_free_rings_are_told(adjust, solver):
+    """What strains the tie in a rotation of both rings does not hold them."""
+    bodies = [ring(n, r, r + 0.5, 1) for n, r in zip((12, 20), (1, 1.5), strict=True)]
+    p = problem(bodies, [tie(bodies, *PAIR, adjust=adjust)], PAIR, [], rotation, solver=solver)
+    with pytest.raises(SolveError, match="singular: 3 rigid motions of the bodies are free"):
+        p.solve()
 
 
 @pytest.mark.parametrize("gap", (0.5, 0.1, -0.1, -0.5))

@@ -46,7 +46,7 @@ def test_between(cells, degrees, stiffness, swapped, why, caplog):
         assert why in caplog.text
 
 
-# A shaft ring pressed into a hub: benchmark of facts, u1(c), u2(c) and the pressure are linear in
+# A shaft ring pressed into a hub: in theory u1(c), u2(c) and the pressure are linear in
 # the interference δ up to O(δ/c)
 
 A, C, B, YOUNG, NU = 1.0, 2.0, 3.0, 1000.0, 0.3

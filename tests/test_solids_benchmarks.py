@@ -38,8 +38,8 @@ def test_patch(name, kind):
     assert worst <= 1e-11
 
 
-# Relative errors of the displacement, the stress (the oracle's of facts, + 1 %) and the traction
-ORACLE = {
+# Relative errors of the displacement, the stress (a prototype's, + 1 %) and the traction
+PROTOTYPE = {
     (1, 0.1): (1.38e-2, 1.55e-1, 0.14),
     (1, 0.05): (3.48e-3, 7.70e-2, 0.072),
     (2, 0.2): (1.15e-3, 2.74e-2, 0.026),
@@ -54,9 +54,9 @@ RATES = {1: (1.95, 0.97, 0.9), 2: (2.9, 1.9, 1.75)}
 def test_sphere(degree, h, swap):
     row, *_ = sphere.run(comm, h, degree, swap)
     print([row[name] for name in NAMES])
-    for name, bound in zip(NAMES[:2], ORACLE[degree, h], strict=False):
+    for name, bound in zip(NAMES[:2], PROTOTYPE[degree, h], strict=False):
         assert row[name] <= 1.01 * bound
-    assert row["traction"] <= (1.6 if swap else 1) * ORACLE[degree, h][2]
+    assert row["traction"] <= (1.6 if swap else 1) * PROTOTYPE[degree, h][2]
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_rates_on_regenerated_meshes(degree, swap):
     rates = [np.log2(coarse[name] / fine[name]) for name in NAMES]
     print(rates)
     assert all(r >= expected for r, expected in zip(rates, RATES[degree], strict=True))
-    for name, bound in zip(NAMES[:2], ORACLE[degree, hs[1]], strict=False):
+    for name, bound in zip(NAMES[:2], PROTOTYPE[degree, hs[1]], strict=False):
         assert fine[name] <= 1.01 * bound
 
 

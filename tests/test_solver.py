@@ -116,6 +116,15 @@ def test_contrasts(solver):
     assert max(its) <= 2 * its[0]
 
 
+@pytest.mark.parametrize("solver", ("bodies", "iterative"))
+def test_without_ties(solver):
+    """An ordinary problem is solved too: what a tied one is compared with."""
+    a, L, bcs, _ = pile(2, stiffness=(1.0,))
+    direct = TiedProblem(a, L, bcs=bcs, solver="direct")
+    problem = TiedProblem(a, L, bcs=bcs, solver=solver)
+    np.testing.assert_allclose(problem.solve()[0].x.array, direct.solve()[0].x.array, atol=1e-8)
+
+
 @pytest.mark.parametrize("unit", (1e-6, 1.0, 1e9))
 def test_units_do_not_matter(unit):
     """Stiffness in other units: as many iterations, and the same multipliers."""
