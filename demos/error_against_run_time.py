@@ -321,6 +321,8 @@ def measure(scene, degree, h, repeats, solver):
                     "peak": peak,
                 }
             rows[method]["runs"].append(seconds)
+            for obj in (problem, *ties):  # now, on several ranks too
+                obj.destroy()
             del problem, ties
     for row in rows.values():
         totals = [total(run) for run in row["runs"]]

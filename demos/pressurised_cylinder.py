@@ -228,6 +228,8 @@ def draw(comm, degree, cell, swap, folder):
     plot.gap_domain([tie], folder / "gap_domain.png")
     plot.deformed(problem.u, folder / "deformed.png", factor=0.05)
     plot.traction(tie, tie.traction(problem), folder / "traction.png")
+    us = problem.u[::-1] if swap else problem.u
+    plot.interface(tie, tie.gap(*us)[0], folder / "gap.png", title="normal gap")
 
 
 def draw_errors(results, folder):

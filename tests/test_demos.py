@@ -81,7 +81,7 @@ DEMOS = {
     "pressurised_cylinder": Demo(
         "--degree 2 --levels 2",
         {"1.l2": 3.240e-5, "1.stress": 2.866e-3, "1.traction": 7.757e-4},
-        pictures=("gap_domain", "deformed", "traction", "errors"),
+        pictures=("gap_domain", "deformed", "traction", "gap", "errors"),
         needs=("matplotlib",),
     ),
     "pressurised_sphere": Demo(

@@ -5,12 +5,15 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ as a DOLFINx mesh, and the identities that make the patch test pass."""
 
+import logging
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 from helpers import close, comm, skew, two_blocks, two_rings
 
+import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import Tie, compat
 from hypergap_dolfinx.kernel import alpha_derivatives, geometry_at_points
@@ -206,3 +209,33 @@ def test_hosts_lie_where_the_nodes_are(k):
     for i in (0, 1):
         on = hosts.alpha == i
         np.testing.assert_allclose(x[i][on], nodes[on], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("k", ((1, 1), (2, 2)))
+@pytest.mark.parametrize("gap", (0.0, 0.3, 0.7, -0.2))
+def test_distance(gap, k, caplog):
+    """Surfaces farther apart than their facets are long are told of, once, and tied."""
+    below, above = two_blocks((4, 5), k)
+    above[0].mesh.geometry.x[:, 1] += gap
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        tie = Tie(below, above)
+    assert tie.domain.distance() == pytest.approx(abs(gap), abs=1e-14)
+    warned = comm.allreduce(len(caplog.records))
+    assert warned == (gap > 0.5)  # the facets' length
+    if caplog.records:
+        assert "Γ0 and Γ1 are 0.7 apart on average" in caplog.text
+
+
+def test_distance_in_space(caplog):
+    pytest.importorskip("gmsh")
+    sides = []
+    for i, tag in enumerate((meshes.FRONT, meshes.BACK)):
+        mesh, ft = meshes.block(
+            comm, (3 + i, 3, 2), lambda x, i=i: x + 1.5 * i * np.eye(3)[2], cell="tetrahedron"
+        )
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag)))
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        tie = Tie(*sides)
+    assert tie.domain.distance() == pytest.approx(0.5, abs=1e-14)
+    assert comm.allreduce(len(caplog.records)) == 1
