@@ -95,7 +95,8 @@ def solve(shells, degree, swap, adjust, seconds):
     V1, a1, L1, bcs1 = elastic_body(outer, outer_tags, degree, 0.0)
 
     # The tie: the inner shell's outer facets with the outer shell's inner facets. The second one
-    # carries the multipliers.
+    # carries the multipliers. Flat facets of different size gape and overlap on a sphere: moving
+    # the nodes of Γ1 to where Γ0 is takes 3 % off the displacement's error for degree 1.
     sides = [(V0, inner_tags.find(meshes.OUTER)), (V1, outer_tags.find(meshes.INNER))]
     with stopwatch(seconds, "sigma"):
         tie = Tie(*(sides[::-1] if swap else sides), adjust=adjust)
@@ -146,7 +147,7 @@ def stopwatch(seconds, name):
     seconds[name] = time.perf_counter() - start
 
 
-def run(comm, h, degree, swap, refinements=0, adjust=False):
+def run(comm, h, degree, swap, refinements=0, adjust=True):
     """One row of the table, and what was solved."""
     seconds = {}
     with stopwatch(seconds, "mesh"):
@@ -239,7 +240,7 @@ def main():
     parser.add_argument("--levels", type=int, default=3)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the inner shell")
     parser.add_argument("--refine", action="store_true", help="refine the coarsest meshes instead")
-    parser.add_argument("--adjust", action="store_true", help="move Γ1 to where Γ0 is first")
+    parser.add_argument("--no-adjust", action="store_true", help="leave Γ1's nodes on the sphere")
     parser.add_argument("--fused", action="store_true", help="also solve on one mesh without a tie")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
@@ -256,7 +257,7 @@ def main():
             progress.show(comm, f"degree {degree}, level {level + 1} of {args.levels}")
             h = coarsest / 2**level
             refinements = level if args.refine else 0
-            row, *_ = run(comm, h, degree, args.swap, refinements, args.adjust)
+            row, *_ = run(comm, h, degree, args.swap, refinements, not args.no_adjust)
             row["level"] = level
             if args.fused:
                 row["fused"] = run_fused(comm, h, degree)

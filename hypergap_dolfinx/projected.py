@@ -25,8 +25,8 @@ from dolfinx import fem
 from hypergap_dolfinx.constraint import coo_matrix, triplets
 from hypergap_dolfinx.substructures import create_solver, mean_diagonal, square_part
 
-SMALL = 0.03  # entries of T below this part of the largest in their row are left out
-SWEEPS = 4  # Jacobi iterations for the approximation of T
+SMALL = 0.2  # entries of T below this part of the largest in their row are left out
+SWEEPS = 2  # Jacobi iterations for the approximation of T
 DAMPING = 0.7  # of these
 
 

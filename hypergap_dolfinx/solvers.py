@@ -55,16 +55,18 @@ OPTIONS = {
         "ksp_rtol": 1e-10,
         "ksp_max_it": 500,
         "pc_type": "gamg",
+        "pc_use_amat": False,  # smoothers of another matrix may make multigrid indefinite
+        "pc_gamg_threshold": 0.0,  # without stored zeros what is eliminated is in no aggregate
         **_prefixed("square_", _LU),
     },
 }
 """PETSc options of each solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at
 a time, and ``"iterative"`` eliminates Γ1 and takes algebraic multigrid for the rest.
 
-The number of iterations of the latter two doesn't grow with the mesh (in 3D about 25 and 30), nor
+The number of iterations of the latter two doesn't grow with the mesh (in 3D about 25 and 35), nor
 with the contrast in stiffness as long as Γ1 is the softer side. If Γ1 is 1000 times the stiffer
-one, ``"bodies"`` takes twice as many; ``"iterative"`` takes six times as many, and fails from 10⁶
-on."""
+one, ``"bodies"`` takes twice as many. ``"iterative"`` doesn't mind if Γ1 is the finer side; if it
+is the coarser one and 100 times stiffer, it takes four times as many, and fails from 10⁴ on."""
 
 PLANE = {"mat_mumps_icntl_7": 2}
 """In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than
