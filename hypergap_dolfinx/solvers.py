@@ -66,9 +66,10 @@ a time, and ``"iterative"`` eliminates Γ1 and takes algebraic multigrid for the
 
 The number of iterations of ``"bodies"`` (in 3D about 25) doesn't grow with the mesh, that of
 ``"iterative"`` as multigrid's does (25, 32, 38 with 22 000, 150 000 and 1 000 000 displacements).
-Nor do they grow with the contrast in stiffness as long as Γ1 is the softer side. If Γ1 is 1000 times the stiffer
-one, ``"bodies"`` takes twice as many. ``"iterative"`` doesn't mind if Γ1 is the finer side; if it
-is the coarser one and 100 times stiffer, it takes four times as many, and fails from 10⁴ on."""
+Nor do they grow with the contrast in stiffness as long as Γ1 is the softer side. If Γ1 is 1000
+times the stiffer one, ``"bodies"`` takes twice as many. ``"iterative"`` doesn't mind if Γ1 is the
+finer side; if it is the coarser one and 100 times stiffer, it takes four times as many, and fails
+from 10⁴ on."""
 
 PLANE = {"mat_mumps_icntl_7": 2}
 """In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than
