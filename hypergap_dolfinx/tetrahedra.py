@@ -5,6 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Gmsh: fill a closed triangulation with tetrahedra, and leave its triangles as they are."""
 
+import ctypes
+import os
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -79,6 +82,27 @@ def session() -> Iterator:
             gmsh.finalize()
 
 
+@contextmanager
+def _nothing_printed() -> Iterator[None]:
+    """Keep from the terminal what Gmsh's mesher prints of attempts that fail, unasked."""
+    try:
+        stdout = os.dup(1)
+    except OSError:  # a process without one
+        yield
+        return
+    flush = ctypes.CDLL(None).fflush
+    sys.stdout.flush()
+    flush(None)
+    with open(os.devnull, "w") as null:
+        os.dup2(null.fileno(), 1)
+    try:
+        yield
+    finally:
+        flush(None)  # what C's library still holds
+        os.dup2(stdout, 1)
+        os.close(stdout)
+
+
 def fill(gmsh, x: npt.NDArray[np.float64], shells: Sequence[npt.NDArray], algorithm: int = HXT):
     """Tetrahedra inside a closed triangulation.
 
@@ -108,7 +132,8 @@ def fill(gmsh, x: npt.NDArray[np.float64], shells: Sequence[npt.NDArray], algori
             loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
-        gmsh.model.mesh.generate(3)
+        with _nothing_printed():
+            gmsh.model.mesh.generate(3)
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
         _, cells = gmsh.model.mesh.getElementsByType(4)
         reason = gmsh.logger.getLastError()
