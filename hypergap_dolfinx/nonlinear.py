@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import saddle
+from hypergap_dolfinx import compat, saddle
 from hypergap_dolfinx.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
@@ -91,11 +91,17 @@ class NonlinearTiedProblem(TiedSystem):
 
         self._F = [compiled(form) for form in F]
         super().__init__([compiled(form) for form in J], bcs, ties, u)
+        # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
+        # then PETSc no longer knows of the communicator on some ranks, while others do
+        self._now = [compat.create_vector(f.function_space) for f in self._u]
         self._solver = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
         self._solver.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
         self._solver.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
         self._set_options(petsc_options_prefix, petsc_options, _DIRECT)
+
+    def _release(self) -> list:
+        return [*super()._release(), *self.__dict__.pop("_now", [])]
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
@@ -104,14 +110,15 @@ class NonlinearTiedProblem(TiedSystem):
         num_bodies, num_ties = len(self._u), len(self._ties)
         multipliers = x_parts[len(x_parts) - num_ties :]
         lifted = []
-        for u, b, F, J, bcs in zip(self._u, r_parts, self._F, self._a, self._bcs):
-            with b.localForm() as local:
+        for u, now, b, F, J, bcs in zip(self._u, self._now, r_parts, self._F, self._a, self._bcs):
+            with b.localForm() as local, now.localForm() as values:
                 local.set(0.0)
+                values.array[:] = u.x.array
             petsc.assemble_vector(b, F)
-            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[u.x.petsc_vec], alpha=-1.0)
+            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            petsc.set_bc(b, bcs, x0=u.x.petsc_vec, alpha=-1.0)
-            lifted.append(u.x.petsc_vec.copy())
+            petsc.set_bc(b, bcs, x0=now, alpha=-1.0)
+            lifted.append(now.copy())
             petsc.set_bc(lifted[-1], bcs)
         for b in r_parts[num_bodies : len(r_parts) - num_ties]:
             b.set(0.0)

@@ -131,7 +131,10 @@ def residual(tie: Tie, *fields):
     term, scale = c.duplicate(), 0.0
     c.set(0.0)
     for B, u in zip(tie.blocks(), fields, strict=True):
-        B.mult(u if not isinstance(u, fem.Function) else u.x.petsc_vec, term)
+        x = B.createVecRight()  # u.x.petsc_vec would go when Python collects u: not collectively
+        x.array[:] = u.x.array[: x.getLocalSize()] if isinstance(u, fem.Function) else u.array_r
+        B.mult(x, term)
+        x.destroy()
         scale = max(scale, term.norm(3))
         c.axpy(1.0, term)
     return c.norm(3) / scale
