@@ -139,7 +139,7 @@ SCENES = {
     "sphere": Scene(
         shells,
         fused_shell,
-        {1: (0.16, 0.1, 0.06, 0.0355), 2: (0.3, 0.2, 0.14, 0.1), 3: (0.45, 0.35, 0.25)},
+        {1: (0.16, 0.1, 0.06, 0.0355), 2: (0.3, 0.2, 0.14, 0.1), 3: (0.35, 0.25, 0.18)},
     ),
 }
 
@@ -271,7 +271,7 @@ def fused_traction_error(u):
     error = ufl.dot(ufl.avg(sigma(u)), n) - exact
     totals = [fem.assemble_scalar(fem.form(ufl.inner(f, f) * dS(1))) for f in (error, exact)]
     error, norm = comm.allreduce(np.array(totals))
-    return float(np.sqrt(error / norm))
+    return float(np.sqrt(error / norm)) if norm else float("nan")  # all between ranks
 
 
 def residual(problem):

@@ -74,7 +74,7 @@ def solve(bodies, tied):
         loads.append(ufl.inner(fem.Constant(mesh, default_scalar_type((0, 0))), v) * ufl.dx)
         bcs.append(fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), dofs, W))
 
-    # `TiedProblem` assembles the matrix on the left; prescribed dofs have ones on the diagonal.
+    # `TiedProblem` assembles the matrix on the left; prescribed dofs have a diagonal alone.
     ties = []
     if tied:
         (_, tags0), (_, tags1) = bodies

@@ -24,6 +24,8 @@ def free_motions(
 ) -> int:
     """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
 
+    A mesh counts as one body, also if it has several parts.
+
     Bodies that are tied move together if nothing else holds them. Where they don't coincide, such
     a rotation strains the tie a little; that is an error of the meshes and holds nothing either.
 
@@ -57,18 +59,23 @@ def _free_alone(comm, moved, K, constraints: ConstraintBlocks) -> int:
     """Motions of each body by itself, or of several with whatever the ties allow."""
     ends = np.cumsum([0, *(modes.shape[1] for modes in moved)])
     rows = []  # of this rank: forces of the motions on the bodies, on held dofs and on the ties
+
+    def add(parts: dict[int, npt.NDArray]):
+        """As few rows as some bodies have motions say as much."""
+        R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
+        rows.append(np.zeros((len(R), ends[-1])))
+        rows[-1][:, np.concatenate([np.arange(ends[i], ends[i + 1]) for i in parts])] = R
+
     for i, modes in enumerate(moved):
-        held = constraints.prescribed[i]
-        rows.append(np.zeros((ends[-1], ends[-1])))
-        forces = np.linalg.qr(_forces(K[i], held, modes), mode="r")
-        rows[-1][: len(forces), ends[i] : ends[i + 1]] = forces
+        add({i: _forces(K[i], constraints.prescribed[i], modes)})
     for row in constraints.free:
-        first = next(B for B in row if B is not None)
-        rows.append(np.zeros((first.getLocalSize()[0], ends[-1])))
-        for i, (B, modes) in enumerate(zip(row, moved, strict=False)):
-            if B is not None:
-                free = np.where(constraints.prescribed[i][:, None], 0, modes)
-                rows[-1][:, ends[i] : ends[i + 1]] = _product(B, free)
+        add(
+            {
+                i: _product(B, np.where(constraints.prescribed[i][:, None], 0, modes))
+                for i, (B, modes) in enumerate(zip(row, moved, strict=False))
+                if B is not None
+            }
+        )
     return _num_small(comm, np.vstack(rows))
 
 
@@ -101,7 +108,7 @@ def _num_small(comm, rows) -> int:
 def _product(A: PETSc.Mat, columns) -> npt.NDArray[np.float64]:
     """A times columns, over the mean length of A's rows."""
     x, y = A.createVecs()
-    size = (A.norm() / np.sqrt(A.getSize()[0])) or 1.0
+    size = (A.norm() / np.sqrt(A.getSize()[0] or 1)) or 1.0
     result = np.empty((A.getLocalSize()[0], columns.shape[1]))
     for k, column in enumerate(columns.T):
         x.array[:] = column

@@ -62,9 +62,9 @@ class NonlinearTiedProblem(TiedSystem):
             bcs: Dirichlet conditions of any of the bodies.
             ties: The ties between them.
             J: Jacobian form of each body; F's derivative if not given.
-            petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
+            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the SNES. Steps are solved with MUMPS's LU unless they name
-                a KSP or PC.
+                a ``ksp_type`` or ``pc_type``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -110,7 +110,10 @@ class NonlinearTiedProblem(TiedSystem):
         num_bodies, num_ties = len(self._u), len(self._ties)
         multipliers = x_parts[len(x_parts) - num_ties :]
         lifted = []
-        for u, now, b, F, J, bcs in zip(self._u, self._now, r_parts, self._F, self._a, self._bcs):
+        prescribed = self._constraints.prescribed
+        for u, now, b, F, J, bcs, held, scale in zip(
+            self._u, self._now, r_parts, self._F, self._a, self._bcs, prescribed, self._scales
+        ):
             with b.localForm() as local, now.localForm() as values:
                 local.set(0.0)
                 values.array[:] = u.x.array
@@ -118,6 +121,7 @@ class NonlinearTiedProblem(TiedSystem):
             petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             petsc.set_bc(b, bcs, x0=now, alpha=-1.0)
+            b.array[held] *= scale
             lifted.append(now.copy())
             petsc.set_bc(lifted[-1], bcs)
         for b in r_parts[num_bodies : len(r_parts) - num_ties]:
@@ -147,13 +151,16 @@ class NonlinearTiedProblem(TiedSystem):
         """
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
+        self._solved = False
         if not self._motions_known:
             self.assemble_matrix()
+            self._scales_fixed = True  # a residual that is compared with others keeps its units
             self._check_motions()
         with self._options_set():
             self._solver.solve(None, self._x)
         self._check_solved()
         self._assign(self._x)
+        self._solved = True
         return self._u
 
     def _check_solved(self):

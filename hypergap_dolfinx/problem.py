@@ -86,8 +86,10 @@ class TiedProblem(TiedSystem):
             solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
                 iterates over the ties, ``"iterative"`` takes algebraic multigrid. If not given,
                 ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
-            petsc_options_prefix: Prefix of the PETSc objects' options; ends with ``_``.
-            petsc_options: Options of the KSP instead of those of ``solvers.options``.
+            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
+            petsc_options: Options of the KSP, besides those of the solver above; instead of them
+                if they name a ``ksp_type`` or ``pc_type`` (the matrix is a MatNest: PETSc's own
+                factorisations and most preconditioners don't take it, MUMPS and fieldsplit do).
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -120,17 +122,16 @@ class TiedProblem(TiedSystem):
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._bodywise: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
+        self._discarded: list[PETSc.KSP] = []
         self._fall_back = False
         if solver is None:
-            known = petsc_options is not None
+            known = bool({"ksp_type", "pc_type"} & set(petsc_options or {}))
             solver = "direct" if known else solvers.default(self._K, self._constraints, spaces)
             self._fall_back = solver != "direct"
         elif solver not in solvers.SOLVERS:
             raise ValueError(f"solver is one of {', '.join(solvers.SOLVERS)}, not {solver!r}.")
         elif solver != "direct":
-            reason = solvers.why_not_bodywise(
-                self._A.comm.tompi4py(), self._constraints, len(spaces)
-            )
+            reason = solvers.why_not(solver, self._constraints, spaces)
             if reason:
                 raise ValueError(f'solver="{solver}" is not possible: {reason}; take "direct".')
         self._method = solver
@@ -142,13 +143,15 @@ class TiedProblem(TiedSystem):
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
         prescribed = []
-        for b, a, L, bcs in zip(self._b_bodies, self._a, self._L, self._bcs, strict=True):
+        bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)
+        for i, (b, a, L, bcs) in enumerate(bodies):
             with b.localForm() as local:
                 local.set(0.0)
             petsc.assemble_vector(b, L)
             petsc.apply_lifting(b, [a], bcs=[bcs])
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             petsc.set_bc(b, bcs)
+            b.array[self._constraints.prescribed[i]] *= self._scales[i]
             g = b.duplicate()
             g.set(0.0)
             petsc.set_bc(g, bcs)
@@ -186,21 +189,37 @@ class TiedProblem(TiedSystem):
             SolveError: The solver failed; says how.
         """
         self._check_motions()
+        self._solved = False
         with self._options_set():
             if self._method == "direct":
                 saddle.solve(self._solver, self._b, self._x)
             else:
                 self._solve_bodywise()
-        if self._solver.getConvergedReason() < 0 and self._fall_back:
-            self._solve_directly()
+        if self._method != "direct":
+            self._check_or_solve_directly()
         saddle.check_solved(self._solver)
         self._assign(self._x)
+        self._solved = True
         return self._u
+
+    def _check_or_solve_directly(self):
+        """Whether the iteration solved the system it stands for; the default has a way out."""
+        converged = self._solver.getConvergedReason() > 0
+        error = saddle.backward_error(self._A, self._x, self._b) if converged else np.inf
+        if error <= saddle.BACKWARD:
+            return
+        if self._fall_back:
+            self._solve_directly()
+        elif converged:
+            raise saddle.SolveError(
+                f'the linear solve with solver="{self._method}" ended, but misses the system by '
+                f'{error:.0e} of its terms; take solver="direct".'
+            )
 
     def _solve_directly(self):
         """Where the default did not converge: Γ1 is much stiffer than Γ0."""
         self._method, self._fall_back = "direct", False
-        self._solver.destroy()
+        self._discarded.append(self._solver)  # the user may have it
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._set_options(self._prefix, None, solvers.options("direct", self._dim))
@@ -212,6 +231,10 @@ class TiedProblem(TiedSystem):
 
     def _solve_bodywise(self):
         state = self._A.stateGet()
+        if self._bodywise is not None and state != self._state:
+            if not self._bodywise.update(self._solver):
+                self._bodywise.destroy()
+                self._bodywise = None
         if self._bodywise is None:
             self._bodywise = solvers.create_system(
                 self._method,
@@ -221,8 +244,6 @@ class TiedProblem(TiedSystem):
                 self._prefix,
             )
             self._bodywise.attach(self._solver)
-        elif state != self._state:
-            self._bodywise.update(self._solver)
         self._state = state
         self._bodywise.solve(self._solver, self._b, self._x)
 

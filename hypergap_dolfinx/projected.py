@@ -264,7 +264,7 @@ class ProjectedSystem:
         """Give a KSP what it is to solve. Collective."""
         self.update(ksp)
 
-    def update(self, ksp: PETSc.KSP):
+    def update(self, ksp: PETSc.KSP) -> bool:
         """Take the stiffness as it is now, for the preconditioner. Collective."""
         num = len(self._K)
         nest = PETSc.Mat().createNest(
@@ -305,6 +305,7 @@ class ProjectedSystem:
         for obj in (K, ones, identity):
             obj.destroy()
         ksp.setOperators(self.matrix, self.preconditioner)
+        return True
 
     def _approximate(self) -> PETSc.Mat:
         """A sparse approximation of T, if there are ties. Collective."""

@@ -23,6 +23,9 @@ RESIDUAL = 1e-3
 """Largest residual of a direct solve, relative to the right-hand side: 1e-15 times how ill the
 system is conditioned if there is a solution, and about 1 if there is none."""
 
+BACKWARD = 1e-6
+"""Largest :func:`backward_error` of an iteration that says it converged."""
+
 RETRIES = 4  # with three times MUMPS's workspace each
 
 
@@ -90,6 +93,32 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
         del database[key]
     if before is not None:
         database[key] = before
+
+
+def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
+    """Largest residual of the rows of blocks, each relative to the size of its terms. Collective.
+
+    Args:
+        A: The nested matrix.
+        x: The solution.
+        b: The right-hand side.
+    """
+    worst = 0.0
+    xs, bs = x.getNestSubVecs(), b.getNestSubVecs()
+    for i, b_i in enumerate(bs):
+        r, product = b_i.copy(), b_i.duplicate()
+        size = b_i.norm()
+        for j, x_j in enumerate(xs):
+            block = A.getNestSubMatrix(i, j)
+            if block:
+                block.mult(x_j, product)
+                r.axpy(-1.0, product)
+                size += block.norm() / (block.getSize()[0] or 1) ** 0.5 * x_j.norm()
+        if size:
+            worst = max(worst, r.norm() / size)
+        for obj in (r, product):
+            obj.destroy()
+    return worst
 
 
 def check_solved(ksp: PETSc.KSP):

@@ -7,7 +7,6 @@
 
 from collections.abc import Sequence
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -100,26 +99,50 @@ def default(
     size = sum(k.getSize()[0] for k in K)
     mesh = spaces[0].mesh
     large = constraints.bodies and mesh.topology.dim == 3 and size >= LARGE
-    possible = large and why_not_bodywise(mesh.comm, constraints, len(spaces)) is None
+    possible = large and why_not("bodies", constraints, spaces) is None
     return "bodies" if possible else "direct"
 
 
-def why_not_bodywise(comm: MPI.Comm, constraints: ConstraintBlocks, num_bodies: int) -> str | None:
-    """What keeps a system from being solved body by body, or None. Collective."""
+def why_not(
+    solver: str, constraints: ConstraintBlocks, spaces: Sequence[fem.FunctionSpace]
+) -> str | None:
+    """What keeps a system from being solved by a solver that isn't direct, or None. Collective."""
+    comm, ties = spaces[0].mesh.comm, range(len(constraints.bodies))
     if constraints.interior_sizes:
         return "free interior nodes belong to no body"
-    if order_of_bodies(num_bodies, constraints.bodies) is None:
+    if order_of_bodies(len(spaces), constraints.bodies) is None:
         return "the ties lead round in a circle, or from a body to itself"
     wrong = 0
-    for body in range(num_bodies):
-        ties = [t for t, (_, i1) in enumerate(constraints.bodies) if i1 == body]
-        dofs = [constraints.own[t] for t in ties]
-        rows = [constraints.free[t][body].getLocalSize()[0] for t in ties]  # type: ignore[union-attr]
-        wrong += any(len(own) != num for own, num in zip(dofs, rows, strict=True))
-        wrong += len(np.unique(np.concatenate([[], *dofs]))) != sum(map(len, dofs))
+    for body in range(len(spaces)):
+        mine = [t for t in ties if constraints.bodies[t][1] == body]
+        start = spaces[body].dofmap.index_map.local_range[0] * spaces[body].dofmap.index_map_bs
+        own = np.concatenate([[], *(constraints.own[t] for t in mine)]).astype(np.intp)
+        rows = [constraints.free[t][body].getLocalSize()[0] for t in mine]  # type: ignore[union-attr]
+        wrong += [len(constraints.own[t]) for t in mine] != rows
+        wrong += len(np.unique(own)) != len(own)
+        wrong += bool(constraints.prescribed[body][own - start].any())
     if comm.allreduce(wrong):
-        return "some multipliers have no dof of Γ1 of their own"
+        return "some multipliers have no free dof of Γ1 of their own"
+    if solver == "iterative":
+        block_sizes = {V.dofmap.index_map_bs for V in spaces}
+        if len(block_sizes) > 1 or not block_sizes <= {1, spaces[0].mesh.geometry.dim}:
+            return "multigrid is for bodies that all have displacements, or all have a scalar"
+        if any(_is_coupled(constraints, t, s) for t in ties for s in ties if s != t):
+            return "ties on the same body share nodes"
     return None
+
+
+def _is_coupled(constraints: ConstraintBlocks, t: int, s: int) -> bool:
+    """Whether Γ1's own dofs of tie s, on the same body, are under tie t too. Collective."""
+    body = constraints.bodies[t][1]
+    if constraints.bodies[s][1] != body:
+        return False
+    B = constraints.free[t][body]
+    assert B is not None
+    comm = B.comm.tompi4py()
+    _, columns, values = B.getValuesCSR()
+    own = np.concatenate(comm.allgather(constraints.own[s]))
+    return bool(comm.allreduce(int(np.isin(columns[values != 0], own).sum())))
 
 
 def create_system(
@@ -159,33 +182,42 @@ class BodywiseSystem:
             constraints: The ties' blocks.
             spaces: Space of each body.
         """
-        self._K, bodies = K, constraints.bodies
+        self._K, self._bodies = K, constraints.bodies
+        self._own, self._free = constraints.own, constraints.free
         self.iterations = 0
-        self.scales, self._B = [], []
-        for own, row, (_, i1) in zip(constraints.own, constraints.free, bodies, strict=True):
-            self.scales.append(_mean_diagonal(K[i1], own) / _mean_column(row[i1], own))
-            self._B.append([b and b.copy() for b in row])
-            for b in self._B[-1]:
+        self.scales = self._scales_now()
+        self._B = [[b and b.copy() for b in row] for row in self._free]
+        for row, scale in zip(self._B, self.scales, strict=True):
+            for b in row:
                 if b is not None:
-                    b.scale(self.scales[-1])
+                    b.scale(scale)
         self.matrix, self._Bt = saddle.saddle_matrix(K, self._B)
         self.matrix.setNestVecType("standard")  # KSPs that make vectors want no nested ones
         self.matrix.assemble()
         self.x, self.b = self.matrix.createVecs()
         modes = [rigid_modes(*pair) for pair in zip(spaces, constraints.prescribed, strict=True)]
-        order = order_of_bodies(len(K), bodies)
+        order = order_of_bodies(len(K), self._bodies)
         assert order is not None
         columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, bodies, columns, order, modes)
+        self.preconditioner = Substructures(K, self._B, self._bodies, columns, order, modes)
 
     def attach(self, ksp: PETSc.KSP):
         """Give a KSP what it is to solve. Collective."""
         ksp.setOperators(self.matrix)
         ksp.getPC().setPythonContext(self.preconditioner)
 
-    def update(self, ksp: PETSc.KSP):
-        """Take the stiffness as it is now. Collective."""
+    def update(self, ksp: PETSc.KSP) -> bool:
+        """Take the stiffness as it is now, if it is of the same size. Collective."""
         self.matrix.assemble()
+        ratio = np.array(self._scales_now()) / self.scales
+        return bool((np.abs(np.log10(ratio)) < 0.5).all())
+
+    def _scales_now(self) -> list[float]:
+        """Size of K over that of B, for each tie. Collective."""
+        return [
+            _mean_diagonal(self._K[i1], own) / _mean_column(row[i1], own)
+            for own, row, (_, i1) in zip(self._own, self._free, self._bodies, strict=True)
+        ]
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -221,7 +253,7 @@ def _mean_diagonal(K: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
     values = diagonal.array_r[dofs - K.getOwnershipRange()[0]]
     total, num = K.comm.tompi4py().allreduce(np.array((np.abs(values).sum(), len(values))))
     diagonal.destroy()
-    return total / num
+    return total / num if total else 1.0
 
 
 def _mean_column(B: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
@@ -229,4 +261,4 @@ def _mean_column(B: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
     values = sums.array_r[dofs - B.getOwnershipRangeColumn()[0]]
     total, num = B.comm.tompi4py().allreduce(np.array((values.sum(), len(values))))
     sums.destroy()
-    return total / num
+    return total / num if total else 1.0

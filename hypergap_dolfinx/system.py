@@ -50,6 +50,8 @@ class TiedSystem(disposal.Owner):
         self._a, self._ties, self._u = list(a), list(ties), list(u)
         self._solved = False
         self._motions_known = False
+        self._scales = [1.0] * len(self._a)
+        self._scales_fixed = False
         self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
@@ -80,7 +82,7 @@ class TiedSystem(disposal.Owner):
         self._x = self._b.duplicate()
 
     def _set_options(self, prefix: str, options: dict | None, default: dict):
-        """Set the solver's options, defaults too where none names a KSP or PC.
+        """Set the solver's options, over the defaults unless they name a type of KSP or PC.
 
         The command line overrules the defaults.
         """
@@ -89,7 +91,7 @@ class TiedSystem(disposal.Owner):
         self._solver.setOptionsPrefix(prefix)
         self._A.setOptionsPrefix(f"{prefix}A_")
         options = dict(options or {})
-        if not any(key.startswith(("ksp_", "pc_")) for key in options):
+        if not {"ksp_type", "pc_type"} & set(options):
             given = PETSc.Options().getAll()
             free = {key: v for key, v in default.items() if prefix + key not in given}
             options = {**free, **options}
@@ -101,7 +103,6 @@ class TiedSystem(disposal.Owner):
         """Raise if the assembly can still move, which a solver may not notice. Once; collective."""
         if self._motions_known:
             return
-        self._motions_known = True
         free = free_motions([u.function_space for u in self._u], self._K, self._constraints)
         if free:
             raise saddle.SolveError(
@@ -109,6 +110,7 @@ class TiedSystem(disposal.Owner):
                 f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held."
             )
+        self._motions_known = True
 
     @contextmanager
     def _options_set(self) -> Iterator[None]:
@@ -128,23 +130,43 @@ class TiedSystem(disposal.Owner):
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
         single = ("_bodywise", "_solver", "_A", "_b", "_x", "_constraints")
-        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
+        several = ("_discarded", "_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
         objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)
         return [obj for obj in objects if obj is not None]
 
     def assemble_matrix(self):
-        """Assemble the bodies' stiffness into A. Collective."""
+        """Assemble the bodies' stiffness into A. Collective.
+
+        A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
+        must not see units.
+        """
         for K, form, bcs in zip(self._K, self._a, self._bcs, strict=True):
             K.zeroEntries()
             petsc.assemble_matrix(K, form, bcs=bcs)
             K.assemble()
         checks.check_finite(self._K, "the stiffness")
+        for i in range(len(self._K)):
+            self._scale_prescribed(i)
         self._A.assemble()
+
+    def _scale_prescribed(self, i: int):
+        """Set the prescribed dofs' diagonal, and the right-hand side with it. Collective."""
+        K, held = self._K[i], self._constraints.prescribed[i]
+        diagonal = K.getDiagonal()
+        values = np.abs(diagonal.array_r[~held])
+        local = np.array((values.sum(), len(values), held.sum()))
+        total, num, num_held = K.comm.tompi4py().allreduce(local)
+        if num_held:
+            scale = self._scales[i] if self._scales_fixed else (total / max(num, 1) or 1.0)
+            diagonal.array[held] = scale
+            K.setDiagonal(diagonal)
+            self._b_bodies[i].array[held] *= scale / self._scales[i]
+            self._scales[i] = scale
+        diagonal.destroy()
 
     def _assign(self, x: PETSc.Vec):
         """Copy the bodies' part of a vector into u."""
-        self._solved = True
         for u, part in zip(self._u, x.getNestSubVecs()):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()

@@ -79,7 +79,8 @@ class Tie(disposal.Owner):
                 This changes the mesh of Γ1's body. Rigid motions are then exact on curved or gaping
                 interfaces too, if the space has the degree of the mesh's geometry; without, a
                 rotation strains them by the distance between the surfaces over the cell size: the
-                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay.
+                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay. Make
+                a tie that adjusts before others on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
                 or overlaps is pulled together, as in an interference fit. Needs displacements.
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from assembly import comm, linear, problem, rectangle, tie
 
+import basix
 import hypergap_dolfinx.tie
+import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem, checks, compat
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 TIED = [(0, TOP), (1, BOTTOM)]
@@ -288,3 +290,24 @@ def test_workspace(monkeypatch):
     p.solve()
     assert all(np.allclose(u.x.array, r) for u, r in zip(p.u, reference, strict=True))
     assert linear((1, 0)) == (0.3, 0.5) and MPI.COMM_WORLD.size == 1
+
+
+@pytest.mark.parametrize("shift", np.linspace(0.02, 0.2, 10))
+def test_curved_cells_turned_over_at_their_edge(shift):
+    """A node of a cubic edge pushed along it: det J < 0 at a fine lattice's points is found."""
+    mesh, _ = meshes.block(comm, (1, 1), cell="triangle", degree=3)
+    x = mesh.geometry.x
+    x[np.isclose(x[:, 0], 1 / 3) & np.isclose(x[:, 1], 0), 0] += shift
+    element = basix.create_element(
+        basix.ElementFamily.P, basix.CellType.triangle, 3, basix.LagrangeVariant.gll_warped
+    )
+    points = basix.create_lattice(basix.CellType.triangle, 60, basix.LatticeType.equispaced, True)
+    nodes = x[compat.geometry_dofmap(mesh)][..., :2]
+    J = np.einsum("cmi,jpm->cpij", nodes, element.tabulate(1, points)[1:, :, :, 0])
+    det = np.linalg.det(J)
+    turned = comm.allreduce(bool((det * np.sign(det[:, :1]) < -1e-2).any()), MPI.LOR)
+    sound = comm.allreduce(bool((det * np.sign(det[:, :1]) > 0).all()), MPI.LAND)
+    if turned:
+        raises(ValueError, "^it has a cell without volume", lambda: checks.check_cells(mesh, "it"))
+    elif sound:
+        checks.check_cells(mesh, "it")
