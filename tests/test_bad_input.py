@@ -161,7 +161,8 @@ def test_contradiction_in_a_later_step():
 def test_an_assembly_that_can_still_move(fixed, count, swap):
     bodies = blocks()
     p = problem(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed)
-    raises(SolveError, f"singular: {count} rigid motion", p.solve)
+    for _ in range(2):  # not the first time alone
+        raises(SolveError, f"singular: {count} rigid motion", p.solve)
 
 
 @pytest.mark.parametrize("num", (2, 3))

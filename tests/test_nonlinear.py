@@ -150,3 +150,20 @@ def test_is_freed():
     del problem
     gc.collect()
     assert alive() is None
+
+
+@pytest.mark.parametrize("E", (1e-12, 1e9))
+def test_units(E):
+    """Small stiffness isn't hidden by prescribed displacements: the same in any unit."""
+    results = []
+    for modulus in (1.0, E):
+        V, fts, tie = two_blocks()
+
+        def density(u, modulus=modulus):
+            return modulus * energy(u)
+
+        places = (lambda x: 0 * x[:2], lambda x: 0.1 + 0 * x[:2])
+        problem, _ = problem_of(V, fts, tie, density, places)
+        results.append([u.x.array.copy() for u in problem.solve()])
+    for u, v in zip(*results, strict=True):
+        np.testing.assert_allclose(u, v, atol=1e-8)

@@ -15,7 +15,7 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Tie, TiedProblem, solvers
+from hypergap_dolfinx import SolveError, Tie, TiedProblem, solvers
 
 comm = MPI.COMM_WORLD
 
@@ -140,6 +140,122 @@ def test_units_do_not_matter(unit):
         its.append(problem.iterations)
     assert abs(its[0] - its[1]) <= 1
     np.testing.assert_allclose(*multipliers, atol=1e-9)
+
+
+def pulled(E, solver, dim=2, **options):
+    """Two blocks in units where stiffness is E, the upper one moved by 1 at its top."""
+    a, L, bcs, ties = pile(dim, stiffness=(E, E))
+    V = ties[0].spaces[1]
+    g = fem.Function(V)
+    g.interpolate(lambda x: np.ones_like(x[:dim]))
+    top = dolfinx.mesh.locate_entities_boundary(
+        V.mesh, dim - 1, lambda x: np.isclose(x[dim - 1], 2)
+    )
+    bcs = [*bcs, fem.dirichletbc(g, fem.locate_dofs_topological(V, dim - 1, top))]
+    L = [E * form for form in L]
+    return TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver, **options)
+
+
+@pytest.mark.parametrize("E", (1e-14, 1e-9, 1e9))
+@pytest.mark.parametrize("solver, tolerance", (("bodies", 1e-10), ("iterative", 1e-7)))
+def test_units_of_prescribed_displacements(solver, tolerance, E):
+    """Rows of prescribed dofs don't hide the others' residual, whatever the units."""
+    reference = pulled(1.0, "direct")
+    problem = pulled(E, solver)
+    for u, v in zip(problem.solve(), reference.solve(), strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=tolerance)
+
+
+@pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
+def test_assembled_in_any_order(solver):
+    """The right-hand side knows the scale of the prescribed rows, before the matrix and after."""
+    problem, reference = pulled(1e-6, solver), pulled(1e-6, "direct")
+    problem.assemble_vector()
+    problem.assemble_matrix()
+    problem.solve_system()
+    for u, v in zip(problem.u, reference.solve(), strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-7)
+
+
+def test_a_matrix_of_another_size():
+    """Stiffness and load that both grow don't change the displacements, nor their accuracy."""
+    a, L, bcs, ties = pile(2)
+    factors = [fem.Constant(V.mesh, default_scalar_type(1.0)) for V in ties[0].spaces]
+    a = [c * form for c, form in zip(factors, a, strict=True)]
+    L = [c * form for c, form in zip(factors, L, strict=True)]
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    u = [f.x.array.copy() for f in problem.solve()]
+    for value in (1e8, 1e-8):
+        for c in factors:
+            c.value = value
+        for f, before in zip(problem.solve(), u, strict=True):
+            np.testing.assert_allclose(
+                f.x.array, before, atol=1e-11 * np.abs(before).max(initial=1)
+            )
+
+
+def two_parts(solver):
+    """A block tied to one mesh of two blocks, which floats in two parts; its first tie first."""
+    V = []
+    for z in (0, 1):
+        n = (6, 2, 2) if z == 0 else (3, 2, 2)
+        mesh, _ = meshes.block(
+            comm, n, lambda x, z=z: x * (3, 1, 1) + (0, 0, z), cell="tetrahedron"
+        )
+        if z == 1:
+            tdim = 3
+            mesh.topology.create_connectivity(tdim, tdim)
+            centres = dolfinx.mesh.compute_midpoints(
+                mesh, tdim, np.arange(mesh.topology.index_map(tdim).size_local, dtype=np.int32)
+            )
+            cells = np.flatnonzero((centres[:, 0] < 1) | (centres[:, 0] > 2)).astype(np.int32)
+            mesh = dolfinx.mesh.create_submesh(mesh, tdim, cells)[0]
+        V.append(fem.functionspace(mesh, ("Lagrange", 2)))
+    a, L = [], []
+    for i, W in enumerate(V):
+        u, v = ufl.TrialFunction(W), ufl.TestFunction(W)
+        x = ufl.SpatialCoordinate(W.mesh)
+        a.append(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+        L.append((1.0 + i * x[0]) * v * ufl.dx)
+    at = [
+        dolfinx.mesh.locate_entities_boundary(W.mesh, 2, lambda x: np.isclose(x[2], 1)) for W in V
+    ]
+    low = dolfinx.mesh.locate_entities_boundary(V[0].mesh, 2, lambda x: np.isclose(x[2], 0))
+    bcs = [fem.dirichletbc(0.0, fem.locate_dofs_topological(V[0], 2, low), V[0])]
+    sides = []
+    for lower, upper in ((0, 1), (2, 3)):
+        pair = []
+        for W, facets in zip(V, at, strict=True):
+            x = dolfinx.mesh.compute_midpoints(W.mesh, 2, facets)[:, 0]
+            pair.append((W, facets[(x > lower) & (x < upper)]))
+        sides.append(Tie(*pair[::-1]))
+    return TiedProblem(a, L, bcs=bcs, ties=sides, solver=solver)
+
+
+def test_a_body_in_two_parts():
+    """One factor a body isn't enough where parts of a mesh float: told, or solved otherwise."""
+    pytest.importorskip("gmsh")
+    direct, problem = two_parts("direct"), two_parts("bodies")
+    direct.solve()
+    try:
+        problem.solve()
+    except SolveError:
+        return
+    for u, v in zip(problem.u, direct.u, strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-7)
+
+
+def test_options_besides_the_solvers_own():
+    """Naming a tolerance keeps the solver; naming a type of PC replaces it."""
+    for solver, pc in (("direct", "lu"), ("bodies", "python"), ("iterative", "gamg")):
+        a, L, bcs, ties = pile(2)
+        options = {"ksp_rtol": 1e-7, "ksp_error_if_not_converged": False}
+        problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver, petsc_options=options)
+        problem.solve()
+        assert problem.solver.getPC().getType() == pc
+        assert problem.solver.getTolerances()[0] == 1e-7
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options={"pc_type": "none"})
+    assert problem.solver.getType() == "gmres"
 
 
 def test_a_changed_matrix_is_factorised_anew():
