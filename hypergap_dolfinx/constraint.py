@@ -284,7 +284,7 @@ def independent_rows(
         free = (multiplier[facets] >= 0) & ~drop[multiplier[facets], component]  # (facet, dof)
         best = free.sum(axis=1).argmax()
         around = None
-        if surface.element.degree > 1 and not _determined(surface.element, tuple(free[best])):
+        if not _determined(surface.element, tuple(free[best])):
             around = _from_around(surface, multiplier, drop[:, component], facets, local)
         if around is not None:  # a corner: most of the facet's dofs are dropped
             weights, neighbours = around

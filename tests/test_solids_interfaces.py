@@ -319,3 +319,19 @@ def test_scalar():
         g = fem.Function(u.function_space)
         g.interpolate(exact)
         assert np.abs(u.x.array - g.x.array).max() < 1e-12
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("n", ((4, 3), (3, 4), (7, 3)))
+def test_sides_prescribed_all_around(n, degree, swap):
+    """In corners whole facets are prescribed: λ follows its neighbours there."""
+    bodies = []
+    for i, tag in enumerate((meshes.FRONT, meshes.BACK)):
+        mesh, ft = meshes.block(
+            comm, (n[i],) * 3, lambda x, i=i: x + i * np.eye(3)[2], cell="tetrahedron"
+        )
+        held = [ft.find(other) for other in np.unique(ft.values) if other != tag]
+        bodies.append((mesh, ft.find(tag), np.unique(np.concatenate(held))))
+    l2, error, *_ = tied(bodies, bending if degree == 2 else linear, (degree,) * 2, swap=swap)
+    assert l2 <= 1e-12 and error <= 1e-11
