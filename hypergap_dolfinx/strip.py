@@ -199,7 +199,7 @@ def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chai
     breaks = [np.zeros(len(surface.x), dtype=bool) for surface in surfaces]
     (turn0, corner0), (turn1, corner1) = (turns(surface) for surface in surfaces)
     at = [np.flatnonzero(turn) for turn in (turn0, turn1)]
-    if len(at[0]) and len(at[1]):
+    if len(at[0]) and len(at[1]) and (corner0.any() or corner1.any()):
         i, j = _coincident(surface0.x[at[0]], surface1.x[at[1]])
         i, j = at[0][i], at[1][j]
         same = np.abs(turn0[i] - turn1[j]) <= 1e-3 * turn0[i] + 1e-8
@@ -322,8 +322,7 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
     cell = 2e-9 * size + 64 * np.finfo(float).eps * np.abs(x0).max()
     # Few have another one's shadow on a line as good as any
-    shadows = x0 @ DIRECTION, x1 @ DIRECTION
-    near = [np.flatnonzero(_any_within(*pair, 2 * cell)) for pair in (shadows, shadows[::-1])]
+    near = _near(x0 @ DIRECTION, x1 @ DIRECTION, 2 * cell)
     x0, x1 = x0[near[0]], x1[near[1]]
     found: set[tuple[int, int]] = set()
     for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):  # off the borders of one is in another
@@ -335,16 +334,18 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     return i, j
 
 
-def _any_within(a, b, distance: float) -> npt.NDArray[np.bool_]:
-    """Which of a have one of b within a distance, on a line."""
-    order = np.argsort(a)
-    b = np.sort(b)
-    near = np.empty(len(a), dtype=bool)
-    a_sorted = a[order]  # a search for sorted values stays in the cache
-    near[order] = np.searchsorted(b, a_sorted - distance) < np.searchsorted(
-        b, a_sorted + distance, side="right"
-    )
-    return near
+def _near(a, b, distance: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Which of a have one of b within a distance, on a line, and which of b one of a."""
+    orders = np.argsort(a), np.argsort(b)
+    a, b = a[orders[0]], b[orders[1]]
+    low = np.searchsorted(b, a - distance)  # a search for sorted values stays in the cache
+    high = np.searchsorted(b, a + distance, side="right")
+    near_a = low < high
+    change = np.zeros(len(b) + 1, dtype=np.intp)
+    np.add.at(change, low[near_a], 1)
+    np.add.at(change, high[near_a], -1)
+    near_b = np.cumsum(change[:-1]) > 0
+    return np.sort(orders[0][near_a]), np.sort(orders[1][near_b])
 
 
 def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
