@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
+from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
 
 
@@ -285,6 +286,25 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
         element=trace,
         dof_range=np.append(0, np.cumsum(comm.allgather(index_map.size_local))),
     )
+
+
+def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
+    """How far the cells behind facets reach, over the facets' length; the median. Collective.
+
+    Args:
+        V: Space on a mesh, of which :func:`create_surface` made a surface.
+        facets: Its facets on this rank.
+    """
+    mesh, n = V.mesh, V.mesh.geometry.dim
+    facets = np.asarray(facets, dtype=np.int32)
+    to_cells = mesh.topology.connectivity(n - 1, n)
+    cells = to_cells.array[to_cells.offsets[facets]]
+    x = mesh.geometry.x[:, :n]
+    v = x[entities_to_geometry(mesh, n - 1, facets)[:, :n]]
+    height = np.einsum("fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], _normals(v))
+    length = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).max(axis=1, initial=0)
+    ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
+    return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
 
 
 def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:

@@ -20,9 +20,17 @@ from hypergap_dolfinx import disposal, results
 from hypergap_dolfinx.adjust import adjust_surface
 from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.surface import InterfaceError, Surface, create_surface, raise_on_all
+from hypergap_dolfinx.surface import (
+    InterfaceError,
+    Surface,
+    create_surface,
+    raise_on_all,
+    thinness,
+)
 
 LOG = logging.getLogger("hypergap_dolfinx")
+
+THIN = 0.01  # thickness of cells, over their length, of a layer that is Γ1 even if it is finer
 
 
 class Tie(disposal.Owner):
@@ -144,6 +152,8 @@ class Tie(disposal.Owner):
     ) -> "Tie":
         """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
 
+        But a thin layer, whose cells are a hundred times longer than thick, is Γ1 in any case: as
+        Γ0 with smaller cells it would be held at the other side's nodes only, and lose digits.
         Which one it is stands in :attr:`swapped` and in the log of ``hypergap_dolfinx``.
 
         Args:
@@ -156,12 +166,15 @@ class Tie(disposal.Owner):
         Returns:
             The tie.
         """
-        size = []
+        size, thin = [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
             surface = create_surface(*side, name)
             size.append(float(np.median(surface.size)) / surface.element.degree)
+            thin.append(thinness(*side) < THIN)
         ratio = size[0] / size[1]
-        if 1 / 1.1 < ratio < 1.1:
+        if thin[0] != thin[1]:
+            swapped, why = thin[0], "thin"
+        elif 1 / 1.1 < ratio < 1.1:
             swapped = stiffness is not None and stiffness[0] < stiffness[1]
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:
@@ -169,7 +182,8 @@ class Tie(disposal.Owner):
         tie = cls(*((b, a) if swapped else (a, b)), **options)
         tie._swapped = swapped
         if tie.sigma.comm.rank == 0:
-            LOG.info("Γ1 is the %s side, which is the %s", "first" if swapped else "second", why)
+            reason = "" if why == "second" else f", the {why} one"
+            LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
         return tie
 
     def _warn_of_distance(self):

@@ -46,6 +46,26 @@ def test_between(cells, degrees, stiffness, swapped, why, caplog):
         assert why in caplog.text
 
 
+@pytest.mark.parametrize("thin", (0, 1))
+@pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
+def test_between_a_thin_layer_and_a_block(cell, thin, caplog):
+    """The layer is Γ1, though its cells are shorter than the block's."""
+    height = [1.0, 1.0]
+    height[thin] = 1e-4
+    cells = [3, 3]
+    cells[thin] = 7
+    bodies = [
+        rectangle((cells[0], 1), (0, 1 - height[0]), (1, 1), cell=cell),
+        rectangle((cells[1], 1), (0, 1), (1, 1 + height[1]), cell=cell),
+    ]
+    sides = [(bodies[0].V, bodies[0].facets(TOP)), (bodies[1].V, bodies[1].facets(BOTTOM))]
+    with caplog.at_level(logging.INFO, "hypergap_dolfinx"):
+        tie = Tie.between(*sides)
+    assert tie.spaces[1] == bodies[thin].V
+    if comm.rank == 0:
+        assert "the thin one" in caplog.text
+
+
 # A shaft ring pressed into a hub: in theory u1(c), u2(c) and the pressure are linear in
 # the interference δ up to O(δ/c)
 
