@@ -559,7 +559,7 @@ def draw_scene(plt, scene, rows, peers, folder):
     left.set(xlabel="seconds", ylabel="relative L² error of the displacement")
     left.set_title(f"{scene}: error over run time")
     left.grid(which="major", alpha=0.3)
-    left.legend(fontsize=8, loc="center right")
+    left.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 0.1))
 
     finest = [
         [r for r in rows if r["degree"] == d and r["method"] == m][-1]

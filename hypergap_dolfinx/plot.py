@@ -389,7 +389,13 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
     """Cells and their edges; the edges of curved cells are no lines of VTK's own triangles."""
     if cells.n_cells and cells.get_cell(0).dimension == 3:
-        options |= {"show_edges": True, "edge_color": edges, "line_width": 1, "ambient": 0.4}
+        options |= {
+            "show_edges": True,
+            "edge_color": edges,
+            "line_width": 1,
+            "ambient": 0.4,
+            "diffuse": 0.6,
+        }
         plotter.add_mesh(_straight(cells), **options)
         return
     plotter.add_mesh(cells, lighting=False, **options)

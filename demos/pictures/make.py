@@ -25,6 +25,10 @@ PICTURES = {
     "read_meshes": ("read_meshes",),
     "write_files": ("write_files",),
 }
+CHARTS = {
+    "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
+    "stability": ("stability",),
+}
 
 
 def thumbnail(picture: Path, file: Path):
@@ -32,15 +36,28 @@ def thumbnail(picture: Path, file: Path):
     image = Image.open(picture).convert("RGB").crop((0, 40, 1020, 900))
     rows, columns = np.nonzero(np.asarray(image).min(axis=2) < 250)
     image = image.crop((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1))
+    _save(image, file)
+
+
+def first_chart(picture: Path, file: Path):
+    """Of charts side by side the first."""
+    image = Image.open(picture).convert("RGB")
+    if image.width > 2 * image.height:
+        image = image.crop((0, 0, int(1.28 * image.height), image.height))
+    _save(image, file)
+
+
+def _save(image, file: Path):
     image.thumbnail((400, 260), Image.Resampling.LANCZOS)
     image.quantize(128).save(file, optimize=True)
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
-        for name, (picture, *arguments) in PICTURES.items():
+        for name, (picture, *arguments) in (PICTURES | CHARTS).items():
             script = FOLDER.parent / f"{name}.py"
             command = [sys.executable, script, *arguments, "--plot", temporary]
             subprocess.run(command, check=True, cwd=temporary)
             file = FOLDER / f"{name}.png"
-            thumbnail(Path(temporary) / f"{picture}.png", file)
+            make = first_chart if name in CHARTS else thumbnail
+            make(Path(temporary) / f"{picture}.png", file)
