@@ -121,6 +121,12 @@ class TiedSystem(disposal.Owner):
             database[key] = value
         try:
             yield
+        except PETSc.Error as error:
+            reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
+            raise saddle.SolveError(
+                f"PETSc can't solve with these options: {reason} (code {error.ierr}). The matrix "
+                'is a MatNest with a block of zeros; pc_type "lu" (MUMPS) and "fieldsplit" take it.'
+            ) from error
         finally:
             for key in self._options:
                 del database[key]

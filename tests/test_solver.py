@@ -258,6 +258,14 @@ def test_options_besides_the_solvers_own():
     assert problem.solver.getType() == "gmres"
 
 
+@pytest.mark.parametrize("pc", ("gamg", "ilu", "no such"))
+def test_options_that_dont_fit(pc):
+    """What PETSc says of them comes in one line, with what does fit."""
+    a, L, bcs, ties = pile(2)
+    with pytest.raises(SolveError, match=r"^PETSc can't solve with these options: .*MatNest"):
+        TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options={"pc_type": pc}).solve()
+
+
 def test_a_changed_matrix_is_factorised_anew():
     a, L, bcs, ties = pile(2)
     modulus = fem.Constant(ties[0].spaces[0].mesh, default_scalar_type(1.0))
