@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tie DOLFINx bodies across non-matching meshes with hyper-dimensional gap finite elements."""
 
+from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFINx)
+
 from hypergap_dolfinx.kernel import InvertedCellError
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem

@@ -71,7 +71,7 @@ def gap_domain(
 
 
 def deformed(
-    us: Iterable[fem.Function],
+    us: fem.Function | Iterable[fem.Function],
     filename: str | Path | None = None,
     *,
     factor: float | None = None,
@@ -89,7 +89,7 @@ def deformed(
     Returns:
         The plotter on rank 0, None on the others.
     """
-    us = list(us)
+    us = [us] if isinstance(us, fem.Function) else list(us)
     if any(len(u.function_space.value_shape) != 1 for u in us):
         raise ValueError("deformed draws displacements; draw other fields with plot.field.")
     comm, dim = us[0].function_space.mesh.comm, us[0].function_space.mesh.geometry.dim
@@ -116,7 +116,7 @@ def deformed(
 
 
 def field(
-    fs: Iterable[fem.Function],
+    fs: fem.Function | Iterable[fem.Function],
     filename: str | Path | None = None,
     *,
     title: str = "value",
@@ -135,7 +135,7 @@ def field(
     Returns:
         The plotter on rank 0, None on the others.
     """
-    fs = list(fs)
+    fs = [fs] if isinstance(fs, fem.Function) else list(fs)
     if any(len(f.function_space.value_shape) > 1 for f in fs):
         raise ValueError("field draws scalars and vectors; take a component or an invariant.")
     mesh = fs[0].function_space.mesh
@@ -337,7 +337,8 @@ def _draw_gap_domains(
             clim = (0, 1) if f is None else sigma.get_data_range("value")
             options = {"scalars": "value", "cmap": "viridis", "clim": clim}
             _add(plotter, sigma, edges="white", scalar_bar_args=_bar(title), **options)
-    return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(mean), mean)
+    up = mean * np.sign(mean[np.abs(mean).argmax()] or 1)  # what is above stays above
+    return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(up), up)
 
 
 def _sigma(

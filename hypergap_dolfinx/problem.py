@@ -88,8 +88,8 @@ class TiedProblem(TiedSystem):
                 ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP, besides those of the solver above; instead of them
-                if they name a ``ksp_type`` or ``pc_type`` (the matrix is a MatNest: PETSc's own
-                factorisations and most preconditioners don't take it, MUMPS and fieldsplit do).
+                if they name a ``ksp_type`` or ``pc_type``. The matrix is a MatNest: MUMPS and
+                fieldsplit take it, most preconditioners don't. PETSc's own tolerance is 1e-5.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -105,6 +105,12 @@ class TiedProblem(TiedSystem):
                 f"{len(a)} bilinear and {len(L)} linear forms: give one of each for every body."
             )
         ties = [ties] if isinstance(ties, Tie) else ties
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
+        for form in (*a, *L):
+            if form is not None and not isinstance(form, ufl.Form):
+                raise ValueError(
+                    f"a and L are UFL forms, not {type(form).__name__}; they are compiled here."
+                )
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
         def compiled(form):

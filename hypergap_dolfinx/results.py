@@ -8,7 +8,6 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from hypergap_dolfinx import kernel
 from hypergap_dolfinx.gap_domain import GapDomain
 from hypergap_dolfinx.surface import tabulate
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 class GapQuadrature:
     """Gauss points on this rank's cells of Σ."""
 
-    comm: MPI.Comm
-    """Communicator of Σ."""
+    mesh: Mesh
+    """Σ."""
     X: npt.NDArray[np.float64]
     """Reference points, ``(num_points, n)``."""
     x: npt.NDArray[np.float64]
@@ -40,15 +40,21 @@ class GapQuadrature:
     """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``."""
 
     def evaluate(self, f: fem.Function) -> npt.NDArray[np.float64]:
-        """Values of a function on Σ, ``(num_cells, num_points, block_size)``."""
+        """Values of a function on Σ, ``(num_cells, num_points, block_size)``.
+
+        Raises:
+            ValueError: A function on another mesh.
+        """
         V = f.function_space
+        if V.mesh is not self.mesh:
+            raise ValueError("evaluate takes functions on tie.sigma, as tie.traction gives them.")
         nodal = f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list]
         return np.einsum("pa,cai->cpi", tabulate(V.ufl_element().basix_element, self.X), nodal)
 
     def integrate(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
         """∫∫ f dΓ_α dα of values at the points, ``(num_cells, num_points, ...)``. Collective."""
         local = np.einsum("cp,cp...->...", self.weights, values)
-        return self.comm.allreduce(local)
+        return self.mesh.comm.allreduce(local)
 
 
 def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
@@ -58,9 +64,7 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
     N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
     length = np.linalg.norm(N, axis=2)
     x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
-    return GapQuadrature(
-        domain.mesh.comm, points, x, N / length[..., None], element.weights * length
-    )
+    return GapQuadrature(domain.mesh, points, x, N / length[..., None], element.weights * length)
 
 
 def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray[np.float64]:

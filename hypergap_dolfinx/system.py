@@ -21,6 +21,11 @@ from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.motions import free_motions
 from hypergap_dolfinx.tie import Tie
 
+UNKNOWN_TYPE = 86  # PETSc's code for a type of KSP or PC that it doesn't have
+UNFIT = (
+    ' The matrix is a MatNest with a block of zeros; pc_type "lu" (MUMPS) and "fieldsplit" take it.'
+)
+
 
 class TiedSystem(disposal.Owner):
     """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
@@ -53,6 +58,11 @@ class TiedSystem(disposal.Owner):
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
+        wrong = next((bc for bc in bcs if not isinstance(bc, fem.DirichletBC)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
+            )
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -124,8 +134,8 @@ class TiedSystem(disposal.Owner):
         except PETSc.Error as error:
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
             raise saddle.SolveError(
-                f"PETSc can't solve with these options: {reason} (code {error.ierr}). The matrix "
-                'is a MatNest with a block of zeros; pc_type "lu" (MUMPS) and "fieldsplit" take it.'
+                f"PETSc can't solve with these options: {reason} (code {error.ierr})."
+                + UNFIT * (error.ierr != UNKNOWN_TYPE)
             ) from error
         finally:
             for key in self._options:

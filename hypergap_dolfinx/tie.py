@@ -103,6 +103,10 @@ class Tie(disposal.Owner):
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")
+            if not isinstance(side[0], fem.FunctionSpace):
+                raise ValueError(
+                    f"a tie's side is (function space, facets), not ({type(side[0]).__name__}, …)."
+                )
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
         self._ticket = disposal.enter(comm)
@@ -153,8 +157,9 @@ class Tie(disposal.Owner):
         """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
 
         But a thin layer, whose cells are a hundred times longer than thick, is Γ1 in any case: as
-        Γ0 with smaller cells it would be held at the other side's nodes only, and lose digits.
-        Which one it is stands in :attr:`swapped` and in the log of ``hypergap_dolfinx``.
+        Γ0 with smaller cells it would be held at the other side's nodes only, and lose digits. Look
+        at :attr:`swapped` (or the log of ``hypergap_dolfinx``): λ acts on Γ0's body, that of
+        ``tie.spaces[0]``.
 
         Args:
             a: A space and facets, as for the constructor.

@@ -312,3 +312,19 @@ def test_curved_cells_turned_over_at_their_edge(shift):
         raises(ValueError, "^it has a cell without volume", lambda: checks.check_cells(mesh, "it"))
     elif sound:
         checks.check_cells(mesh, "it")
+
+
+def test_things_of_the_wrong_kind():
+    bodies = blocks()
+    a, L = forms(bodies)
+    ties, bc = [tie(bodies, *TIED)], held(bodies[0], BOTTOM)
+    side = bodies[1].V, bodies[1].facets(BOTTOM)
+    mesh = bodies[0].mesh
+    for match, call in (
+        ("not [(]Mesh", lambda: Tie((mesh, bodies[0].facets(TOP)), side)),
+        ("one flat list", lambda: TiedProblem(a, L, bcs=[[bc]], ties=ties)),
+        ("UFL forms", lambda: TiedProblem([fem.form(f) for f in a], L, bcs=[bc], ties=ties)),
+        ("functions on tie.sigma", lambda: ties[0].quadrature(2).evaluate(fem.Function(side[0]))),
+    ):
+        raises(ValueError, match, call)
+    TiedProblem(a, L, bcs=bc, ties=ties).solve()  # one condition, not in a list
