@@ -417,8 +417,8 @@ def _straight(cells: pyvista.UnstructuredGrid) -> pyvista.UnstructuredGrid:
 
 def _bar(title: str) -> Any:
     """A scalar bar beside the picture."""
-    return {"title": title, "vertical": True, "fmt": "%.3g", "position_x": 0.87, "height": 0.6,
-            "position_y": 0.2, "color": "black"}  # fmt: skip
+    return {"title": f"{title}\n", "vertical": True, "fmt": "%.3g", "color": "black",
+            "position_x": 0.87, "position_y": 0.2, "height": 0.6}  # fmt: skip
 
 
 def _finish(plotter, dim: int, filename, window: bool, look_from=(1, 1, 1), up=(0, 0, 1)):
