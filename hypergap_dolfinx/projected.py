@@ -281,29 +281,19 @@ class ProjectedSystem:
             if self._T is None:
                 self._T = self._approximate()
             self.preconditioner = K.PtAP(self._T)
+            diagonal = self.preconditioner.getDiagonal()
+            diagonal.array[self._own] = self._diagonal
+            self.preconditioner.setDiagonal(diagonal)
+            diagonal.destroy()
         else:
             self.preconditioner = K.copy()
-        ones = K.createVecRight()
-        ones.set(0.0)
-        ones.array[self._own] = self._diagonal
-        local = np.arange(len(ones.array_r)) + ones.getOwnershipRange()[0]
-        size = K.getLocalSize()[0]
-        identity = coo_matrix(
-            K.comm.tompi4py(),
-            (size, size),
-            local[self._own],
-            local[self._own],
-            ones.array_r[self._own],
-        )
-        self.preconditioner.axpy(1.0, identity)
         dim = self._K[0].getBlockSize()
         self.preconditioner.setBlockSize(dim)
         if dim > 1:
             rigid = PETSc.NullSpace().createRigidBody(self._coordinates)
             self.preconditioner.setNearNullSpace(rigid)
             rigid.destroy()
-        for obj in (K, ones, identity):
-            obj.destroy()
+        K.destroy()
         ksp.setOperators(self.matrix, self.preconditioner)
         return True
 
@@ -325,7 +315,9 @@ class ProjectedSystem:
         for projection in self._ties.values():
             own = everywhere(projection.body, projection.own + ranges[projection.body, comm.rank])
             kept = np.setdiff1d(np.arange(size) + starts[comm.rank], own)
-            i, j, value = [kept], [kept], [np.ones(len(kept))]
+            # Zeros where own dofs are: so that there is a place for their diagonal
+            i, j = [kept, own], [kept, own]
+            value = [np.ones(len(kept)), np.zeros(len(own))]
             for body, P in projection.approximate().items():
                 rows, columns, values = triplets(P)
                 i.append(own[rows - P.getOwnershipRange()[0]])
