@@ -3,18 +3,23 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""The saddle system without multipliers, for multigrid: :math:`T^T K T \hat u = T^T (f - K u_c)`.
+r"""The saddle system without multipliers, for multigrid: :math:`\Pi^T K \Pi x = \Pi^T (f - K u_c)`.
 
-T takes Γ1's own dofs from the tie, :math:`u_{own} = -B_{own}^{-1} (B u)_{rest}`, and leaves the
-other dofs alone, so that all ties hold for :math:`u = T \hat u + u_c`. What comes of it is positive
-definite if K is, also where bodies are held by ties alone. T is applied with factors of the B_own,
-which live on Γ1; multigrid needs a matrix, and gets :math:`\tilde T^T K \tilde T`, made with a
-sparse approximation of T.
+.. math::
+    \Pi = I - D^{-1} B^T S^{-1} B, \qquad S = B D^{-1} B^T
+
+takes the gaps out of displacements; so :math:`u = \Pi x + u_c` holds all ties, with
+:math:`u_c = D^{-1} B^T S^{-1} c`. Conjugate gradients don't mind that the system is singular. S
+lives on Γ1 and is factorised. Multigrid gets :math:`K + B^T W B`: springs across the gap, which
+also hold bodies that nothing else holds. They are as stiff as the cells that Π moves, so that what
+they leave of a gap costs no more to take out than it costs to have, on any mesh.
+
+D says which side gives way. With K's diagonal that is the softer one, and the contrast in stiffness
+doesn't matter.
 """
 
 import weakref
 from collections.abc import Sequence
-from itertools import pairwise
 
 from petsc4py import PETSc
 
@@ -22,129 +27,15 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.constraint import coo_matrix, triplets
-from hypergap_dolfinx.substructures import create_solver, mean_diagonal, square_part
+from hypergap_dolfinx.substructures import column_sums, create_solver, mean_diagonal
 
-SMALL = 0.2  # entries of T below this part of the largest in their row are left out
-SWEEPS = 2  # Jacobi iterations for the approximation of T
-DAMPING = 0.7  # of these
-
-
-class _Projection:
-    """T of one tie."""
-
-    def __init__(self, blocks: dict[int, PETSc.Mat], body: int, own, prefix: str):
-        """Take the blocks on each body; Γ1's body; its dofs under the rows."""
-        self.blocks, self.body = blocks, body
-        self.own = own - blocks[body].getOwnershipRangeColumn()[0]
-        self.square = square_part(blocks[body], own)
-        self.solver = create_solver(f"{prefix}square_", self.square.comm)
-        self.solver.setOperators(self.square)
-        self.x, self.c = self.square.createVecs()
-
-    def destroy(self):
-        for obj in (self.square, self.solver, self.x, self.c):
-            obj.destroy()
-
-    def apply(self, u: Sequence[PETSc.Vec], given: npt.NDArray | None = None):
-        """Set Γ1's own dofs, such that B u is what is given."""
-        u[self.body].array[self.own] = 0
-        self.c.set(0.0)
-        for i, B in self.blocks.items():
-            B.multAdd(u[i], self.c, self.c)
-        self.c.scale(-1.0)
-        if given is not None:
-            self.c.array[:] += given
-        self.solver.solve(self.c, self.x)
-        u[self.body].array[self.own] = self.x.array_r
-
-    def apply_transpose(self, r: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
-        """Pass the loads on Γ1's own dofs to the others; returns the multipliers."""
-        self.x.array[:] = r[self.body].array_r[self.own]
-        self.solver.solveTranspose(self.x, self.c)
-        multipliers = self.c.array_r.copy()
-        self.c.scale(-1.0)
-        for i, B in self.blocks.items():
-            B.multTransposeAdd(self.c, r[i], r[i])
-        r[self.body].array[self.own] = 0
-        return multipliers
-
-    def approximate(self) -> dict[int, PETSc.Mat]:
-        """Sparse blocks of T's rows: a few Jacobi iterations, small entries left out. Collective.
-
-        Each row is scaled such that T moves Γ1 with a Γ0 that is shifted.
-        """
-        start = self.square.getOwnershipRange()[0]
-        diagonal = self.square.getDiagonal()
-        inverse = 1.0 / diagonal.array_r
-        found = {}
-        for body, B in self.blocks.items():
-            first = B.getOwnershipRangeColumn()[0]
-            held = self.own + first if body == self.body else np.empty(0, dtype=np.int64)
-            rows, columns, values = triplets(B)
-            keep = (values != 0) & ~self._is_held(held, columns, B)
-            sizes = B.getLocalSize()
-            load = (rows[keep], columns[keep], -values[keep] * inverse[rows[keep] - start])
-            if not self.square.comm.tompi4py().allreduce(len(load[0])):
-                continue
-            comm = B.comm.tompi4py()
-            P = coo_matrix(comm, sizes, *load)
-            for _ in range(SWEEPS):
-                i, j, value = triplets(P)
-                BP = self.square.matMult(P)
-                k, m, change = triplets(BP)
-                change = -DAMPING * change * inverse[k - start]
-                parts = (i, k, load[0]), (j, m, load[1]), (value, change, DAMPING * load[2])
-                for obj in (BP, P):
-                    obj.destroy()
-                P = coo_matrix(comm, sizes, *_without_small(*map(np.concatenate, parts)))
-            found[body] = P
-        # As many as B says
-        exact, rough = (self.c.duplicate() for _ in range(2))
-        exact.set(0.0)
-        rough.set(0.0)
-        for body, P in found.items():
-            ones = P.createVecRight()
-            ones.set(1.0)
-            P.multAdd(ones, rough, rough)
-            if body == self.body:
-                ones.array[self.own] = 0
-            self.blocks[body].multAdd(ones, exact, exact)
-            ones.destroy()
-        exact.scale(-1.0)
-        self.solver.solve(exact, self.x)
-        scale = np.ones(len(self.own))
-        good = np.abs(rough.array_r) > 0.3
-        scale[good] = self.x.array_r[good] / rough.array_r[good]
-        rough.array[:] = scale
-        for P in found.values():
-            P.diagonalScale(L=rough)
-        for obj in (exact, rough, diagonal):
-            obj.destroy()
-        return found
-
-    @staticmethod
-    def _is_held(held, columns, B: PETSc.Mat) -> npt.NDArray[np.bool_]:
-        """Whether columns are Γ1's own dofs, of any rank."""
-        return np.isin(columns, np.concatenate(B.comm.tompi4py().allgather(held)))
-
-
-def _without_small(i, j, value):
-    """Add up triplets, and leave out what is small in its row."""
-    order = np.lexsort((j, i))
-    i, j, value = i[order], j[order], value[order]
-    first = np.flatnonzero(np.append(True, (np.diff(i) != 0) | (np.diff(j) != 0))[: len(i)])
-    value = np.add.reduceat(value, first) if len(first) else value
-    i, j = i[first], j[first]
-    rows, at = np.unique(i, return_inverse=True)
-    largest = np.zeros(len(rows))
-    np.maximum.at(largest, at, np.abs(value))
-    keep = np.abs(value) >= SMALL * largest[at]
-    return i[keep], j[keep], value[keep]
+CONTRAST = 1e4
+"""Largest ratio in D of Γ1 to a Γ0 with fewer dofs than there are multipliers, which can't give way
+to all of them: S is as ill-conditioned then, and Π gets lost in round-off beyond that."""
 
 
 class _Operator:
-    """TᵀKT as the context of a Python matrix."""
+    """ΠᵀKΠ as the context of a Python matrix."""
 
     def __init__(self, system: "ProjectedSystem"):
         self._system = weakref.proxy(system)  # PETSc's references are no garbage that Python finds
@@ -152,6 +43,19 @@ class _Operator:
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
         """Apply it. Collective."""
         self._system.mult(x, y)
+
+
+def _nest(blocks: Sequence[Sequence[PETSc.Mat | None]], comm) -> PETSc.Mat:
+    """Blocks as one matrix that takes ordinary vectors. Collective."""
+    nest = PETSc.Mat().createNest(blocks, comm=comm)
+    nest.setNestVecType("standard")
+    nest.assemble()
+    return nest
+
+
+def _merge(nest: PETSc.Mat) -> PETSc.Mat:
+    """A copy of all blocks in one AIJ matrix. Collective."""
+    return nest.convert("aij", PETSc.Mat())
 
 
 class ProjectedSystem:
@@ -163,173 +67,207 @@ class ProjectedSystem:
         B: Sequence[Sequence[PETSc.Mat | None]],
         bodies: Sequence[tuple[int, int]],
         own: Sequence[npt.NDArray],
-        order: Sequence[int],
         spaces: Sequence[fem.FunctionSpace],
         prefix: str,
     ):
-        """Factorise the ties' square parts. Collective.
+        """Join the bodies' and the ties' blocks. Collective.
 
         Args:
-            K: Stiffness of each body, with its values.
+            K: Stiffness of each body.
             B: For each tie, its block on each body, or None.
             bodies: Γ0's and Γ1's body of each tie.
-            own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
-            order: Of the bodies, those with Γ1 of a tie before those with its Γ0.
+            own: Global dofs of Γ1 under this rank's multipliers of each tie.
             spaces: Space of each body.
             prefix: Of the solvers' options.
         """
-        self._K = K
+        comm, num = K[0].comm, range(len(K))
         self.iterations = 0
-        comm = K[0].comm
-        ties = [t for i in order for t, pair in enumerate(bodies) if pair[1] == i]
-        self._ties = {
-            t: _Projection({i: b for i, b in enumerate(B[t]) if b}, bodies[t][1], own[t], prefix)
-            for t in ties
-        }
-        self._u = [k.createVecRight() for k in K]
-        self._r = [k.createVecLeft() for k in K]
-        ends = np.cumsum([0, *(k.getLocalSize()[0] for k in K)])
-        self._parts = [slice(*pair) for pair in pairwise(ends)]
-        size = ((ends[-1], None), (ends[-1], None))
-        self.matrix = PETSc.Mat().createPython(size, _Operator(self), comm=comm)
+        self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
+        self._u, self._r = self._K.createVecs()
+        self._B = self._join(K, B) if B else None
+        self._sides = self._find_sides(K, B, bodies, own)
+        self._solver = create_solver(f"{prefix}interface_", comm)
+        self._of_values: list = []  # what is made anew when K changes
+        if self._B is not None:
+            self._Bt = self._B.copy().transpose()
+            self._c = self._B.createVecLeft()
+            self._y = self._B.createVecLeft()
+            self._squares = self._B.copy()
+            rows, columns, values = self._B.getValuesCSR()
+            self._squares.setValuesCSR(rows, columns, values**2)
+            self._squares.assemble()
+        sizes = self._K.getSizes()
+        self.matrix = PETSc.Mat().createPython(sizes, _Operator(self), comm=comm)
         self.matrix.setUp()
         self.x, self.b = self.matrix.createVecs()
-        own = [p.own + self._parts[p.body].start for p in self._ties.values()]
-        self._own = np.concatenate([[], *own]).astype(np.intp)
-        self._coordinates = self.matrix.createVecRight()
-        self._coordinates.setBlockSize(K[0].getBlockSize())
-        if K[0].getBlockSize() > 1:
-            x = [V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local] for V in spaces]
-            self._coordinates.array[:] = np.vstack(x)[:, : K[0].getBlockSize()].ravel()
-        self._diagonal = 1.0
-        self._T: PETSc.Mat | None = None
-        self.preconditioner: PETSc.Mat | None = None
+        self._rigid: PETSc.NullSpace | None = None
+        self._block_size = K[0].getBlockSize()
+        if self._block_size > 1:
+            places = [V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local] for V in spaces]
+            coordinates = self.matrix.createVecRight()
+            coordinates.setBlockSize(self._block_size)
+            coordinates.array[:] = np.vstack(places)[:, : self._block_size].ravel()
+            self._rigid = PETSc.NullSpace().createRigidBody(coordinates)
+            coordinates.destroy()
+
+    @staticmethod
+    def _join(K: Sequence[PETSc.Mat], B: Sequence[Sequence[PETSc.Mat | None]]) -> PETSc.Mat:
+        """The ties' blocks as one matrix. Collective."""
+        rows, zeros = [], []
+        for row in B:
+            size = next(b for b in row if b is not None).getSizes()[0]
+            for i, k in enumerate(K):
+                if row[i] is None:
+                    zeros.append(PETSc.Mat().createAIJ((size, k.getSizes()[1]), nnz=0, comm=k.comm))
+                    zeros[-1].assemble()
+                    row = [*row[:i], zeros[-1], *row[i + 1 :]]
+            rows.append(row)
+        nest = _nest(rows, K[0].comm)
+        joined = _merge(nest)
+        for obj in (nest, *zeros):
+            obj.destroy()
+        return joined
+
+    @staticmethod
+    def _find_sides(K, B, bodies, own) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """Γ1's own dofs of each tie and the others that it has, among this rank's. Collective."""
+        ends = np.cumsum([0, *(k.getLocalSize()[0] for k in K)])
+        sides = []
+        for row, (_, body), dofs in zip(B, bodies, own, strict=True):
+            mine = dofs - K[body].getOwnershipRange()[0] + ends[body]
+            found = [np.empty(0, dtype=np.intp)]
+            for start, block in zip(ends, row):
+                if block is not None:
+                    sums = column_sums(block)
+                    found.append(np.flatnonzero(sums.array_r) + start)
+                    sums.destroy()
+            sides.append((mine, np.setdiff1d(np.concatenate(found), mine)))
+        return sides
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
-        objects = [*self._ties.values(), *self._u, *self._r, self.matrix, self.x, self.b]
-        objects += [self._coordinates]
-        for obj in (*objects, self._T, self.preconditioner):
+        objects = [*self._of_values, self._K, self._u, self._r, self._solver]
+        objects += [self.matrix, self.x, self.b, self._rigid]
+        if self._B is not None:
+            objects += [self._B, self._Bt, self._c, self._y, self._squares]
+        for obj in objects:
             if obj is not None:
                 obj.destroy()
+        self._of_values = []
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec):
-        """Apply TᵀKT; own dofs, which it doesn't see, stay. Collective."""
-        values = x.array_r
-        for u, part in zip(self._u, self._parts, strict=True):
-            u.array[:] = values[part]
-        for projection in reversed(self._ties.values()):
-            projection.apply(self._u)
-        for K, u, r in zip(self._K, self._u, self._r, strict=True):
-            K.mult(u, r)
-        for projection in self._ties.values():
-            projection.apply_transpose(self._r)
-        result = np.concatenate([r.array_r for r in self._r])
-        result[self._own] = self._diagonal * values[self._own]
-        y.array[:] = result
+        """Apply ΠᵀKΠ. Collective."""
+        x.copy(self._u)
+        self._project(self._u)
+        self._K.mult(self._u, y)
+        self._project_transpose(y)
+
+    def _project(self, u: PETSc.Vec):
+        """Apply Π in place."""
+        if self._B is not None:
+            self._B.mult(u, self._c)
+            self._solver.solve(self._c, self._y)
+            self._y.scale(-1.0)
+            self._DBt.multAdd(self._y, u, u)
+
+    def _project_transpose(self, r: PETSc.Vec):
+        """Apply Πᵀ in place; y has the multipliers, which take part of the loads."""
+        if self._B is not None:
+            self._DBt.multTranspose(r, self._c)
+            self._solver.solve(self._c, self._y)
+            self._c.axpby(-1.0, 0.0, self._y)
+            self._Bt.multAdd(self._c, r, r)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
         """Solve for nested vectors of the saddle system. Collective."""
-        num, bs, xs = len(self._K), b.getNestSubVecs(), x.getNestSubVecs()
-        given = [part.array_r.copy() for part in bs[num:]]
-        for u in self._u:
-            u.set(0.0)
-        self._project(given)
-        self._load(bs)
-        for projection in self._ties.values():
-            projection.apply_transpose(self._r)
-        self.b.array[:] = np.concatenate([r.array_r for r in self._r])
+        loads, given = self._split(b)
+        displacements, multipliers = self._split(x)
+        u = self.b.duplicate()  # what holds the ties' right-hand side
+        u.set(0.0)
+        if self._B is not None:
+            self._c.array[:] = np.concatenate([part.array_r for part in given])
+            self._solver.solve(self._c, self._y)
+            self._DBt.mult(self._y, u)
+        self._load(loads, u, self.b)
+        self._project_transpose(self.b)
         ksp.solve(self.b, self.x)
         self.iterations = ksp.getIterationNumber()
-        for u, part in zip(self._u, self._parts, strict=True):
-            u.array[:] = self.x.array_r[part]
-        self._project(given)
-        self._load(bs)
-        for t, projection in self._ties.items():
-            xs[num + t].array[:] = projection.apply_transpose(self._r)
-        for part, u in zip(xs, self._u):
-            part.array[:] = u.array_r
+        self.x.copy(self._u)
+        self._project(self._u)
+        u.axpy(1.0, self._u)
+        self._load(loads, u, self._r)
+        self._project_transpose(self._r)
+        self._distribute(u, displacements)
+        if self._B is not None:
+            self._distribute(self._y, multipliers)
+        u.destroy()
 
-    def _project(self, given):
-        for t in reversed(self._ties):
-            self._ties[t].apply(self._u, given[t])
+    def _split(self, x: PETSc.Vec) -> tuple[list[PETSc.Vec], list[PETSc.Vec]]:
+        """The bodies' and the ties' parts of a nested vector."""
+        parts = x.getNestSubVecs()
+        num = self._K.getNestSize()[0]
+        return parts[:num], parts[num:]
 
-    def _load(self, bs):
-        """Set r = f − K u."""
-        for K, u, r, b in zip(self._K, self._u, self._r, bs):
-            K.mult(u, r)
-            r.aypx(-1.0, b)
+    def _load(self, loads: Sequence[PETSc.Vec], u: PETSc.Vec, r: PETSc.Vec):
+        """Set r = f − K u. Collective."""
+        self._K.mult(u, r)
+        r.array[:] = np.concatenate([part.array_r for part in loads]) - r.array_r
+
+    @staticmethod
+    def _distribute(x: PETSc.Vec, parts: Sequence[PETSc.Vec]):
+        ends = np.cumsum([part.getLocalSize() for part in parts])
+        for part, values in zip(parts, np.split(x.array_r, ends[:-1]), strict=True):
+            part.array[:] = values
 
     def attach(self, ksp: PETSc.KSP):
         """Give a KSP what it is to solve. Collective."""
         self.update(ksp)
 
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Take the stiffness as it is now, for the preconditioner. Collective."""
-        num = len(self._K)
-        nest = PETSc.Mat().createNest(
-            [[k if i == j else None for j in range(num)] for i, k in enumerate(self._K)],
-            comm=self._K[0].comm,
-        )
-        nest.assemble()
-        K = nest.convert("aij", PETSc.Mat())
-        nest.destroy()
-        self._diagonal = mean_diagonal(K)
-        if self.preconditioner is not None:
-            self.preconditioner.destroy()
-        if self._ties:
-            if self._T is None:
-                self._T = self._approximate()
-            self.preconditioner = K.PtAP(self._T)
-            diagonal = self.preconditioner.getDiagonal()
-            diagonal.array[self._own] = self._diagonal
-            self.preconditioner.setDiagonal(diagonal)
-            diagonal.destroy()
-        else:
-            self.preconditioner = K.copy()
-        dim = self._K[0].getBlockSize()
-        self.preconditioner.setBlockSize(dim)
-        if dim > 1:
-            rigid = PETSc.NullSpace().createRigidBody(self._coordinates)
-            self.preconditioner.setNearNullSpace(rigid)
-            rigid.destroy()
-        K.destroy()
-        ksp.setOperators(self.matrix, self.preconditioner)
+        """Take the stiffness as it is now. Collective."""
+        for obj in self._of_values:
+            obj.destroy()
+        A = _merge(self._K)
+        self._of_values = [A]
+        if self._B is not None:
+            inverse, springs = self._weights(A)
+            self._DBt = self._Bt.copy()
+            self._DBt.diagonalScale(L=inverse)
+            S = self._B.matMult(self._DBt)
+            self._solver.setOperators(S)
+            self._solver.setUp()
+            scaled = self._B.copy()
+            scaled.diagonalScale(L=springs)
+            coupling = self._Bt.matMult(scaled)
+            A.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self._of_values += [self._DBt, S]
+            for obj in (inverse, springs, scaled, coupling):
+                obj.destroy()
+        A.scale(1.0 / mean_diagonal(A))  # PETSc tells zero pivots by their size, without a unit
+        A.setBlockSize(self._block_size)
+        if self._rigid is not None:
+            A.setNearNullSpace(self._rigid)
+        ksp.setOperators(self.matrix, A)
         return True
 
-    def _approximate(self) -> PETSc.Mat:
-        """A sparse approximation of T, if there are ties. Collective."""
-        comm = self._K[0].comm.tompi4py()
-        ranges = np.array([k.getOwnershipRanges() for k in self._K])  # (body, rank)
-        sizes = np.diff(ranges, axis=1)
-        starts = np.cumsum(np.append(0, sizes.sum(axis=0)[:-1]))  # of each rank
-        before = np.cumsum(np.vstack((np.zeros_like(sizes[:1]), sizes[:-1])), axis=0)
-        T = None
-        size = int(sizes[:, comm.rank].sum())
-
-        def everywhere(body, dofs):
-            """Numbers among all bodies' dofs."""
-            rank = np.searchsorted(ranges[body], dofs, side="right") - 1
-            return starts[rank] + before[body, rank] + dofs - ranges[body, rank]
-
-        for projection in self._ties.values():
-            own = everywhere(projection.body, projection.own + ranges[projection.body, comm.rank])
-            kept = np.setdiff1d(np.arange(size) + starts[comm.rank], own)
-            # Zeros where own dofs are: so that there is a place for their diagonal
-            i, j = [kept, own], [kept, own]
-            value = [np.ones(len(kept)), np.zeros(len(own))]
-            for body, P in projection.approximate().items():
-                rows, columns, values = triplets(P)
-                i.append(own[rows - P.getOwnershipRange()[0]])
-                j.append(everywhere(body, columns))
-                value.append(values)
-                P.destroy()
-            one = coo_matrix(comm, (size, size), *(np.concatenate(v) for v in (i, j, value)))
-            if T is None:
-                T = one
-            else:
-                product = T.matMult(one)
-                for obj in (T, one):
-                    obj.destroy()
-                T = product
-        return T
+    def _weights(self, K: PETSc.Mat) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """D⁻¹ and W's diagonal: for a gap g, about the energy of what Π moves. Collective."""
+        diagonal = K.getDiagonal()
+        D = diagonal.array_r.copy()
+        comm = K.comm.tompi4py()
+        for own, others in self._sides:
+            local = [D[own].sum(), len(own), D[others].sum(), len(others)]
+            sum1, num1, sum0, num0 = comm.allreduce(np.array(local, dtype=float))
+            limit = CONTRAST * sum0 / num0 if num1 > num0 > 0 else np.inf
+            if sum1 > limit * num1:
+                D[own] *= limit * num1 / sum1
+        inverse, energy = diagonal.duplicate(), diagonal.duplicate()
+        inverse.array[:] = 1.0 / D
+        energy.array[:] = diagonal.array_r / D**2
+        springs = self._squares.createVecLeft()
+        self._squares.mult(energy, springs)
+        self._squares.mult(inverse, self._c)
+        springs.array[:] = springs.array_r / self._c.array_r**2
+        for obj in (diagonal, energy):
+            obj.destroy()
+        return inverse, springs
