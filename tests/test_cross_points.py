@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from assembly import bending, check, linear, rectangle, stretching, tie
+from assembly import bending, check, displacement_error, linear, problem, rectangle, stretching, tie
 
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
@@ -169,3 +169,20 @@ def test_layers(swaps):
             fixed,
             stretching,
         )
+
+
+@pytest.mark.parametrize("name", ("P1", "Q2"))
+@pytest.mark.parametrize("swaps", sides(4)[::3])
+def test_multigrid(name, swaps):
+    """Whichever way the ties lead, also round in a circle, and whichever nodes they share."""
+    cell, degree = ELEMENTS[name]
+    corners = ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
+    bodies = [
+        rectangle((n, n), (x, y), (x + 0.5, y + 0.5), cell=cell, degree=degree)
+        for n, (x, y) in zip((2, 3, 5, 4), corners, strict=True)
+    ]
+    ties = [tie(bodies, *(p[::-1] if s else p)) for p, s in zip(FOUR, swaps, strict=True)]
+    tied = [side for pair in FOUR for side in pair]
+    tied_problem = problem(bodies, ties, tied, [(0, BOTTOM, (0, 1))], solver="iterative")
+    tied_problem.solve()
+    assert displacement_error(tied_problem) <= 1e-8
