@@ -7,6 +7,7 @@
 
 from collections.abc import Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -14,7 +15,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.blocks import ConstraintBlocks
-from hypergap_dolfinx.substructures import motions, orthonormal, rigid_modes
+from hypergap_dolfinx.graph import components, parts
+from hypergap_dolfinx.substructures import column_sums, motions, orthonormal, rigid_modes
 
 SMALL = 1e-12  # force of a motion, over the largest there could be, that counts as none
 
@@ -24,10 +26,9 @@ def free_motions(
 ) -> int:
     """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
 
-    A mesh counts as one body, also if it has several parts.
-
-    Bodies that are tied move together if nothing else holds them. Where they don't coincide, such
-    a rotation strains the tie a little; that is an error of the meshes and holds nothing either.
+    Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
+    moves together if nothing else holds it. Where tied surfaces don't coincide, such a rotation
+    strains the tie a little; that is an error of the meshes and holds nothing either.
 
     Args:
         spaces: Space of each body.
@@ -37,22 +38,42 @@ def free_motions(
     comm = spaces[0].mesh.comm
     moved = [rigid_modes(V, np.zeros(held.shape, dtype=bool))
              for V, held in zip(spaces, constraints.prescribed, strict=True)]  # fmt: skip
+    in_part = [parts(V) for V in spaces]
     return max(
         _free_alone(comm, moved, K, constraints),
         sum(
-            _free_together(comm, [spaces[i] for i in group], [K[i] for i in group],
-                           [constraints.prescribed[i] for i in group])
-            for group in _tied_groups(len(spaces), constraints.bodies)
+            _free_together(comm, spaces, K, constraints.prescribed, nodes)
+            for nodes in _tied_groups(comm, in_part, constraints)
         ),
-    )  # fmt: skip
+    )
 
 
-def _tied_groups(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[list[int]]:
-    """Bodies that ties connect."""
-    group = list(range(num_bodies))
-    for i0, i1 in bodies:
-        group = [group[i0] if g == group[i1] else g for g in group]
-    return [[i for i in range(num_bodies) if group[i] == g] for g in sorted(set(group))]
+def _tied_groups(comm, in_part, constraints: ConstraintBlocks) -> list[dict[int, npt.NDArray]]:
+    """Groups of parts that ties connect: the bodies they are in, and which of their nodes."""
+    nums = [comm.allreduce(part.max(initial=0), MPI.MAX) + 1 for part in in_part]
+    starts = np.cumsum([0, *nums])
+    pairs = [np.empty((0, 2), dtype=np.intp)]
+    for row in constraints.free:
+        touched = np.zeros(starts[-1], dtype=np.int32)
+        for i, B in enumerate(row[: len(in_part)]):
+            if B is not None:
+                sums = column_sums(B)
+                dofs = np.flatnonzero(sums.array_r)
+                block_size = len(sums.array_r) // max(len(in_part[i]), 1)
+                touched[starts[i] + in_part[i][dofs // max(block_size, 1)]] = 1
+                sums.destroy()
+        tied = np.flatnonzero(comm.allreduce(touched))
+        pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
+    i, j = np.vstack(pairs).T
+    group = components(starts[-1], i, j)
+    return [
+        {
+            i: group[start + part] == g
+            for i, (start, num, part) in enumerate(zip(starts, nums, in_part))
+            if g in group[start : start + num]
+        }
+        for g in range(group.max() + 1)
+    ]
 
 
 def _free_alone(comm, moved, K, constraints: ConstraintBlocks) -> int:
@@ -79,16 +100,19 @@ def _free_alone(comm, moved, K, constraints: ConstraintBlocks) -> int:
     return _num_small(comm, np.vstack(rows))
 
 
-def _free_together(comm, spaces, K, prescribed) -> int:
-    """Motions of tied bodies as one."""
-    x = [V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local] for V in spaces]
-    num = sum(V.dofmap.index_map.size_global for V in spaces)
-    centre = comm.allreduce(sum(part.sum(axis=0) for part in x)) / num
-    n = spaces[0].mesh.geometry.dim
-    parts = [motions(V, centre[:n]) for V in spaces]
-    together = orthonormal(comm, np.vstack(parts))
-    parts = np.split(together, np.cumsum([len(part) for part in parts])[:-1])
-    forces = [_forces(*body) for body in zip(K, prescribed, parts, strict=True)]
+def _free_together(comm, spaces, K, prescribed, nodes: dict[int, npt.NDArray]) -> int:
+    """Motions of tied parts as one."""
+    x = [spaces[i].tabulate_dof_coordinates()[: len(mask)][mask] for i, mask in nodes.items()]
+    num = comm.allreduce(sum(len(places) for places in x))
+    centre = comm.allreduce(sum(places.sum(axis=0) for places in x)) / num
+    modes = []
+    for i, mask in nodes.items():
+        V = spaces[i]
+        moved = np.repeat(mask, V.dofmap.index_map_bs)[:, None]
+        modes.append(np.where(moved, motions(V, centre[: V.mesh.geometry.dim]), 0))
+    together = orthonormal(comm, np.vstack(modes))
+    modes = np.split(together, np.cumsum([len(part) for part in modes])[:-1])
+    forces = [_forces(K[i], prescribed[i], part) for i, part in zip(nodes, modes, strict=True)]
     return _num_small(comm, np.vstack(forces))
 
 

@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.graph import parts
 
 FLOATING = 1e-11  # energy of a rigid mode (in mean diagonals of K) that counts as none
 
@@ -97,7 +98,7 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
 
 
 def rigid_modes(V: fem.FunctionSpace, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """A basis of a body's :func:`motions`, 0 where it is prescribed. Collective.
+    """A basis of the :func:`motions` of a body's parts, 0 where it is prescribed. Collective.
 
     Args:
         V: Its space.
@@ -106,7 +107,11 @@ def rigid_modes(V: fem.FunctionSpace, prescribed: npt.NDArray[np.bool_]) -> npt.
     Returns:
         Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
     """
-    return orthonormal(V.mesh.comm, np.where(prescribed[:, None], 0, motions(V)))
+    part = np.repeat(parts(V), V.dofmap.index_map_bs)
+    num = V.mesh.comm.allreduce(part.max(initial=0), MPI.MAX) + 1
+    modes = np.where(prescribed[:, None], 0, motions(V))
+    modes = np.hstack([np.where(part[:, None] == p, modes, 0) for p in range(num)])
+    return orthonormal(V.mesh.comm, modes)
 
 
 class Body:

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.graph import components
 from hypergap_dolfinx.surface import InterfaceError, Surface
 
 KINK = np.pi / 3  # a turn that is an edge of the body whatever is beside it
@@ -46,30 +47,6 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     at = np.minimum(np.searchsorted(key[order], b * n + a), len(key) - 1)
     other = order[at]
     return np.where(key[other] == b * n + a, other // 3, -1).reshape(-1, 3)
-
-
-def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
-    """Connected components of a graph, numbered by their lowest vertex.
-
-    Args:
-        num: Number of vertices.
-        i: One end of each edge.
-        j: The other end.
-
-    Returns:
-        Component of each vertex, ``(num,)``.
-    """
-    label = np.arange(num)
-    while True:
-        low = np.minimum(label[i], label[j])
-        new = label.copy()
-        np.minimum.at(new, label[i], low)
-        np.minimum.at(new, label[j], low)
-        while (new[new] != new).any():
-            new = new[new]
-        if (new == label).all():
-            return np.unique(label, return_inverse=True)[1].astype(np.int32)
-        label = new
 
 
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):

@@ -1,0 +1,62 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Connected parts of graphs and meshes."""
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem, la
+
+MANY = 20  # parts from which a mesh counts as one: each has its own rigid motions in memory
+
+
+def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
+    """Connected components of a graph, numbered by their lowest vertex.
+
+    Args:
+        num: Number of vertices.
+        i: One end of each edge.
+        j: The other end.
+
+    Returns:
+        Component of each vertex, ``(num,)``.
+    """
+    label = np.arange(num)
+    while len(i):
+        a, b = label[i], label[j]
+        np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
+        while (label[label] != label).any():
+            label = label[label]
+        apart = label[i] != label[j]
+        i, j = i[apart], j[apart]
+    return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def parts(V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    """The connected part of its mesh that a node is in; 0 if there are :data:`MANY`. Collective.
+
+    Args:
+        V: A Lagrange space: parts that share no dof can move apart.
+
+    Returns:
+        Number of the part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``.
+    """
+    nodes, comm, dofs = V.dofmap.index_map, V.mesh.comm, V.dofmap.list
+    num = nodes.size_local + nodes.num_ghosts
+    first = np.repeat(dofs[:, 0], dofs.shape[1] - 1)
+    label = components(num, first, dofs[:, 1:].ravel()).astype(np.int64)
+    found = comm.allgather(label.max(initial=-1) + 1)
+    label += sum(found[: comm.rank])
+    owners = la.vector(nodes)
+    owners.array[:] = label
+    owners.scatter_forward()
+    ghosts = slice(nodes.size_local, None)
+    pairs = np.stack((label[ghosts], owners.array[ghosts].astype(np.int64)), axis=1)
+    i, j = np.vstack(comm.allgather(np.unique(pairs, axis=0))).T
+    part = components(sum(found), i, j)[label[: nodes.size_local]]
+    return part if comm.allreduce(part.max(initial=0), MPI.MAX) < MANY else np.zeros_like(part)
