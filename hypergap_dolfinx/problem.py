@@ -15,7 +15,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import checks, saddle, solvers
-from hypergap_dolfinx.system import TiedSystem
+from hypergap_dolfinx.system import UNFIT, TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 
@@ -84,12 +84,14 @@ class TiedProblem(TiedSystem):
                 order of the bodies nor the sides of a tie matter here.
             u: Solution functions; made if not given.
             solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
-                iterates over the ties, ``"iterative"`` takes algebraic multigrid. If not given,
-                ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
+                iterates over the ties, ``"iterative"`` takes conjugate gradients and algebraic
+                multigrid: for symmetric, positive definite forms and large bodies, best of degree
+                1. If not given, ``"direct"`` or, for large bodies in 3D, ``"bodies"``.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
-            petsc_options: Options of the KSP, besides those of the solver above; instead of them
-                if they name a ``ksp_type`` or ``pc_type``. The matrix is a MatNest: MUMPS and
-                fieldsplit take it, most preconditioners don't. PETSc's own tolerance is 1e-5.
+            petsc_options: Options of the KSP, besides those of the solver above; instead of those
+                of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a MatNest:
+                MUMPS and fieldsplit take it, most preconditioners don't. PETSc's own tolerance is
+                1e-5.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -127,7 +129,7 @@ class TiedProblem(TiedSystem):
         super().__init__([compiled(form) for form in a], bcs or (), ties, solutions)
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
-        self._bodywise: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
+        self._substitute: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
         self._discarded: list[PETSc.KSP] = []
         self._fall_back = False
         if solver is None:
@@ -144,7 +146,10 @@ class TiedProblem(TiedSystem):
         self._prefix = petsc_options_prefix
         self._dim = spaces[0].mesh.topology.dim
         defaults = solvers.options(solver, self._dim)
-        self._set_options(petsc_options_prefix, petsc_options, defaults)
+        if solver != "direct":
+            self._unfit = ""  # no MatNest
+        direct = solver == "direct"
+        self._set_options(petsc_options_prefix, petsc_options, defaults, replace=direct)
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -200,10 +205,10 @@ class TiedProblem(TiedSystem):
             if self._method == "direct":
                 saddle.solve(self._solver, self._b, self._x)
             else:
-                self._solve_bodywise()
+                self._solve_substitute()
         if self._method != "direct":
             self._check_or_solve_directly()
-        saddle.check_solved(self._solver)
+        saddle.check_solved(self._solver, solvers.ADVICE[self._method])
         self._assign(self._x)
         self._solved = True
         return self._u
@@ -225,33 +230,34 @@ class TiedProblem(TiedSystem):
     def _solve_directly(self):
         """Where the default did not converge: Γ1 is much stiffer than Γ0."""
         self._method, self._fall_back = "direct", False
+        self._unfit = UNFIT
         self._discarded.append(self._solver)  # the user may have it
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._set_options(self._prefix, None, solvers.options("direct", self._dim))
-        if self._bodywise is not None:
-            self._bodywise.destroy()
-            self._bodywise = None
+        if self._substitute is not None:
+            self._substitute.destroy()
+            self._substitute = None
         with self._options_set():
             saddle.solve(self._solver, self._b, self._x)
 
-    def _solve_bodywise(self):
+    def _solve_substitute(self):
         state = self._A.stateGet()
-        if self._bodywise is not None and state != self._state:
-            if not self._bodywise.update(self._solver):
-                self._bodywise.destroy()
-                self._bodywise = None
-        if self._bodywise is None:
-            self._bodywise = solvers.create_system(
+        if self._substitute is not None and state != self._state:
+            if not self._substitute.update(self._solver):
+                self._substitute.destroy()
+                self._substitute = None
+        if self._substitute is None:
+            self._substitute = solvers.create_system(
                 self._method,
                 self._K,
                 self._constraints,
                 [u.function_space for u in self._u],
                 self._prefix,
             )
-            self._bodywise.attach(self._solver)
+            self._substitute.attach(self._solver)
         self._state = state
-        self._bodywise.solve(self._solver, self._b, self._x)
+        self._substitute.solve(self._solver, self._b, self._x)
 
     @property
     def a(self) -> list[fem.Form]:
@@ -271,6 +277,6 @@ class TiedProblem(TiedSystem):
     @property
     def iterations(self) -> int:
         """Number of iterations of the last solve."""
-        if self._bodywise is not None:
-            return self._bodywise.iterations
+        if self._substitute is not None:
+            return self._substitute.iterations
         return self._solver.getIterationNumber()

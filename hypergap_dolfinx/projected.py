@@ -11,11 +11,11 @@ r"""The saddle system without multipliers, for multigrid: :math:`\Pi^T K \Pi x =
 takes the gaps out of displacements; so :math:`u = \Pi x + u_c` holds all ties, with
 :math:`u_c = D^{-1} B^T S^{-1} c`. Conjugate gradients don't mind that the system is singular. S
 lives on Γ1 and is factorised. Multigrid gets :math:`K + B^T W B`: springs across the gap, which
-also hold bodies that nothing else holds. They are as stiff as the cells that Π moves, so that what
-they leave of a gap costs no more to take out than it costs to have, on any mesh.
+also hold bodies that nothing else holds. They are as stiff as the cells that Π moves: weaker ones
+would leave gaps to the iteration, stiffer ones make multigrid worse.
 
-D says which side gives way. With K's diagonal that is the softer one, and the contrast in stiffness
-doesn't matter.
+D says which side gives way. With K's diagonal that is the softer one, so that contrasts in
+stiffness hardly matter (see :data:`CONTRAST`).
 """
 
 import weakref
@@ -27,11 +27,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.saddle import SolveError, check_solved
 from hypergap_dolfinx.substructures import column_sums, create_solver, mean_diagonal
 
+FEW = 0.1
+"""Forces of the ties, over the loads, for which the solver is called again."""
+ROUND_OFF = 1e-15
+"""Forces, over those of single nodes' displacements, that can't be told from none."""
 CONTRAST = 1e4
-"""Largest ratio in D of Γ1 to a Γ0 with fewer dofs than there are multipliers, which can't give way
-to all of them: S is as ill-conditioned then, and Π gets lost in round-off beyond that."""
+"""Largest ratio in D of Γ1 to Γ0 beside it. Where Γ0 is coarser it can't give way to all gaps: S is
+as ill-conditioned as this, and beyond it Π gets lost in round-off."""
 
 
 class _Operator:
@@ -84,6 +89,7 @@ class ProjectedSystem:
         self.iterations = 0
         self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
         self._u, self._r = self._K.createVecs()
+        self._before, self._diagonal = self._K.createVecs()
         self._B = self._join(K, B) if B else None
         self._sides = self._find_sides(K, B, bodies, own)
         self._solver = create_solver(f"{prefix}interface_", comm)
@@ -129,10 +135,10 @@ class ProjectedSystem:
         return joined
 
     @staticmethod
-    def _find_sides(K, B, bodies, own) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """Γ1's own dofs of each tie and the others that it has, among this rank's. Collective."""
+    def _find_sides(K, B, bodies, own) -> list[tuple[npt.NDArray, npt.NDArray, slice]]:
+        """This rank's own dofs of Γ1, other dofs and rows of each tie. Collective."""
         ends = np.cumsum([0, *(k.getLocalSize()[0] for k in K)])
-        sides = []
+        sides, num_rows = [], 0
         for row, (_, body), dofs in zip(B, bodies, own, strict=True):
             mine = dofs - K[body].getOwnershipRange()[0] + ends[body]
             found = [np.empty(0, dtype=np.intp)]
@@ -141,13 +147,16 @@ class ProjectedSystem:
                     sums = column_sums(block)
                     found.append(np.flatnonzero(sums.array_r) + start)
                     sums.destroy()
-            sides.append((mine, np.setdiff1d(np.concatenate(found), mine)))
+            last = num_rows + next(b for b in row if b is not None).getLocalSize()[0]
+            rows = slice(num_rows, last)
+            sides.append((mine, np.setdiff1d(np.concatenate(found), mine), rows))
+            num_rows = last
         return sides
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
-        objects = [*self._of_values, self._K, self._u, self._r, self._solver]
-        objects += [self.matrix, self.x, self.b, self._rigid]
+        objects = [*self._of_values, self._K, self._u, self._r, self._before, self._diagonal]
+        objects += [self._solver, self.matrix, self.x, self.b, self._rigid]
         if self._B is not None:
             objects += [self._B, self._Bt, self._c, self._y, self._squares]
         for obj in objects:
@@ -179,28 +188,62 @@ class ProjectedSystem:
             self._Bt.multAdd(self._c, r, r)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve for nested vectors of the saddle system. Collective."""
+        """Solve for nested vectors of the saddle system. Collective.
+
+        Prescribed displacements of stiff bodies are large loads at first, next to which the forces
+        that are left are small: then the solver is called again, to be as exact for those.
+        """
         loads, given = self._split(b)
         displacements, multipliers = self._split(x)
-        u = self.b.duplicate()  # what holds the ties' right-hand side
+        u = self.b.duplicate()
         u.set(0.0)
         if self._B is not None:
             self._c.array[:] = np.concatenate([part.array_r for part in given])
             self._solver.solve(self._c, self._y)
+            check_solved(self._solver)
             self._DBt.mult(self._y, u)
         self._load(loads, u, self.b)
         self._project_transpose(self.b)
-        ksp.solve(self.b, self.x)
+        size = self.b.norm()
+        self._add_solution(ksp, u)
         self.iterations = ksp.getIterationNumber()
-        self.x.copy(self._u)
-        self._project(self._u)
-        u.axpy(1.0, self._u)
+        if ksp.getConvergedReason() > 0:
+            self._refine(ksp, loads, u, size)
         self._load(loads, u, self._r)
         self._project_transpose(self._r)
         self._distribute(u, displacements)
         if self._B is not None:
             self._distribute(self._y, multipliers)
         u.destroy()
+
+    def _add_solution(self, ksp: PETSc.KSP, u: PETSc.Vec):
+        """Solve for the loads b, and add the displacements to u. Collective."""
+        ksp.solve(self.b, self.x)
+        self.x.copy(self._u)
+        self._project(self._u)
+        u.axpy(1.0, self._u)
+
+    def _refine(self, ksp: PETSc.KSP, loads: Sequence[PETSc.Vec], u: PETSc.Vec, size: float):
+        """Solve for what is left of loads of a size if the ties' forces are few. Collective."""
+        if self._B is None:
+            return
+        self._load(loads, u, self.b)
+        self._project_transpose(self.b)
+        self._Bt.mult(self._y, self._r)
+        forces = self._r.norm()
+        self._r.pointwiseMult(self._diagonal, u)
+        goal = max(ksp.rtol * forces, ROUND_OFF * self._r.norm())
+        if forces > FEW * size or self.b.norm() <= goal:
+            return
+        tolerances, reason = ksp.getTolerances(), ksp.getConvergedReason()
+        ksp.setTolerances(rtol=0.0, atol=goal)
+        u.copy(self._before)
+        self._add_solution(ksp, u)
+        self.iterations += ksp.getIterationNumber()
+        ksp.setTolerances(*tolerances)
+        if ksp.getConvergedReason() < 0:  # at round-off; what was found before is as asked for
+            self._before.copy(u)
+            ksp.setConvergedReason(reason)
 
     def _split(self, x: PETSc.Vec) -> tuple[list[PETSc.Vec], list[PETSc.Vec]]:
         """The bodies' and the ties' parts of a nested vector."""
@@ -224,13 +267,14 @@ class ProjectedSystem:
         self.update(ksp)
 
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Take the stiffness as it is now. Collective."""
+        """Take the stiffness as it is now; it always can. Collective."""
         for obj in self._of_values:
             obj.destroy()
         A = _merge(self._K)
+        A.getDiagonal(self._diagonal)
         self._of_values = [A]
         if self._B is not None:
-            inverse, springs = self._weights(A)
+            inverse, springs = self._weights()
             self._DBt = self._Bt.copy()
             self._DBt.diagonalScale(L=inverse)
             S = self._B.matMult(self._DBt)
@@ -250,17 +294,17 @@ class ProjectedSystem:
         ksp.setOperators(self.matrix, A)
         return True
 
-    def _weights(self, K: PETSc.Mat) -> tuple[PETSc.Vec, PETSc.Vec]:
+    def _weights(self) -> tuple[PETSc.Vec, PETSc.Vec]:
         """D⁻¹ and W's diagonal: for a gap g, about the energy of what Π moves. Collective."""
-        diagonal = K.getDiagonal()
+        diagonal, smallest = self._diagonal, self._diagonal.min()[1]
+        if smallest <= 0:
+            raise SolveError(
+                f"the stiffness isn't positive definite: {smallest:.1e} is on its diagonal; take "
+                'solver="direct".'
+            )
         D = diagonal.array_r.copy()
-        comm = K.comm.tompi4py()
-        for own, others in self._sides:
-            local = [D[own].sum(), len(own), D[others].sum(), len(others)]
-            sum1, num1, sum0, num0 = comm.allreduce(np.array(local, dtype=float))
-            limit = CONTRAST * sum0 / num0 if num1 > num0 > 0 else np.inf
-            if sum1 > limit * num1:
-                D[own] *= limit * num1 / sum1
+        for own, others, rows in self._sides:
+            D[own] = np.minimum(D[own], CONTRAST * self._stiffness(others, rows)[own])
         inverse, energy = diagonal.duplicate(), diagonal.duplicate()
         inverse.array[:] = 1.0 / D
         energy.array[:] = diagonal.array_r / D**2
@@ -268,6 +312,28 @@ class ProjectedSystem:
         self._squares.mult(energy, springs)
         self._squares.mult(inverse, self._c)
         springs.array[:] = springs.array_r / self._c.array_r**2
-        for obj in (diagonal, energy):
-            obj.destroy()
+        energy.destroy()
         return inverse, springs
+
+    def _stiffness(self, others, rows: slice) -> npt.NDArray[np.float64]:
+        """What dofs find behind a tie: a harmonic mean, inf where nothing is. Collective."""
+        softness, share = self._diagonal.duplicate(), self._diagonal.duplicate()
+        softness.set(0.0)
+        share.set(0.0)
+        softness.array[others] = 1.0 / self._diagonal.array_r[others]
+        share.array[others] = 1.0
+        self._squares.mult(softness, self._c)
+        self._squares.mult(share, self._y)
+        found = np.zeros(len(self._y.array_r), dtype=bool)
+        found[rows] = self._y.array_r[rows] > 0
+        self._c.array[found] /= self._y.array_r[found]
+        self._c.array[~found] = 0.0
+        self._y.array[:] = found
+        self._squares.multTranspose(self._c, softness)
+        self._squares.multTranspose(self._y, share)
+        behind = softness.array_r > 0
+        stiffness = np.full(len(behind), np.inf)
+        stiffness[behind] = share.array_r[behind] / softness.array_r[behind]
+        for obj in (softness, share):
+            obj.destroy()
+        return stiffness

@@ -98,22 +98,27 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
 def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     """Largest residual of the rows of blocks, each relative to the size of its terms. Collective.
 
+    Forces in a body as of :data:`BACKWARD` times the displacements beside it count as round-off.
+
     Args:
         A: The nested matrix.
         x: The solution.
         b: The right-hand side.
     """
     worst = 0.0
-    xs, bs = x.getNestSubVecs(), b.getNestSubVecs()
-    for i, b_i in enumerate(bs):
+    num, lengths = len(x.getNestSubVecs()), [part.norm() for part in x.getNestSubVecs()]
+    blocks: list[dict[int, PETSc.Mat]] = [
+        {j: block for j in range(num) if (block := A.getNestSubMatrix(i, j))} for i in range(num)
+    ]
+    for i, (row, b_i) in enumerate(zip(blocks, b.getNestSubVecs(), strict=True)):
         r, product = b_i.copy(), b_i.duplicate()
-        size = b_i.norm()
-        for j, x_j in enumerate(xs):
-            block = A.getNestSubMatrix(i, j)
-            if block:
-                block.mult(x_j, product)
-                r.axpy(-1.0, product)
-                size += block.norm() / (block.getSize()[0] or 1) ** 0.5 * x_j.norm()
+        scale = {j: block.norm() / (block.getSize()[0] or 1) ** 0.5 for j, block in row.items()}
+        beside = max(lengths[k] for j in row for k in blocks[j])
+        size = b_i.norm() + BACKWARD * scale.get(i, 0.0) * beside
+        for j, block in row.items():
+            block.mult(x.getNestSubVecs()[j], product)
+            r.axpy(-1.0, product)
+            size += scale[j] * lengths[j]
         if size:
             worst = max(worst, r.norm() / size)
         for obj in (r, product):
@@ -121,11 +126,15 @@ def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     return worst
 
 
-def check_solved(ksp: PETSc.KSP):
+def check_solved(ksp: PETSc.KSP, advice: str = ""):
     """Raise if a solve did not converge. Collective.
 
     A singular matrix makes MUMPS return NaN without an exception; or, where round-off hides that a
     pivot is zero, a huge multiple of what the matrix does not see, far from solving the system.
+
+    Args:
+        ksp: The solver.
+        advice: What else the message says.
 
     Raises:
         SolveError: With the KSP's reason and MUMPS's INFOG.
@@ -157,7 +166,7 @@ def check_solved(ksp: PETSc.KSP):
             "; the matrix is singular: is every body held, by boundary conditions or by a tie "
             "to one that is, and is each constraint given once?"
         )
-    raise SolveError(message + ".")
+    raise SolveError(message + advice + ".")
 
 
 def _residual(ksp: PETSc.KSP) -> float:

@@ -56,10 +56,13 @@ OPTIONS = {
         "pc_type": "gamg",
         "pc_mg_cycle_type": "w",
         "pc_use_amat": False,  # smoothers of another matrix may make multigrid indefinite
-        # Not Chebyshev's polynomials: with contrasts PETSc takes the largest eigenvalue too small
-        "mg_levels_ksp_type": "richardson",
-        "mg_levels_ksp_max_it": 1,
-        "mg_levels_pc_type": "sor",
+        # Unlike SOR, Jacobi doesn't depend on the ranks. Its largest eigenvalue isn't that from
+        # smoothing the aggregates, which is too small with contrasts
+        "mg_levels_ksp_type": "chebyshev",
+        "mg_levels_ksp_max_it": 3,
+        "mg_levels_esteig_ksp_max_it": 20,
+        "mg_levels_pc_type": "jacobi",
+        "pc_gamg_use_sa_esteig": False,
         **_prefixed("interface_", _LU),
     },
 }
@@ -71,6 +74,16 @@ contrast in stiffness as long as Γ1 is the softer side; if Γ1 is 1000 times th
 takes twice as many. That of ``"iterative"`` depends on neither: 25, 26, 26
 with 22 000, 144 000 and 1 025 000 displacements of degree 1, and at most 27 for contrasts of 1e-6
 to 1e6, whichever side is Γ1."""
+
+ADVICE = {
+    "direct": "",
+    "bodies": '; take solver="direct"',
+    "iterative": (
+        '; solver="iterative" is for stiffness that is symmetric and positive definite, and for '
+        'cells of good shape: take solver="direct"'
+    ),
+}
+"""What to do where a solver fails."""
 
 PLANE = {"mat_mumps_icntl_7": 2}
 """In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than

@@ -31,6 +31,7 @@ class TiedSystem(disposal.Owner):
     """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
 
     _solver: PETSc.KSP | PETSc.SNES
+    _unfit = UNFIT
 
     def __init__(
         self,
@@ -91,8 +92,8 @@ class TiedSystem(disposal.Owner):
         )
         self._x = self._b.duplicate()
 
-    def _set_options(self, prefix: str, options: dict | None, default: dict):
-        """Set the solver's options, over the defaults unless they name a type of KSP or PC.
+    def _set_options(self, prefix: str, options: dict | None, default: dict, replace: bool = True):
+        """Set the solver's options, over the defaults or (``replace``) a type of KSP or PC instead.
 
         The command line overrules the defaults.
         """
@@ -101,7 +102,7 @@ class TiedSystem(disposal.Owner):
         self._solver.setOptionsPrefix(prefix)
         self._A.setOptionsPrefix(f"{prefix}A_")
         options = dict(options or {})
-        if not {"ksp_type", "pc_type"} & set(options):
+        if not (replace and {"ksp_type", "pc_type"} & set(options)):
             given = PETSc.Options().getAll()
             free = {key: v for key, v in default.items() if prefix + key not in given}
             options = {**free, **options}
@@ -135,7 +136,7 @@ class TiedSystem(disposal.Owner):
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
             raise saddle.SolveError(
                 f"PETSc can't solve with these options: {reason} (code {error.ierr})."
-                + UNFIT * (error.ierr != UNKNOWN_TYPE)
+                + self._unfit * (error.ierr != UNKNOWN_TYPE)
             ) from error
         finally:
             for key in self._options:
@@ -145,7 +146,7 @@ class TiedSystem(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
-        single = ("_bodywise", "_solver", "_A", "_b", "_x", "_constraints")
+        single = ("_substitute", "_solver", "_A", "_b", "_x", "_constraints")
         several = ("_discarded", "_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
         objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)

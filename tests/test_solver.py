@@ -20,7 +20,16 @@ from hypergap_dolfinx import SolveError, Tie, TiedProblem, solvers
 comm = MPI.COMM_WORLD
 
 
-def pile(dim, degree=1, stiffness=(1.0, 1.0), held=(0,), kind="vector", num=(4, 3), flip=False):
+def pile(
+    dim,
+    degree=1,
+    stiffness=(1.0, 1.0),
+    held=(0,),
+    kind="vector",
+    num=(4, 3),
+    flip=False,
+    mapping=None,
+):
     """Blocks on top of each other, the upper ones (or lower) Γ1 of the ties, all pulled sideways.
 
     ``num`` cells along the interface, in turn.
@@ -30,7 +39,11 @@ def pile(dim, degree=1, stiffness=(1.0, 1.0), held=(0,), kind="vector", num=(4, 
     for i, E in enumerate(stiffness):
         n = (*[num[i % 2]] * (dim - 1), max(2, num[i % 2] // 2))
         shift = np.eye(dim)[-1] * i
-        mesh, ft = meshes.block(comm, n, lambda x, shift=shift: x + shift, cell=cell)
+
+        def placed(x, i=i, shift=shift):
+            return mapping(i, x + shift) if mapping else x + shift
+
+        mesh, ft = meshes.block(comm, n, placed, cell=cell)
         lower, upper = (meshes.BOTTOM, meshes.TOP) if dim == 2 else (meshes.BACK, meshes.FRONT)
         shape = (dim,) if kind == "vector" else ()
         W = fem.functionspace(mesh, ("Lagrange", degree, shape))
@@ -133,6 +146,24 @@ def test_contrasts_with_multigrid(dim, num, flip):
     assert max(its) <= 2 * its[0]
 
 
+@pytest.mark.parametrize("contrast, flip", ((1e6, False), (1e-6, True)))
+@pytest.mark.parametrize("num", ((31, 30), (40, 20)))
+def test_contrasts_with_graded_cells(num, contrast, flip):
+    """Γ1 is the finer side at one end and the coarser one at the other."""
+
+    def graded(i, x):
+        s = 2 * (x[:, 0] if i == 0 else 1 - x[:, 0])
+        radius, angle = np.exp(s), x[:, 1] - 1
+        x_radial = radius * np.cos(angle)
+        x = x.copy()
+        x[:, 0] = x_radial if i == 0 else 1 + np.exp(2) - x_radial
+        x[:, 1] = radius * np.sin(angle)
+        return x
+
+    its = iterations("iterative", (1.0, contrast), dim=2, num=num, flip=flip, mapping=graded)
+    assert its[1] <= 2 * its[0]
+
+
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
 def test_without_ties(solver):
     """An ordinary problem is solved too: what a tied one is compared with."""
@@ -159,9 +190,9 @@ def test_units_do_not_matter(unit):
     np.testing.assert_allclose(*multipliers, atol=1e-9)
 
 
-def pulled(E, solver, dim=2, **options):
+def pulled(E, solver, dim=2, contrast=1.0, num=(4, 3), **options):
     """Two blocks in units where stiffness is E, the upper one moved by 1 at its top."""
-    a, L, bcs, ties = pile(dim, stiffness=(E, E))
+    a, L, bcs, ties = pile(dim, stiffness=(E, E * contrast), num=num)
     V = ties[0].spaces[1]
     g = fem.Function(V)
     g.interpolate(lambda x: np.ones_like(x[:dim]))
@@ -181,6 +212,42 @@ def test_units_of_prescribed_displacements(solver, tolerance, E):
     problem = pulled(E, solver)
     for u, v in zip(problem.solve(), reference.solve(), strict=True):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=tolerance)
+
+
+def strain(u):
+    """√∫|∇u|² dx."""
+    form = fem.form(ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx)
+    return np.sqrt(comm.allreduce(fem.assemble_scalar(form)))
+
+
+@pytest.mark.parametrize("contrast", (1e-6, 1e3, 1e6))
+def test_small_forces_of_stiff_bodies(contrast):
+    """Prescribed displacements are large loads on a stiff body that hardly deforms in the end."""
+    reference = pulled(1.0, "direct", contrast=contrast, num=(20, 5))
+    problem = pulled(1.0, "iterative", contrast=contrast, num=(20, 5))
+    for u, v in zip(problem.solve(), reference.solve(), strict=True):
+        exact = strain(v)
+        v.x.array[:] -= u.x.array
+        assert strain(v) <= 1e-7 * exact
+
+
+@pytest.mark.parametrize("solver", solvers.SOLVERS)
+def test_without_forces(solver):
+    """A body that floats closes its gap to one that rests: round-off is no wrong answer."""
+    V, sides, a = [], [], []
+    for y, tag, n in ((0, meshes.TOP, (6, 4)), (0.98, meshes.BOTTOM, (4, 3))):
+        mesh, ft = meshes.block(comm, n, lambda x, y=y: x + np.array((0, y)), cell="triangle")
+        V.append(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+        sides.append((V[-1], ft.find(tag)))
+        u, v = ufl.TrialFunction(V[-1]), ufl.TestFunction(V[-1])
+        a.append(ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx)
+    bc = fem.dirichletbc(
+        fem.Function(V[0]), fem.locate_dofs_topological(V[0], 1, facets_at(V[0], 0))
+    )
+    tie = Tie(*sides, close_gap=True)
+    u0, u1 = TiedProblem(a, [None, None], bcs=[bc], ties=[tie], solver=solver).solve()
+    np.testing.assert_allclose(u0.x.array, 0, atol=1e-9)
+    np.testing.assert_allclose(u1.x.array.reshape(-1, 2) - [[0, 0.02]], 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
@@ -280,6 +347,35 @@ def test_options_besides_the_solvers_own():
         assert problem.solver.getTolerances()[0] == 1e-7
     problem = TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options={"pc_type": "none"})
     assert problem.solver.getType() == "gmres"
+
+
+@pytest.mark.parametrize(
+    "solver, options",
+    (
+        ("bodies", {"ksp_type": "fgmres"}),
+        ("iterative", {"pc_type": "gamg"}),
+        ("iterative", {"ksp_type": "gmres", "ksp_gmres_restart": 50}),
+    ),
+)
+def test_options_of_a_named_solver(solver, options):
+    """What a named solver is made of stays, whatever type is named."""
+    a, L, bcs, ties = pile(2)
+    direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    direct.solve()
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver, petsc_options=options)
+    problem.solve()
+    assert problem.iterations < 40
+    assert difference(problem, direct) <= 1e-7
+
+
+@pytest.mark.parametrize("reaction, match", ((-5.0, "symmetric and positive"), (-1e4, "diagonal")))
+def test_multigrid_is_for_definite_stiffness(reaction, match):
+    """The message says so."""
+    a, L, bcs, ties = pile(2, num=(12, 8))
+    a = [form + reaction * ufl.inner(*form.arguments()[::-1]) * ufl.dx for form in a]
+    TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct").solve()
+    with pytest.raises(SolveError, match=f'{match}.* take solver="direct"'):
+        TiedProblem(a, L, bcs=bcs, ties=ties, solver="iterative").solve()
 
 
 @pytest.mark.parametrize("pc", ("gamg", "ilu", "no such"))
