@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 from petsc4py import PETSc
 
+import numpy as np
+
 DIRECT = {
     "ksp_type": "richardson",  # the factors, and a step of refinement for the digits they lose
     "ksp_norm_type": "none",
@@ -20,8 +22,8 @@ DIRECT = {
 """MUMPS's LU of the whole system. (LDLᵀ would need 2 × 2 pivots for the zero block.)"""
 
 RESIDUAL = 1e-3
-"""Largest residual of a direct solve, relative to the right-hand side: 1e-15 times how ill the
-system is conditioned if there is a solution, and about 1 if there is none."""
+"""Largest residual of a direct solve, relative to the right-hand side, both as forces: 1e-15 times
+how ill the system is conditioned if there is a solution, and about 1 if there is none."""
 
 BACKWARD = 1e-6
 """Largest :func:`backward_error` of an iteration that says it converged."""
@@ -145,7 +147,7 @@ def check_solved(ksp: PETSc.KSP, advice: str = ""):
         # Solvers that look at their residual know themselves
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
             return
-        residual, size = _residual(ksp), ksp.getRhs().norm()
+        residual, size = _residual(ksp)
         if residual <= RESIDUAL * size:
             return
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
@@ -169,12 +171,36 @@ def check_solved(ksp: PETSc.KSP, advice: str = ""):
     raise SolveError(message + advice + ".")
 
 
-def _residual(ksp: PETSc.KSP) -> float:
-    """|b − Ax|."""
-    b = ksp.getRhs()
+def _residual(ksp: PETSc.KSP) -> tuple[float, float]:
+    """|b − Ax| and |b|; rows of ties count as the forces that K makes of their gaps."""
+    A, b = ksp.getOperators()[0], ksp.getRhs()
     r = b.duplicate()
-    ksp.getOperators()[0].mult(ksp.getSolution(), r)
+    A.mult(ksp.getSolution(), r)
     r.aypx(-1.0, b)
-    norm = r.norm()
+    if A.getType() != PETSc.Mat.Type.NEST:
+        lengths = r.norm(), b.norm()
+    else:
+        squares = np.zeros(2)
+        for scale, *parts in zip(_scales(A), r.getNestSubVecs(), b.getNestSubVecs(), strict=True):
+            squares += [(scale * part.norm()) ** 2 for part in parts]
+        lengths = tuple(np.sqrt(squares))
     r.destroy()
-    return norm
+    return lengths
+
+
+def _scales(A: PETSc.Mat) -> list[float]:
+    """Units of the rows of blocks: 1, of ties the size of the softest body's K over that of B."""
+    num = A.getNestSize()[0]
+
+    def size(i: int, j: int) -> float:
+        block = A.getNestSubMatrix(i, j)
+        return block.norm() / (block.getSize()[0] or 1) ** 0.5 if block else 0.0
+
+    stiffness = [size(i, i) for i in range(num)]
+    scales = []
+    for i in range(num):
+        ratios = [
+            stiffness[j] / size(i, j) for j in range(num) if stiffness[j] and size(i, j) and i != j
+        ]
+        scales.append(1.0 if stiffness[i] or not ratios else min(ratios))
+    return scales

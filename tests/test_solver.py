@@ -190,6 +190,19 @@ def test_units_do_not_matter(unit):
     np.testing.assert_allclose(*multipliers, atol=1e-9)
 
 
+@pytest.mark.parametrize("E", (1e-15, 1e15))
+@pytest.mark.parametrize("solver", solvers.SOLVERS)
+def test_displacements_in_other_units(solver, E):
+    """Round-off of a tie between large displacements is no residual next to small loads."""
+    u = []
+    for stiffness in (E, 1.0):
+        a, L, bcs, ties = pile(2, stiffness=(stiffness, stiffness))
+        problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver)
+        u.append([stiffness * f.x.array for f in problem.solve()])
+    for one, other in zip(*u, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-8)
+
+
 def pulled(E, solver, dim=2, contrast=1.0, num=(4, 3), **options):
     """Two blocks in units where stiffness is E, the upper one moved by 1 at its top."""
     a, L, bcs, ties = pile(dim, stiffness=(E, E * contrast), num=num)
