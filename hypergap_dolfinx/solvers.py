@@ -71,9 +71,10 @@ a time, and ``"iterative"`` takes algebraic multigrid for all of them.
 
 The number of iterations of ``"bodies"`` (in 3D about 25) grows neither with the mesh nor with the
 contrast in stiffness as long as Γ1 is the softer side; if Γ1 is 1000 times the stiffer one, it
-takes twice as many. That of ``"iterative"`` depends on neither: 25, 26, 26
-with 22 000, 144 000 and 1 025 000 displacements of degree 1, and at most 27 for contrasts of 1e-6
-to 1e6, whichever side is Γ1."""
+takes twice as many. That of ``"iterative"`` depends on neither: 19, 21, 21
+with 22 000, 144 000 and 1 025 000 displacements of degree 1 (45 with degree 2), and at most half as
+many more for contrasts of 1e-6 to 1e6, whichever side is Γ1 (with cells graded 1:50, 3 times as
+many)."""
 
 ADVICE = {
     "direct": "",
