@@ -130,6 +130,7 @@ class TiedProblem(TiedSystem):
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)
         self._substitute: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
+        self._state: int | None = None  # of A, as the substitute knows it
         self._discarded: list[PETSc.KSP] = []
         self._fall_back = False
         if solver is None:

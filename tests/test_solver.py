@@ -387,8 +387,10 @@ def test_multigrid_is_for_definite_stiffness(reaction, match):
     a, L, bcs, ties = pile(2, num=(12, 8))
     a = [form + reaction * ufl.inner(*form.arguments()[::-1]) * ufl.dx for form in a]
     TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct").solve()
-    with pytest.raises(SolveError, match=f'{match}.* take solver="direct"'):
-        TiedProblem(a, L, bcs=bcs, ties=ties, solver="iterative").solve()
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="iterative")
+    for _ in range(2):  # not the first time alone
+        with pytest.raises(SolveError, match=f'{match}.* take solver="direct"'):
+            problem.solve()
 
 
 @pytest.mark.parametrize("pc", ("gamg", "ilu", "no such"))
