@@ -53,7 +53,7 @@ def _tied_groups(comm, in_part, constraints: ConstraintBlocks) -> list[dict[int,
     nums = [comm.allreduce(part.max(initial=0), MPI.MAX) + 1 for part in in_part]
     starts = np.cumsum([0, *nums])
     pairs = [np.empty((0, 2), dtype=np.intp)]
-    for row in constraints.free:
+    for row in constraints.full:  # prescribed dofs tie too
         touched = np.zeros(starts[-1], dtype=np.int32)
         for i, B in enumerate(row[: len(in_part)]):
             if B is not None:
