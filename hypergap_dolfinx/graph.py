@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 
-MANY = 20  # parts from which a mesh counts as one: each has its own rigid motions in memory
+MANY = 20  # parts beyond which a mesh counts as one: each has its own rigid motions in memory
 
 
 def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
@@ -37,14 +37,14 @@ def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def parts(V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-    """The connected part of its mesh that a node is in; 0 if there are :data:`MANY`. Collective.
+def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
+    """The connected part of its mesh that a node is in; 0 beyond :data:`MANY`. Collective.
 
     Args:
         V: A Lagrange space: parts that share no dof can move apart.
 
     Returns:
-        Number of the part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``.
+        Part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``; number of parts.
     """
     nodes, comm, dofs = V.dofmap.index_map, V.mesh.comm, V.dofmap.list
     num = nodes.size_local + nodes.num_ghosts
@@ -59,4 +59,5 @@ def parts(V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
     pairs = np.stack((label[ghosts], owners.array[ghosts].astype(np.int64)), axis=1)
     i, j = np.vstack(comm.allgather(np.unique(pairs, axis=0))).T
     part = components(sum(found), i, j)[label[: nodes.size_local]]
-    return part if comm.allreduce(part.max(initial=0), MPI.MAX) < MANY else np.zeros_like(part)
+    num_parts = comm.allreduce(part.max(initial=0), MPI.MAX) + 1
+    return (part, num_parts) if num_parts <= MANY else (np.zeros_like(part), 1)

@@ -7,7 +7,6 @@
 
 from collections.abc import Sequence
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,7 +15,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.graph import components, parts
-from hypergap_dolfinx.substructures import column_sums, motions, orthonormal, rigid_modes
+from hypergap_dolfinx.saddle import row_length
+from hypergap_dolfinx.substructures import motions, nonzero_columns, orthonormal, rigid_modes
 
 SMALL = 1e-12  # force of a motion, over the largest there could be, that counts as none
 
@@ -36,32 +36,31 @@ def free_motions(
         constraints: The ties.
     """
     comm = spaces[0].mesh.comm
-    moved = [rigid_modes(V, np.zeros(held.shape, dtype=bool))
-             for V, held in zip(spaces, constraints.prescribed, strict=True)]  # fmt: skip
     in_part = [parts(V) for V in spaces]
+    moved = [
+        rigid_modes(V, np.zeros(held.shape, dtype=bool), *numbered)
+        for V, held, numbered in zip(spaces, constraints.prescribed, in_part, strict=True)
+    ]
     return max(
         _free_alone(comm, moved, K, constraints),
         sum(
             _free_together(comm, spaces, K, constraints.prescribed, nodes)
-            for nodes in _tied_groups(comm, in_part, constraints)
+            for nodes in _tied_groups(spaces, in_part, constraints)
         ),
     )
 
 
-def _tied_groups(comm, in_part, constraints: ConstraintBlocks) -> list[dict[int, npt.NDArray]]:
+def _tied_groups(spaces, in_part, constraints: ConstraintBlocks) -> list[dict[int, npt.NDArray]]:
     """Groups of parts that ties connect: the bodies they are in, and which of their nodes."""
-    nums = [comm.allreduce(part.max(initial=0), MPI.MAX) + 1 for part in in_part]
-    starts = np.cumsum([0, *nums])
+    comm = spaces[0].mesh.comm
+    starts = np.cumsum([0, *(num for _, num in in_part)])
     pairs = [np.empty((0, 2), dtype=np.intp)]
     for row in constraints.full:  # prescribed dofs tie too
         touched = np.zeros(starts[-1], dtype=np.int32)
-        for i, B in enumerate(row[: len(in_part)]):
+        for V, B, (part, _), start in zip(spaces, row, in_part, starts, strict=False):
             if B is not None:
-                sums = column_sums(B)
-                dofs = np.flatnonzero(sums.array_r)
-                block_size = len(sums.array_r) // max(len(in_part[i]), 1)
-                touched[starts[i] + in_part[i][dofs // max(block_size, 1)]] = 1
-                sums.destroy()
+                nodes = nonzero_columns(B) // V.dofmap.index_map_bs
+                touched[start + part[nodes]] = 1
         tied = np.flatnonzero(comm.allreduce(touched))
         pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
     i, j = np.vstack(pairs).T
@@ -69,7 +68,7 @@ def _tied_groups(comm, in_part, constraints: ConstraintBlocks) -> list[dict[int,
     return [
         {
             i: group[start + part] == g
-            for i, (start, num, part) in enumerate(zip(starts, nums, in_part))
+            for i, (start, (part, num)) in enumerate(zip(starts, in_part))
             if g in group[start : start + num]
         }
         for g in range(group.max() + 1)
@@ -132,7 +131,7 @@ def _num_small(comm, rows) -> int:
 def _product(A: PETSc.Mat, columns) -> npt.NDArray[np.float64]:
     """A times columns, over the mean length of A's rows."""
     x, y = A.createVecs()
-    size = (A.norm() / np.sqrt(A.getSize()[0] or 1)) or 1.0
+    size = row_length(A) or 1.0
     result = np.empty((A.getLocalSize()[0], columns.shape[1]))
     for k, column in enumerate(columns.T):
         x.array[:] = column

@@ -147,8 +147,6 @@ class TiedProblem(TiedSystem):
         self._prefix = petsc_options_prefix
         self._dim = spaces[0].mesh.topology.dim
         defaults = solvers.options(solver, self._dim)
-        if solver != "direct":
-            self._unfit = ""  # no MatNest
         direct = solver == "direct"
         self._set_options(petsc_options_prefix, petsc_options, defaults, replace=direct)
 
@@ -228,10 +226,13 @@ class TiedProblem(TiedSystem):
                 f'{error:.0e} of its terms; take solver="direct".'
             )
 
+    @property
+    def _unfit(self) -> str:
+        return UNFIT if self._method == "direct" else ""  # no MatNest otherwise
+
     def _solve_directly(self):
         """Where the default did not converge: Γ1 is much stiffer than Γ0."""
         self._method, self._fall_back = "direct", False
-        self._unfit = UNFIT
         self._discarded.append(self._solver)  # the user may have it
         self._solver = PETSc.KSP().create(self._A.comm)
         self._solver.setOperators(self._A)

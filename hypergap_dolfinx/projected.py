@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.saddle import SolveError, check_solved
-from hypergap_dolfinx.substructures import column_sums, create_solver, mean_diagonal
+from hypergap_dolfinx.substructures import create_solver, mean_diagonal, nonzero_columns
 
 FEW = 0.1
 """Forces of the ties, over the loads, for which the solver is called again."""
@@ -89,7 +89,7 @@ class ProjectedSystem:
         self.iterations = 0
         self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
         self._u, self._r = self._K.createVecs()
-        self._before, self._diagonal = self._K.createVecs()
+        self._diagonal = self._K.createVecRight()
         self._B = self._join(K, B) if B else None
         self._sides = self._find_sides(K, B, bodies, own)
         self._solver = create_solver(f"{prefix}interface_", comm)
@@ -144,9 +144,7 @@ class ProjectedSystem:
             found = [np.empty(0, dtype=np.intp)]
             for start, block in zip(ends, row):
                 if block is not None:
-                    sums = column_sums(block)
-                    found.append(np.flatnonzero(sums.array_r) + start)
-                    sums.destroy()
+                    found.append(nonzero_columns(block) + start)
             last = num_rows + next(b for b in row if b is not None).getLocalSize()[0]
             rows = slice(num_rows, last)
             sides.append((mine, np.setdiff1d(np.concatenate(found), mine), rows))
@@ -155,7 +153,7 @@ class ProjectedSystem:
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
-        objects = [*self._of_values, self._K, self._u, self._r, self._before, self._diagonal]
+        objects = [*self._of_values, self._K, self._u, self._r, self._diagonal]
         objects += [self._solver, self.matrix, self.x, self.b, self._rigid]
         if self._B is not None:
             objects += [self._B, self._Bt, self._c, self._y, self._squares]
@@ -203,14 +201,12 @@ class ProjectedSystem:
             check_solved(self._solver)
             self._DBt.mult(self._y, u)
         self._load(loads, u, self.b)
-        self._project_transpose(self.b)
         size = self.b.norm()
         self._add_solution(ksp, u)
         self.iterations = ksp.getIterationNumber()
-        if ksp.getConvergedReason() > 0:
-            self._refine(ksp, loads, u, size)
         self._load(loads, u, self._r)
-        self._project_transpose(self._r)
+        if ksp.getConvergedReason() > 0 and self._refine(ksp, u, size):
+            self._load(loads, u, self._r)
         self._distribute(u, displacements)
         if self._B is not None:
             self._distribute(self._y, multipliers)
@@ -223,27 +219,28 @@ class ProjectedSystem:
         self._project(self._u)
         u.axpy(1.0, self._u)
 
-    def _refine(self, ksp: PETSc.KSP, loads: Sequence[PETSc.Vec], u: PETSc.Vec, size: float):
-        """Solve for what is left of loads of a size if the ties' forces are few. Collective."""
+    def _refine(self, ksp: PETSc.KSP, u: PETSc.Vec, size: float) -> bool:
+        """Solve for what is left (r) of loads of a size if the ties' forces are few. Collective."""
         if self._B is None:
-            return
-        self._load(loads, u, self.b)
-        self._project_transpose(self.b)
-        self._Bt.mult(self._y, self._r)
-        forces = self._r.norm()
-        self._r.pointwiseMult(self._diagonal, u)
-        goal = max(ksp.rtol * forces, ROUND_OFF * self._r.norm())
-        if forces > FEW * size or self.b.norm() <= goal:
-            return
+            return False
+        self._Bt.mult(self._y, self._u)
+        forces = self._u.norm()
+        self._u.pointwiseMult(self._diagonal, u)
+        goal = max(ksp.rtol * forces, ROUND_OFF * self._u.norm())
+        if forces > FEW * size or self._r.norm() <= goal:
+            return False
+        self._r.copy(self.b)
         tolerances, reason = ksp.getTolerances(), ksp.getConvergedReason()
         ksp.setTolerances(rtol=0.0, atol=goal)
-        u.copy(self._before)
+        before = u.copy()
         self._add_solution(ksp, u)
         self.iterations += ksp.getIterationNumber()
         ksp.setTolerances(*tolerances)
         if ksp.getConvergedReason() < 0:  # at round-off; what was found before is as asked for
-            self._before.copy(u)
+            before.copy(u)
             ksp.setConvergedReason(reason)
+        before.destroy()
+        return True
 
     def _split(self, x: PETSc.Vec) -> tuple[list[PETSc.Vec], list[PETSc.Vec]]:
         """The bodies' and the ties' parts of a nested vector."""
@@ -252,9 +249,10 @@ class ProjectedSystem:
         return parts[:num], parts[num:]
 
     def _load(self, loads: Sequence[PETSc.Vec], u: PETSc.Vec, r: PETSc.Vec):
-        """Set r = f − K u. Collective."""
+        """Set r = Πᵀ(f − K u), and y to the multipliers. Collective."""
         self._K.mult(u, r)
         r.array[:] = np.concatenate([part.array_r for part in loads]) - r.array_r
+        self._project_transpose(r)
 
     @staticmethod
     def _distribute(x: PETSc.Vec, parts: Sequence[PETSc.Vec]):

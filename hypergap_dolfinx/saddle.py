@@ -97,6 +97,11 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
         database[key] = before
 
 
+def row_length(A: PETSc.Mat) -> float:
+    """Root mean square of the lengths of a matrix's rows. Collective."""
+    return A.norm() / (A.getSize()[0] or 1) ** 0.5
+
+
 def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     """Largest residual of the rows of blocks, each relative to the size of its terms. Collective.
 
@@ -114,7 +119,7 @@ def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     ]
     for i, (row, b_i) in enumerate(zip(blocks, b.getNestSubVecs(), strict=True)):
         r, product = b_i.copy(), b_i.duplicate()
-        scale = {j: block.norm() / (block.getSize()[0] or 1) ** 0.5 for j, block in row.items()}
+        scale = {j: row_length(block) for j, block in row.items()}
         beside = max(lengths[k] for j in row for k in blocks[j])
         size = b_i.norm() + BACKWARD * scale.get(i, 0.0) * beside
         for j, block in row.items():
@@ -194,7 +199,7 @@ def _scales(A: PETSc.Mat) -> list[float]:
 
     def size(i: int, j: int) -> float:
         block = A.getNestSubMatrix(i, j)
-        return block.norm() / (block.getSize()[0] or 1) ** 0.5 if block else 0.0
+        return row_length(block) if block else 0.0
 
     stiffness = [size(i, i) for i in range(num)]
     scales = []

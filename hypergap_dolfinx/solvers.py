@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx import saddle
 from hypergap_dolfinx.blocks import ConstraintBlocks
+from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.projected import ProjectedSystem
 from hypergap_dolfinx.substructures import Substructures, column_sums, order_of_bodies, rigid_modes
 
@@ -191,7 +192,10 @@ class BodywiseSystem:
         self.matrix.setNestVecType("standard")  # KSPs that make vectors want no nested ones
         self.matrix.assemble()
         self.x, self.b = self.matrix.createVecs()
-        modes = [rigid_modes(*pair) for pair in zip(spaces, constraints.prescribed, strict=True)]
+        modes = [
+            rigid_modes(V, held, *parts(V))
+            for V, held in zip(spaces, constraints.prescribed, strict=True)
+        ]
         order = order_of_bodies(len(K), self._bodies)
         assert order is not None
         columns = [own.astype(PETSc.IntType) for own in constraints.own]

@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.graph import parts
 
 FLOATING = 1e-11  # energy of a rigid mode (in mean diagonals of K) that counts as none
 
@@ -60,6 +59,14 @@ def column_sums(B: PETSc.Mat) -> PETSc.Vec:
     sums.setValues(columns, np.abs(values), addv=PETSc.InsertMode.ADD)
     sums.assemble()
     return sums
+
+
+def nonzero_columns(B: PETSc.Mat) -> npt.NDArray[np.intp]:
+    """Which of this rank's columns aren't empty, numbered from 0. Collective."""
+    sums = column_sums(B)
+    found = np.flatnonzero(sums.array_r)
+    sums.destroy()
+    return found
 
 
 def motions(
@@ -97,20 +104,26 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
     return R @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
-def rigid_modes(V: fem.FunctionSpace, prescribed: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+def rigid_modes(
+    V: fem.FunctionSpace,
+    prescribed: npt.NDArray[np.bool_],
+    part: npt.NDArray[np.int32],
+    num_parts: int,
+) -> npt.NDArray[np.float64]:
     """A basis of the :func:`motions` of a body's parts, 0 where it is prescribed. Collective.
 
     Args:
         V: Its space.
         prescribed: Which owned dofs (unrolled) are prescribed.
+        part: The part of each node, from :func:`hypergap_dolfinx.graph.parts`.
+        num_parts: Number of parts.
 
     Returns:
         Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
     """
-    part = np.repeat(parts(V), V.dofmap.index_map_bs)
-    num = V.mesh.comm.allreduce(part.max(initial=0), MPI.MAX) + 1
+    part = np.repeat(part, V.dofmap.index_map_bs)[:, None]
     modes = np.where(prescribed[:, None], 0, motions(V))
-    modes = np.hstack([np.where(part[:, None] == p, modes, 0) for p in range(num)])
+    modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
     return orthonormal(V.mesh.comm, modes)
 
 

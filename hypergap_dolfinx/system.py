@@ -31,7 +31,6 @@ class TiedSystem(disposal.Owner):
     """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
 
     _solver: PETSc.KSP | PETSc.SNES
-    _unfit = UNFIT
 
     def __init__(
         self,
@@ -122,6 +121,11 @@ class TiedSystem(disposal.Owner):
                 "body, by boundary conditions or by a tie to one that is held."
             )
         self._motions_known = True
+
+    @property
+    def _unfit(self) -> str:
+        """What is said of options that PETSc can't solve with."""
+        return UNFIT
 
     @contextmanager
     def _options_set(self) -> Iterator[None]:

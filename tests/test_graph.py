@@ -46,7 +46,8 @@ def test_parts(degree):
         cells = np.flatnonzero(np.floor(x[:, 1] * (2 * stripes - 1)) % 2 == 0)
         submesh = dolfinx.mesh.create_submesh(mesh, tdim, cells.astype(np.int32))[0]
         V = fem.functionspace(submesh, ("Lagrange", degree, (2,)))
-        found = parts(V)
+        found, num_parts = parts(V)
+        assert num_parts == stripes
         y = V.tabulate_dof_coordinates()[: len(found), 1]
         stripe = np.floor(np.clip(y * (2 * stripes - 1), 0, 2 * stripes - 1.001) / 2 + 0.25)
         pairs = np.vstack(comm.allgather(np.stack((found, stripe), axis=1)))
