@@ -24,8 +24,9 @@ from dolfinx import fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, kernel, strip
-from hypergap_dolfinx.surface import create_surface
+from hypergap_dolfinx import Tie
+from hypergap_dolfinx.gap import kernel, strip
+from hypergap_dolfinx.gap.surface import create_surface
 
 # -
 

@@ -7,11 +7,9 @@
 
 from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFINx)
 
-from hypergap_dolfinx.kernel import InvertedCellError
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
-from hypergap_dolfinx.saddle import SolveError
-from hypergap_dolfinx.surface import InterfaceError
 from hypergap_dolfinx.tie import Tie
 
 __all__ = [

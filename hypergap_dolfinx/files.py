@@ -5,16 +5,12 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file."""
 
-from typing import TYPE_CHECKING
-
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.compat import interpolation_points
+from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
-
-if TYPE_CHECKING:
-    from hypergap_dolfinx.system import TiedSystem
 
 
 def interpolated(
@@ -40,7 +36,7 @@ def interpolated(
     return f
 
 
-def on_sigma(tie: Tie, problem: "TiedSystem") -> list[fem.Function]:
+def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
     """What there is on Σ, for one file: α, λ, the normal gap, the slip of vectors. Collective.
 
     Σ has no thickness; in 2D ParaView's "Warp by scalar" shows it, with α as the height.

@@ -13,8 +13,10 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import compat, saddle
-from hypergap_dolfinx.system import TiedSystem
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve import saddle
+from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 _DIRECT = {k: v for k, v in saddle.DIRECT.items() if not k.startswith("ksp_")}
@@ -170,7 +172,7 @@ class NonlinearTiedProblem(TiedSystem):
         if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             saddle.check_solved(self._solver.getKSP())
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
-        raise saddle.SolveError(
+        raise SolveError(
             f"Newton's iteration failed after {self._solver.getIterationNumber()} steps: SNES "
             f"reason {reason} ({names.get(reason, 'unknown')}), residual "
             f"{self._solver.getFunctionNorm():.1e}; smaller load steps may help."

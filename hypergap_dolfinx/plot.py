@@ -23,7 +23,7 @@ from dolfinx.mesh import Mesh
 from dolfinx.plot import vtk_mesh
 from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
-from hypergap_dolfinx.surface import Surface
+from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"

@@ -14,8 +14,9 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import checks, saddle, solvers
-from hypergap_dolfinx.system import UNFIT, TiedSystem
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve import checks, saddle, solvers
+from hypergap_dolfinx.solve.system import UNFIT, TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 
@@ -221,7 +222,7 @@ class TiedProblem(TiedSystem):
         if self._fall_back:
             self._solve_directly()
         elif converged:
-            raise saddle.SolveError(
+            raise SolveError(
                 f'the linear solve with solver="{self._method}" ended, but misses the system by '
                 f'{error:.0e} of its terms; take solver="direct".'
             )

@@ -16,17 +16,13 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import disposal, results
-from hypergap_dolfinx.adjust import adjust_surface
-from hypergap_dolfinx.constraint import Constraint, create_constraint, expand
-from hypergap_dolfinx.gap_domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.surface import (
-    InterfaceError,
-    Surface,
-    create_surface,
-    raise_on_all,
-    thinness,
-)
+from hypergap_dolfinx import disposal
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap import fields
+from hypergap_dolfinx.gap.adjust import adjust_surface
+from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
+from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -291,7 +287,7 @@ class Tie(disposal.Owner):
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
             if u.function_space != V:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
-        return results.gap(self, u0, u1)
+        return fields.gap(self._domain, self.constraint, u0, u1)
 
     def traction(self, problem) -> fem.Function:
         """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
@@ -305,12 +301,14 @@ class Tie(disposal.Owner):
             temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
             :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
         """
-        return results.traction(self, problem.multipliers(self))
+        multipliers = problem.multipliers(self)
+        shape = self._spaces[0].value_shape
+        return fields.traction(self._domain, self.constraint, shape, multipliers)
 
-    def quadrature(self, degree: int) -> results.GapQuadrature:
+    def quadrature(self, degree: int) -> fields.GapQuadrature:
         """Gauss points on Σ with the measure dΓ_α dα, to integrate there.
 
         Args:
             degree: Degree of the Gauss rule.
         """
-        return results.create_quadrature(self._domain, degree)
+        return fields.create_quadrature(self._domain, degree)

@@ -17,7 +17,8 @@ import hypergap_dolfinx.tie
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem, checks, compat
+from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem, compat
+from hypergap_dolfinx.solve import checks
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 TIED = [(0, TOP), (1, BOTTOM)]

@@ -15,7 +15,8 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import SolveError, Tie, TiedProblem, solvers
+from hypergap_dolfinx import SolveError, Tie, TiedProblem
+from hypergap_dolfinx.solve import solvers
 
 comm = MPI.COMM_WORLD
 

@@ -9,7 +9,7 @@ import kernel_speed
 import numpy as np
 import pytest
 
-from hypergap_dolfinx import strip
+from hypergap_dolfinx.gap import strip
 
 
 def test_chains_are_followed_in_a_few_steps():

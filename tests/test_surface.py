@@ -16,7 +16,7 @@ import dolfinx
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.surface import create_surface, tabulate
+from hypergap_dolfinx.gap.surface import create_surface, tabulate
 
 CELLS = "triangle", "quadrilateral", "tetrahedron"
 

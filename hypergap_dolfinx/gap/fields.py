@@ -6,7 +6,6 @@
 """Fields on Σ: the traction λ, the gap and the slip, and integrals over Σ."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
@@ -16,12 +15,10 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import kernel
-from hypergap_dolfinx.gap_domain import GapDomain
-from hypergap_dolfinx.surface import tabulate
-
-if TYPE_CHECKING:
-    from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.gap import kernel
+from hypergap_dolfinx.gap.constraint import Constraint
+from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.surface import tabulate
 
 
 @dataclass(frozen=True)
@@ -126,26 +123,36 @@ def _set(f: fem.Function, values: npt.NDArray):
     f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] = values
 
 
-def traction(tie: "Tie", multipliers: npt.NDArray) -> fem.Function:
+def traction(
+    domain: GapDomain, constraint: Constraint, shape: tuple[int, ...], multipliers: npt.NDArray
+) -> fem.Function:
     """λ = Σ_a λ_a ∂φ_a/∂α (eq. 20) on Σ. Collective.
 
     Args:
-        tie: The tie.
+        domain: Σ.
+        constraint: The constraint on it.
+        shape: Of the values.
         multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
     """
-    domain = tie.domain
-    f = _discontinuous(domain, tie.spaces[0].value_shape, "traction")
-    nodal = nodal_values(domain, tie.constraint.R_A, multipliers)
+    f = _discontinuous(domain, shape, "traction")
+    nodal = nodal_values(domain, constraint.R_A, multipliers)
     _set(f, alpha_derivative(domain, nodal, _points(f))[0])
     return f
 
 
-def gap(tie: "Tie", u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
-    """Normal gap and tangential slip (eq. 17) on Σ. Collective."""
-    domain, shape = tie.domain, tie.spaces[0].value_shape
-    nodal = sum(
-        nodal_values(domain, R, owned_values(u)) for R, u in zip(tie.constraint.R, (u0, u1))
-    )
+def gap(
+    domain: GapDomain, constraint: Constraint, u0: fem.Function, u1: fem.Function
+) -> tuple[fem.Function, fem.Function | None]:
+    """Normal gap and tangential slip (eq. 17) on Σ. Collective.
+
+    Args:
+        domain: Σ.
+        constraint: The constraint on it.
+        u0: Displacement of Γ0's body.
+        u1: Displacement of Γ1's body.
+    """
+    shape = u0.function_space.value_shape
+    nodal = sum(nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1)))
     normal_gap = _discontinuous(domain, (), "gap")
     dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
     if shape == ():

@@ -18,11 +18,13 @@ import basix.ufl
 import dolfinx
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import compat, kernel
-from hypergap_dolfinx.cells import Hosts
-from hypergap_dolfinx.slab import mesh_slab
-from hypergap_dolfinx.strip import mesh_strip
-from hypergap_dolfinx.surface import Surface, raise_on_all, tabulate
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
+from hypergap_dolfinx.gap import kernel
+from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.slab import mesh_slab
+from hypergap_dolfinx.gap.strip import mesh_strip
+from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 
 @dataclass(frozen=True)
@@ -107,9 +109,9 @@ class GapDomain:
                     self.alpha_vertices[curved],
                     self.normal[curved],
                 )
-        except kernel.InvertedCellError as e:
+        except InvertedCellError as e:
             error = str(e)
-        raise_on_all(self.mesh.comm, error, kernel.InvertedCellError)
+        raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
 

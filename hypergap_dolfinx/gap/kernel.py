@@ -27,12 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.errors import InvertedCellError
 
 CHUNK = 8192  # cells at a time: what fits in a cache
-
-
-class InvertedCellError(RuntimeError):
-    """A gap element is turned over: the normal of Γ_α points back to Γ0."""
 
 
 def cofactor(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -13,11 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx import saddle
-from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.graph import parts
-from hypergap_dolfinx.projected import ProjectedSystem
-from hypergap_dolfinx.substructures import Substructures, column_sums, order_of_bodies, rigid_modes
+from hypergap_dolfinx.solve import saddle
+from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.projected import ProjectedSystem
+from hypergap_dolfinx.solve.substructures import (
+    Substructures,
+    column_sums,
+    order_of_bodies,
+    rigid_modes,
+)
 
 SOLVERS = ("direct", "bodies", "iterative")
 

@@ -8,8 +8,6 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
@@ -17,20 +15,7 @@ import basix
 from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
-
-
-class InterfaceError(ValueError):
-    """The facets or spaces given to a tie can't form an interface.
-
-    Raised with the same message on every rank.
-    """
-
-
-def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):
-    """Raise the lowest rank's message on every rank, if any rank has one. Collective."""
-    first = next((m for m in comm.allgather(message) if m), None)
-    if first:
-        raise error(first)
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.checks import Coincidences
-from hypergap_dolfinx.constraint import Dropped, independent_rows
-from hypergap_dolfinx.cross_points import dropped_multipliers, look_up
-from hypergap_dolfinx.surface import InterfaceError
-from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.constraint import Dropped, independent_rows
+from hypergap_dolfinx.solve.checks import Coincidences
+from hypergap_dolfinx.solve.cross_points import dropped_multipliers, look_up
+from hypergap_dolfinx.solve.interface import Interface
 
 
 class ConstraintBlocks:
@@ -32,7 +32,7 @@ class ConstraintBlocks:
         self,
         spaces: Sequence[fem.FunctionSpace],
         bcs: Sequence[Sequence[fem.DirichletBC]],
-        ties: Sequence[Tie],
+        ties: Sequence[Interface],
     ):
         """Pull the ties back to the bodies. Collective.
 
@@ -168,7 +168,7 @@ class ConstraintBlocks:
             full.destroy()
         return values.reshape(-1, self._ties[t].block_size)
 
-    def _bodies_of(self, t: int, tie: Tie) -> tuple[int, int]:
+    def _bodies_of(self, t: int, tie: Interface) -> tuple[int, int]:
         """The bodies on both sides of a tie."""
         found = []
         for side, V in enumerate(tie.spaces):

@@ -27,8 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.saddle import SolveError, check_solved
-from hypergap_dolfinx.substructures import create_solver, mean_diagonal, nonzero_columns
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve.saddle import check_solved
+from hypergap_dolfinx.solve.substructures import create_solver, mean_diagonal, nonzero_columns
 
 FEW = 0.1
 """Forces of the ties, over the loads, for which the solver is called again."""

@@ -19,8 +19,8 @@ import numpy.typing as npt
 import basix
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.surface import InterfaceError, raise_on_all
-from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.solve.interface import Interface
 
 CHUNK = 100_000  # cells at a time
 FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts as none
@@ -130,7 +130,7 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             )
 
 
-def check_apart(ties: Sequence[Tie], bodies: Sequence[tuple[int, int]]):
+def check_apart(ties: Sequence[Interface], bodies: Sequence[tuple[int, int]]):
     """Raise where two ties tie the same facets to each other.
 
     Args:
@@ -158,7 +158,7 @@ def check_apart(ties: Sequence[Tie], bodies: Sequence[tuple[int, int]]):
 class Coincidences:
     """Nodes of Γ0 and Γ1 at the same place, where both sides may be prescribed."""
 
-    def __init__(self, tie: Tie):
+    def __init__(self, tie: Interface):
         """Find them, on every rank alike."""
         x, dofs = [], []
         for surface in tie.surfaces:

@@ -16,7 +16,7 @@ from helpers import close, comm, skew, two_blocks, two_rings
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import Tie, compat
-from hypergap_dolfinx.kernel import alpha_derivatives, geometry_at_points
+from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
 
 LENGTH = 2  # of the blocks' interface
 

@@ -10,8 +10,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.graph import components
-from hypergap_dolfinx.surface import InterfaceError, Surface
 
 KINK = np.pi / 3  # a turn that is an edge of the body whatever is beside it
 SAMPLES = 64  # facets of a piece that are asked what lies opposite

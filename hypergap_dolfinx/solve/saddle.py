@@ -11,6 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from hypergap_dolfinx.errors import SolveError
+
 DIRECT = {
     "ksp_type": "richardson",  # the factors, and a step of refinement for the digits they lose
     "ksp_norm_type": "none",
@@ -29,10 +31,6 @@ BACKWARD = 1e-6
 """Largest :func:`backward_error` of an iteration that says it converged."""
 
 RETRIES = 4  # with three times MUMPS's workspace each
-
-
-class SolveError(RuntimeError):
-    """The linear solver failed; nothing that it returned may be used."""
 
 
 def saddle_matrix(

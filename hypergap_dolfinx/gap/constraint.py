@@ -17,8 +17,8 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.gap_domain import GapDomain, interpolation_weights
-from hypergap_dolfinx.surface import Surface
+from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.gap.surface import Surface
 
 
 @dataclass(frozen=True)

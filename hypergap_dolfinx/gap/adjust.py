@@ -15,9 +15,9 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.constraint import Constraint, Dropped, create_constraint, independent_rows
-from hypergap_dolfinx.gap_domain import create_gap_domain
-from hypergap_dolfinx.surface import create_surface
+from hypergap_dolfinx.gap.constraint import Constraint, Dropped, create_constraint, independent_rows
+from hypergap_dolfinx.gap.domain import create_gap_domain
+from hypergap_dolfinx.gap.surface import create_surface
 
 ROUNDS = 3
 

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.blocks import ConstraintBlocks
 from hypergap_dolfinx.graph import components, parts
-from hypergap_dolfinx.saddle import row_length
-from hypergap_dolfinx.substructures import motions, nonzero_columns, orthonormal, rigid_modes
+from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.saddle import row_length
+from hypergap_dolfinx.solve.substructures import motions, nonzero_columns, orthonormal, rigid_modes
 
 SMALL = 1e-12  # force of a motion, over the largest there could be, that counts as none
 

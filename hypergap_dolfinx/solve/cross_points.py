@@ -23,8 +23,8 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.constraint import Dropped, Replaced, triplets
-from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.gap.constraint import Dropped, Replaced, triplets
+from hypergap_dolfinx.solve.interface import Interface
 
 FEW = 32  # multipliers of a patch; with more, Γ1 must not be prescribed all over
 INDEPENDENT = 1e-3  # sine of the angle between a row and the others, from which it counts
@@ -49,7 +49,7 @@ def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArra
 
 
 def dropped_multipliers(
-    ties: Sequence[Tie], bodies: Sequence[tuple[int, int]], prescribed: Sequence[npt.NDArray]
+    ties: Sequence[Interface], bodies: Sequence[tuple[int, int]], prescribed: Sequence[npt.NDArray]
 ) -> list[Dropped]:
     """The multipliers that are dropped. Collective.
 
@@ -83,20 +83,20 @@ def dropped_multipliers(
     return [Dropped(*parts) for parts in zip(dropped, marks, replaced, strict=True)]
 
 
-def _prescribed(tie: Tie, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:
+def _prescribed(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:
     """Which components of dofs of one side are prescribed, on every rank."""
     owned = prescribed.reshape(-1, tie.block_size).astype(np.int8)
     offset = tie.spaces[side].dofmap.index_map.local_range[0]
     return look_up(tie.sigma.comm, owned, offset, dofs).astype(bool)
 
 
-def _touched(tie: Tie) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _touched(tie: Interface) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Dofs (blocks) of both sides that the tie's Σ reaches, on every rank."""
     columns = np.unique(triplets(tie.constraint.B[0])[1]).astype(np.int64)
     return np.unique(np.concatenate(tie.sigma.comm.allgather(columns))), tie.constraint.dofs
 
 
-def _positions(tie: Tie) -> npt.NDArray[np.float64]:
+def _positions(tie: Interface) -> npt.NDArray[np.float64]:
     """Where the multipliers' dofs lie, ``(num_multipliers, n)``."""
     surface = tie.surfaces[1]
     dofs, first = np.unique(surface.dofs, return_index=True)
@@ -105,7 +105,7 @@ def _positions(tie: Tie) -> npt.NDArray[np.float64]:
     return x[np.searchsorted(dofs, tie.constraint.dofs)]
 
 
-def _rows(tie: Tie, side: int, multipliers) -> tuple[npt.NDArray, npt.NDArray]:
+def _rows(tie: Interface, side: int, multipliers) -> tuple[npt.NDArray, npt.NDArray]:
     """Rows of B_i of some multipliers, on every rank. Collective.
 
     Returns:
@@ -163,7 +163,7 @@ class _Patch:
     """The rows, ``(num_multipliers, num_columns)``."""
 
     @classmethod
-    def gather(cls, tie: Tie, bodies, prescribed, multipliers) -> "_Patch":
+    def gather(cls, tie: Interface, bodies, prescribed, multipliers) -> "_Patch":
         """Gather the rows on every rank. Collective."""
         columns: list[tuple[int, int]] = []
         free, B = [], []

@@ -16,10 +16,12 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx import checks, compat, disposal, saddle
-from hypergap_dolfinx.blocks import ConstraintBlocks
-from hypergap_dolfinx.motions import free_motions
-from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx import compat, disposal
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve import checks, saddle
+from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.motions import free_motions
 
 UNKNOWN_TYPE = 86  # PETSc's code for a type of KSP or PC that it doesn't have
 UNFIT = (
@@ -36,7 +38,7 @@ class TiedSystem(disposal.Owner):
         self,
         a: Sequence[fem.Form],
         bcs: Sequence[fem.DirichletBC],
-        ties: Sequence[Tie],
+        ties: Sequence[Interface],
         u: Sequence[fem.Function],
     ):
         """Make the matrix and the vectors, without values in K and b. Collective.
@@ -115,7 +117,7 @@ class TiedSystem(disposal.Owner):
             return
         free = free_motions([u.function_space for u in self._u], self._K, self._constraints)
         if free:
-            raise saddle.SolveError(
+            raise SolveError(
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
                 f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held."
@@ -138,7 +140,7 @@ class TiedSystem(disposal.Owner):
             yield
         except PETSc.Error as error:
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
-            raise saddle.SolveError(
+            raise SolveError(
                 f"PETSc can't solve with these options: {reason} (code {error.ierr})."
                 + self._unfit * (error.ierr != UNKNOWN_TYPE)
             ) from error
@@ -192,7 +194,7 @@ class TiedSystem(disposal.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
-    def multipliers(self, tie: Tie) -> npt.NDArray[np.float64]:
+    def multipliers(self, tie: Interface) -> npt.NDArray[np.float64]:
         """The multipliers of a tie after a solve.
 
         Args:
@@ -230,6 +232,6 @@ class TiedSystem(disposal.Owner):
         return self._u
 
     @property
-    def ties(self) -> list[Tie]:
+    def ties(self) -> list[Interface]:
         """The ties."""
         return self._ties

@@ -18,12 +18,13 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx import tetrahedra
-from hypergap_dolfinx.cells import GapCells, Hosts
-from hypergap_dolfinx.kernel import cofactor
-from hypergap_dolfinx.strip import triangulate
-from hypergap_dolfinx.surface import InterfaceError, Surface, raise_on_all
-from hypergap_dolfinx.triangulation import facing_pieces, loops, neighbours, project
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap import tetrahedra
+from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.kernel import cofactor
+from hypergap_dolfinx.gap.strip import triangulate
+from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.triangulation import facing_pieces, loops, neighbours, project
 
 ATTEMPTS = (
     *[(offset, True, tetrahedra.HXT) for offset in (0.5, 0.25, 1.0)],

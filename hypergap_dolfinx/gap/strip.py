@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.cells import GapCells, Hosts
-from hypergap_dolfinx.surface import InterfaceError, Surface
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.surface import Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
 END = 1e-7  # ends this close (in facet lengths) are no partial overlap

@@ -1,0 +1,30 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What is raised, and how all ranks raise it together."""
+
+from mpi4py import MPI
+
+
+class InterfaceError(ValueError):
+    """The facets or spaces given to a tie can't form an interface.
+
+    Raised with the same message on every rank.
+    """
+
+
+class InvertedCellError(RuntimeError):
+    """A gap element is turned over: the normal of Γ_α points back to Γ0."""
+
+
+class SolveError(RuntimeError):
+    """The linear solver failed; nothing that it returned may be used."""
+
+
+def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):
+    """Raise the lowest rank's message on every rank, if any rank has one. Collective."""
+    first = next((m for m in comm.allgather(message) if m), None)
+    if first:
+        raise error(first)

@@ -1,0 +1,55 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What the solvers need to know of an interface, whoever made it."""
+
+from typing import Protocol
+
+from petsc4py import PETSc
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx.gap.constraint import Constraint
+from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.surface import Surface
+
+
+class Interface(Protocol):
+    """Two sides with a constraint between them; a tie is one."""
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+
+    @property
+    def sigma(self) -> Mesh:
+        """Σ's mesh."""
+
+    @property
+    def domain(self) -> GapDomain:
+        """Σ with its arrays."""
+
+    @property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1."""
+
+    @property
+    def block_size(self) -> int:
+        """Number of components of the displacement."""
+
+    @property
+    def constraint(self) -> Constraint:
+        """The constraint on one component."""
+
+    @property
+    def free_interior(self) -> bool:
+        """Whether Σ's interior nodes are unknowns."""
+
+    @property
+    def closes_gap(self) -> bool:
+        """Whether the constraint is on positions."""
+
+    def blocks(self) -> tuple[PETSc.Mat, ...]:
+        """B₀ and B₁, with free interior nodes also B_Σ."""
