@@ -177,7 +177,8 @@ def inertia(problem: TiedProblem) -> tuple[int, int, int]:
     The matrix is scaled to a unit diagonal of K and unit rows of B, so that zero means zero.
     """
     rows = [part.getIndices() for part in problem.A.getNestISs()[0]]  # of this rank
-    ties = np.concatenate([np.empty(0, int), *rows[len(rows) - len(problem.ties) :]])
+    num_fields = len(problem.u) + sum(tie.free_interior for tie in problem.ties)
+    ties = np.concatenate([np.empty(0, int), *rows[num_fields:]])
     ties = np.concatenate(comm.allgather(ties)).astype(int)
     A = dense(problem.A)
     bodies = np.setdiff1d(np.arange(len(A)), ties)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
@@ -130,26 +131,28 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             )
 
 
-def check_apart(ties: Sequence[Interface], bodies: Sequence[tuple[int, int]]):
+def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
     """Raise where two ties tie the same facets to each other.
 
     Args:
         ties: The ties.
-        bodies: Numbers of the bodies on both sides of each.
+        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    sides = []
+    for tie in ties:
+        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        sides.append(
+            [
+                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, body in zip(tie.surfaces, bodies, strict=True)
+            ]
+        )
     for t, s in combinations(range(len(ties)), 2):
-        if sorted(bodies[t]) != sorted(bodies[s]):
-            continue
-        facets = [
-            {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-            for tie, pair in ((ties[t], bodies[t]), (ties[s], bodies[s]))
-            for surface, body in zip(tie.surfaces, pair, strict=True)
-        ]
-        others = facets[2] | facets[3]
-        if facets[0] & others and facets[1] & others:
+        others = sides[s][0] | sides[s][1]
+        if sides[t][0] & others and sides[t][1] & others:
             raise InterfaceError(
                 f"ties {t} and {s} tie the same facets to each other; once is enough."
             )
