@@ -169,7 +169,8 @@ class ConstraintBlocks:
                 held = self._held[body].reshape(shape).astype(np.int8)
                 both.append(look_up(comm, held, start, dofs).astype(bool))
                 given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
-            pairs.check(t, both, given)
+            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
+            pairs.check(t, both, given, size)
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.

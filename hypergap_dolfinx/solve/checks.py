@@ -184,19 +184,19 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, t: int, prescribed, values):
+    def check(self, t: int, prescribed, values, size: float):
         """Raise where both sides are prescribed, and differently.
 
         Args:
             t: Number of the tie.
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
+            size: Of displacements, the largest that either body has prescribed anywhere.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
-        size = max(np.abs(v).max(initial=0) for v in values)
         noise = 1e-12 * self.extent if self.lengths else 0.0
         wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size + noise)
         if wrong.any():
