@@ -207,7 +207,9 @@ def replacements(every: Every, label, held, drop, prescribed) -> list[Replacemen
             # what faces it on Γ0 must follow
             for unit in (*(value for value, _ in patch.values), *patch.units):
                 patch.add(accepted[patch.component], unit, INDEPENDENT)
+            patch.complete = True
+        else:
+            rank = np.linalg.matrix_rank(patch.B * patch.free)
+            patch.complete = len(patch.taken) == rank
         drop[patch.numbers, patch.component] = True
-        rank = np.linalg.matrix_rank(patch.B * patch.free)
-        patch.complete = len(patch.taken) == rank
     return patches
