@@ -130,7 +130,7 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
 
     pairs = [
         (a, b)
-        for same in every.places().values()
+        for same in every.places.values()
         for a, b in combinations(same, 2)
         if may(a, b, 1) and smooth.on_side1(a) & smooth.on_side1(b)
     ]
@@ -155,7 +155,7 @@ def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool
     """Which multipliers another interface competes with for their dofs, ``(num,)``."""
     bodies = every.bodies
     crossed = np.zeros(len(every), dtype=bool)
-    for same in every.places().values():
+    for same in every.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= every.tie[a] == every.tie[b]  # patches that meet at a kink
     for m, others in users.items():
