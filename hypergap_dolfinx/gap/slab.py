@@ -70,6 +70,12 @@ class Slab:
         """Number of the first vertex of each side."""
         return 0, len(self.sides[0].vertices)
 
+    @property
+    def facets(self) -> npt.NDArray[np.intp]:
+        """Both sides' facets, ``(num_facets, 3)``."""
+        sides = zip(self.sides, self.offsets, strict=True)
+        return np.vstack([side.triangles + offset for side, offset in sides])
+
     @cached_property
     def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """A facet of each side at each vertex, in the piece's numbers; −1 where there is none."""
@@ -265,11 +271,9 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
         if reason is None:
             slab = Slab(sides, cells, _interior_hosts(sides, pushed, x[len(surface) :]))
             slab = _without_flat_walls(slab)
-            wrong = _turned_over(slab)
-            if not wrong.any():
+            reason = _error(slab)
+            if reason is None:
                 return slab
-            place = slab.x[slab.cells[wrong.argmax()]].mean(axis=0)
-            reason = f"{wrong.sum()} cells are flat or inverted", place
         reasons.append(reason)
     reason, place = min(reasons, key=lambda r: r[1] is None)
     place = side1.x.mean(axis=0) if place is None else place
@@ -305,25 +309,62 @@ def _turned_over(slab: Slab) -> npt.NDArray[np.bool_]:
     return ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
 
 
+def _faces(slab: Slab):
+    """The faces of the cells.
+
+    Returns:
+        Vertices, ``(num_cells, 4, 3)``; how many cells have each face, ``(num_cells, 4)``; whether
+        it is a facet of a side, ``(num_cells, 4)``.
+    """
+    faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
+    flat = faces.reshape(-1, 3)
+    _, which, count = np.unique(flat, axis=0, return_inverse=True, return_counts=True)
+    facet = _find(slab.facets, flat) >= 0
+    return faces, count[which.reshape(-1, 4)], facet.reshape(-1, 4)
+
+
 def _without_flat_walls(slab: Slab) -> Slab:
     """Take away cells that lie flat in the side walls: their four nodes are all on the boundary.
 
-    What is left has another diagonal there, and walls are free to have any.
+    What is left has another diagonal there, and walls are free to have any. Facets are not: a flat
+    cell on them, with all of its nodes on one side, stays.
     """
     while True:
         flat = _turned_over(slab)
         if not flat.any():
             return slab
-        faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
-        _, which, count = np.unique(
-            faces.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
-        )
-        bare = (count[which.reshape(-1, 4)] == 1).sum(axis=1)
-        base = (slab.bases[0] >= 0) | (slab.bases[1] >= 0)
-        peel = flat & (bare == 2) & ~base
+        _, count, facet = _faces(slab)
+        peel = flat & ((count == 1).sum(axis=1) == 2) & ~facet.any(axis=1)
         if not peel.any():
             return slab
         slab = replace(slab, cells=slab.cells[~peel])
+
+
+def _error(slab: Slab):
+    """What is wrong with a slab whose Γ1 is back where it belongs, and where, or None.
+
+    Each cell has a content; each facet is a face of one cell; two cells share each face inside;
+    and what else is bare is a wall, between the sides' rims.
+    """
+    x = slab.x
+    wrong = _turned_over(slab)
+    if wrong.any():
+        return f"{wrong.sum()} cells are flat or inverted", x[slab.cells[wrong.argmax()]].mean(0)
+    faces, count, facet = _faces(slab)
+    facets = slab.facets
+    missing = _find(faces[facet & (count == 1)], facets) < 0
+    if missing.any():
+        return f"{missing.sum()} facets are no faces of it", x[facets[missing.argmax()]].mean(axis=0)
+    rim = np.zeros(len(x), dtype=bool)
+    for side, offset in zip(slab.sides, slab.offsets, strict=True):
+        for loop in side.loops():
+            rim[offset + loop] = True
+    alpha = slab.alpha[faces]
+    wall = rim[faces].all(axis=2) & (np.ptp(alpha, axis=2) > 0)
+    torn = (count > 2) | ((count == 1) & ~facet & ~wall)
+    if torn.any():
+        return f"{torn.sum()} faces have no cell behind them", x[faces[torn][0]].mean(axis=0)
+    return None
 
 
 def _interior_hosts(sides: tuple[Side, Side], pushed, x) -> Hosts:
