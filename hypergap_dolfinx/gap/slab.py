@@ -354,7 +354,9 @@ def _error(slab: Slab):
     facets = slab.facets
     missing = _find(faces[facet & (count == 1)], facets) < 0
     if missing.any():
-        return f"{missing.sum()} facets are no faces of it", x[facets[missing.argmax()]].mean(axis=0)
+        return f"{missing.sum()} facets are no faces of it", x[facets[missing.argmax()]].mean(
+            axis=0
+        )
     rim = np.zeros(len(x), dtype=bool)
     for side, offset in zip(slab.sides, slab.offsets, strict=True):
         for loop in side.loops():
@@ -363,7 +365,7 @@ def _error(slab: Slab):
     wall = rim[faces].all(axis=2) & (np.ptp(alpha, axis=2) > 0)
     torn = (count > 2) | ((count == 1) & ~facet & ~wall)
     if torn.any():
-        return f"{torn.sum()} faces have no cell behind them", x[faces[torn][0]].mean(axis=0)
+        return f"the cells at {torn.sum()} faces don't fit", x[faces[torn][0]].mean(axis=0)
     return None
 
 
