@@ -17,8 +17,10 @@ from test_solids_interfaces import NOTHING, NU, linear, tied
 
 import basix
 import meshes
-from hypergap_dolfinx.gap import slab
+from hypergap_dolfinx.gap import flat_cells
 from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
 
 pytest.importorskip("gmsh")
@@ -127,9 +129,9 @@ def square(z, turn) -> Surface:
     )
 
 
-def cube() -> slab.Slab:
+def cube() -> Slab:
     """Six cells around the cube's diagonal, between two squares."""
-    sides = [slab.Side.of(square(z, turn), np.arange(2)) for z, turn in ((0, 1), (1, -1))]
+    sides = [Side.of(square(z, turn), np.arange(2)) for z, turn in ((0, 1), (1, -1))]
     corner = np.array([(0, 4), (1, 5), (2, 6), (3, 7)])  # (2 x + y, z)
     cells = []
     for axes in permutations(range(3)):
@@ -137,12 +139,12 @@ def cube() -> slab.Slab:
         cells.append(corner[2 * at[:, 0] + at[:, 1], at[:, 2]])
     none = np.empty((1, 0), dtype=np.intp), np.empty((1, 0), dtype=np.intp)
     places = np.empty((1, 0, 2)), np.empty((1, 0, 2))
-    return oriented(slab.Slab(tuple(sides), np.array(cells), Hosts(np.empty((1, 0)), none, places)))
+    return oriented(Slab(tuple(sides), np.array(cells), Hosts(np.empty((1, 0)), none, places)))
 
 
-def oriented(mesh: slab.Slab) -> slab.Slab:
+def oriented(mesh: Slab) -> Slab:
     """Cells that have a content have it positive."""
-    turned = slab._turned_over(mesh)[:, None]
+    turned = flat_cells.turned_over(mesh)[:, None]
     return replace(mesh, cells=np.where(turned, mesh.cells[:, [0, 2, 1, 3]], mesh.cells))
 
 
@@ -150,29 +152,31 @@ def oriented(mesh: slab.Slab) -> slab.Slab:
 def test_flat_cell_on_facets(side):
     """It is no wall: to take it away would turn the facets' diagonal."""
     good = cube()
-    assert slab._error(good) is None
+    assert flat_cells.error_of(good) is None
     a, b, c, d = np.arange(4) + 4 * side
     apex = 7 - 7 * side
     on = np.isin(good.cells, (a, b, c, d)).sum(axis=1) == 3
     cells = np.vstack((good.cells[~on], (a, b, c, apex), (b, c, d, apex), (a, b, c, d)))
     bad = oriented(replace(good, cells=cells))
-    peeled = slab._without_flat_walls(bad)
+    peeled = flat_cells._without_flat_walls(bad)
     assert len(peeled.cells) == 7
-    assert "1 cells are flat" in slab._error(peeled)[0]
+    assert "1 cells are flat" in flat_cells.error_of(peeled)[0]
+    back = flat_cells.without_flat_cells(bad)
+    assert len(back.cells) == 6 and flat_cells.error_of(back) is None
     peeled = replace(bad, cells=bad.cells[:-1])
-    assert "2 facets are no faces" in slab._error(peeled)[0]
+    assert "2 facets are no faces" in flat_cells.error_of(peeled)[0]
 
 
 def test_flat_cell_in_a_wall():
     """It is taken away, and the wall has its other diagonal."""
     good = cube()
     flat = replace(good, cells=np.vstack((good.cells, (0, 1, 4, 5))))
-    assert "1 cells are flat" in slab._error(flat)[0]
-    np.testing.assert_array_equal(slab._without_flat_walls(flat).cells, good.cells)
+    assert "1 cells are flat" in flat_cells.error_of(flat)[0]
+    np.testing.assert_array_equal(flat_cells._without_flat_walls(flat).cells, good.cells)
 
 
 def test_cells_that_do_not_fit():
     good = cube()
-    inside = ~(slab._faces(good)[2]).any(axis=1)
+    inside = ~(flat_cells.faces_of(good)[2]).any(axis=1)
     twice = replace(good, cells=np.vstack((good.cells, good.cells[inside][:1])))
-    assert "faces don't fit" in slab._error(twice)[0]
+    assert "faces don't fit" in flat_cells.error_of(twice)[0]

@@ -10,9 +10,6 @@ solid. Its sides are closed like the strip in 2D, Gmsh fills it, and of the resu
 connectivity is kept: the vertices go back to where they belong.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-
 from mpi4py import MPI
 
 import numpy as np
@@ -21,8 +18,9 @@ import numpy.typing as npt
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import tetrahedra
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.kernel import cofactor
+from hypergap_dolfinx.gap.flat_cells import error_of, without_flat_cells
 from hypergap_dolfinx.gap.pieces import Side, side_walls
+from hypergap_dolfinx.gap.slab_cells import Slab, find
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces, project
 
@@ -36,198 +34,6 @@ ATTEMPTS = (
 """Offsets in cell sizes, whether along each vertex's own normal or the mean one, and algorithms.
 
 The first that gives a valid Σ is taken."""
-FLAT = 1e-9  # sine of the angle at which a cell's two edges, one on each side, count as parallel
-
-
-@dataclass(frozen=True)
-class Slab:
-    """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
-
-    sides: tuple[Side, Side]
-    cells: npt.NDArray[np.int64]
-    """``(num_cells, 4)``."""
-    inner: Hosts
-    """Hosts of the interior vertices, ``(1, num_interior)``; facets are the pieces' numbers."""
-
-    @cached_property
-    def x(self) -> npt.NDArray[np.float64]:
-        """Vertex coordinates, ``(num_vertices, 3)``."""
-        alpha = self.inner.alpha[0, :, None]
-        x0, x1 = (
-            side.surface.points(side.facets[facets[0]], X[0]) if len(alpha) else np.empty((0, 3))
-            for side, facets, X in zip(self.sides, self.inner.facets, self.inner.X, strict=True)
-        )
-        return np.vstack((self.sides[0].x, self.sides[1].x, (1 - alpha) * x0 + alpha * x1))
-
-    @cached_property
-    def alpha(self) -> npt.NDArray[np.float64]:
-        """α at the vertices, ``(num_vertices,)``."""
-        n0, n1 = (len(side.vertices) for side in self.sides)
-        return np.concatenate((np.zeros(n0), np.ones(n1), self.inner.alpha[0]))
-
-    @property
-    def offsets(self) -> tuple[int, int]:
-        """Number of the first vertex of each side."""
-        return 0, len(self.sides[0].vertices)
-
-    @property
-    def facets(self) -> npt.NDArray[np.intp]:
-        """Both sides' facets, ``(num_facets, 3)``."""
-        sides = zip(self.sides, self.offsets, strict=True)
-        return np.vstack([side.triangles + offset for side, offset in sides])
-
-    @cached_property
-    def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """A facet of each side at each vertex, in the piece's numbers; −1 where there is none."""
-        found = []
-        for i, side in enumerate(self.sides):
-            seed = np.full(len(self.alpha), -1)
-            facet = np.repeat(np.arange(len(side.triangles)), 3)
-            seed[self.offsets[i] + side.triangles.ravel()] = facet
-            if self.inner.alpha.size:
-                seed[-self.inner.alpha.size :] = self.inner.facets[i][0]
-            found.append(seed)
-        return found[0], found[1]
-
-    @cached_property
-    def bases(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """The facet of each side that is a face of the cell, −1 where there is none."""
-        found = []
-        for i, side in enumerate(self.sides):
-            base = np.full(len(self.cells), -1)
-            on = self.alpha[self.cells] == i
-            three = np.flatnonzero(on.sum(axis=1) == 3)
-            face = self.cells[three][on[three]].reshape(-1, 3) - self.offsets[i]
-            base[three] = _find(side.triangles, face)
-            found.append(base)
-        return found[0], found[1]
-
-    @cached_property
-    def normal(self) -> npt.NDArray[np.float64]:
-        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.zeros((len(self.cells), 3))
-        for i, side in enumerate(self.sides):
-            seed = self.seeds[i][self.cells]
-            unit = (1 - 2 * i) * side.surface.normals[side.facets]
-            total = np.zeros_like(self.x)
-            for k in range(3):
-                np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
-            if self.inner.alpha.size:
-                total[-self.inner.alpha.size :] = unit[self.inner.facets[i][0]]
-            total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-            normal += (total[self.cells] * (seed >= 0)[..., None]).sum(axis=1)
-        for i, side in enumerate(self.sides):
-            base = self.bases[i] >= 0
-            normal[base] = (1 - 2 * i) * side.surface.normals[side.facets[self.bases[i][base]]]
-        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-    @property
-    def rank(self) -> npt.NDArray[np.int32]:
-        """Owner of a facet beside each cell, ``(num_cells,)``."""
-        rank = np.full(len(self.cells), -1, dtype=np.int32)
-        for i, side in enumerate(self.sides):
-            facet = np.where(self.bases[i] >= 0, self.bases[i], self._seed(i))
-            left = rank < 0 if i == 0 else self.bases[1] >= 0
-            rank[left] = side.surface.owner[side.facets[facet]][left]
-        return rank
-
-    def _seed(self, i: int) -> npt.NDArray[np.intp]:
-        """A facet of a side at each cell."""
-        seed = self.seeds[i][self.cells]
-        # A vertex on the side itself before an interior one
-        prefer = np.where(self.alpha[self.cells] == i, 2, 0) + (seed >= 0)
-        return np.take_along_axis(seed, prefer.argmax(axis=1)[:, None], axis=1)[:, 0]
-
-    def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
-        """Where points of the reference tetrahedron lie on both surfaces.
-
-        Nodes of Γ0 and Γ1 are found in their own facet. A node between them is projected: a walk
-        over the surface, from a facet at the cell, ends in the nearest one.
-
-        Args:
-            points: Reference points, ``(num_points, 3)``.
-            cells: Cells, ``(num_cells,)``.
-        """
-        weights = np.column_stack((1 - points.sum(axis=1), points))
-        weights[np.abs(weights) < 1e-12] = 0
-        vertices = self.cells[cells]  # (cell, vertex)
-        alpha = self.alpha[vertices] @ weights.T
-        x = weights @ self.x[vertices]  # (cell, point, i)
-        facets, X = [], []
-        for i, side in enumerate(self.sides):
-            support = weights != 0  # (point, vertex)
-            off = self.alpha[vertices] != i  # (cell, vertex)
-            on = ~(off[:, None] & support).any(axis=2)  # (cell, point)
-            host = np.broadcast_to(self._seed(i)[cells][:, None], alpha.shape).copy()
-            at = np.zeros((*alpha.shape, 2))
-            host[on], at[on] = self._own_facet(i, vertices, weights, on)
-            away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
-            host[away], at[away] = project(side.x, side.triangles, side.behind, x[away], host[away])
-            facets.append(side.facets[host])
-            X.append(at)
-        # An interior vertex has the hosts that gave it its place
-        interior = (self.alpha[vertices] > 0) & (self.alpha[vertices] < 1)
-        for point in np.flatnonzero(weights.max(axis=1) == 1):
-            c = np.flatnonzero(interior[:, weights[point].argmax()])
-            if len(c):
-                own = vertices[c, weights[point].argmax()] - sum(
-                    len(side.vertices) for side in self.sides
-                )
-                for i, side in enumerate(self.sides):
-                    facets[i][c, point] = side.facets[self.inner.facets[i][0, own]]
-                    X[i][c, point] = self.inner.X[i][0, own]
-        return Hosts(alpha, (facets[0], facets[1]), (X[0], X[1]))
-
-    def _own_facet(self, i: int, vertices, weights, on):
-        """Facets and reference coordinates of points on Γ_i itself."""
-        side = self.sides[i]
-        cell, point = np.nonzero(on)
-        w = weights[point]
-        v = np.where(w != 0, vertices[cell] - self.offsets[i], -1)  # what the point lies between
-        facet = np.empty(len(v), dtype=np.intp)
-        count = (w != 0).sum(axis=1)
-        for n in (1, 2, 3):
-            mine = count == n
-            corners = v[mine][w[mine] != 0].reshape(-1, n)
-            if n == 1:
-                facet[mine] = self.seeds[i][corners[:, 0] + self.offsets[i]]
-            else:
-                facet[mine] = _find(side.triangles, corners)
-        lost = facet < 0  # an edge through the slab with both ends on Γ_i
-        facet[lost] = self._seed_of(i, v[lost])
-        # Weight of each of the facet's vertices
-        match = side.triangles[facet][:, :, None] == v[:, None, :]
-        bary = (match * w[:, None, :]).sum(axis=2)
-        X = bary[:, 1:]
-        if lost.any():
-            x = np.einsum("pv,pvi->pi", w[lost], side.x[np.maximum(v[lost], 0)])
-            facet[lost], X[lost] = project(side.x, side.triangles, side.behind, x, facet[lost])
-        return facet, X
-
-    def _seed_of(self, i: int, v):
-        return self.seeds[i][v.max(axis=1) + self.offsets[i]]
-
-
-def _find(triangles, corners) -> npt.NDArray[np.intp]:
-    """A triangle that has the given vertices, two or three of them; −1 where there is none."""
-    if not len(corners):
-        return np.empty(0, dtype=np.intp)
-    n = int(max(triangles.max(), corners.max())) + 1
-    each = np.arange(len(triangles))
-    if corners.shape[1] == 3:
-        lots, facet = [np.sort(triangles, axis=1)], each
-    else:
-        lots = [np.sort(triangles[:, [k, (k + 1) % 3]], axis=1) for k in range(3)]
-        facet = np.tile(each, 3)
-
-    def key(v):
-        return np.ravel_multi_index(tuple(v.T.astype(np.int64)), (n,) * v.shape[1])
-
-    known = key(np.vstack(lots))
-    order = np.argsort(known, kind="stable")
-    wanted = key(np.sort(corners, axis=1))
-    at = order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)]
-    return np.where(known[at] == wanted, facet[at], -1)
 
 
 def _volumes(x, cells) -> npt.NDArray[np.float64]:
@@ -270,8 +76,8 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
         reason = _pushed_off_error(x, cells, triangles, len(side0.facets) + len(side1.facets))
         if reason is None:
             slab = Slab(sides, cells, _interior_hosts(sides, pushed, x[len(surface) :]))
-            slab = _without_flat_walls(slab)
-            reason = _error(slab)
+            slab = without_flat_cells(slab)
+            reason = error_of(slab)
             if reason is None:
                 return slab
         reasons.append(reason)
@@ -286,7 +92,7 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
 def _pushed_off_error(x, cells, triangles, num_facets: int):
     """What is wrong with the mesh of the pushed-off slab, and where, or None."""
     faces = np.vstack([np.delete(cells, k, axis=1) for k in range(4)])
-    missing = _find(faces, triangles[:num_facets]) < 0
+    missing = find(faces, triangles[:num_facets]) < 0
     if missing.any():
         place = x[triangles[:num_facets][missing.argmax()]].mean(axis=0)
         return f"{missing.sum()} facets are no faces of it", place
@@ -296,76 +102,6 @@ def _pushed_off_error(x, cells, triangles, num_facets: int):
     enclosed = _enclosed(x, triangles)
     if not np.isclose(volume.sum(), enclosed, rtol=1e-8):
         return f"it has the volume {volume.sum():.6g}, not {enclosed:.6g}", x.mean(axis=0)
-    return None
-
-
-def _turned_over(slab: Slab) -> npt.NDArray[np.bool_]:
-    """Which cells are flat or inverted with Γ1 where it belongs, ``(num_cells,)``."""
-    x, alpha = slab.x[slab.cells], slab.alpha[slab.cells]
-    X = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-    dalpha = alpha[:, 1:] - alpha[:, :1]
-    N = np.einsum("cij,cj->ci", cofactor(X), dalpha)
-    size = (np.linalg.norm(X, axis=1) ** 2).max(axis=1) * np.abs(dalpha).max(axis=1)
-    return ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
-
-
-def _faces(slab: Slab):
-    """The faces of the cells.
-
-    Returns:
-        Vertices, ``(num_cells, 4, 3)``; how many cells have each face, ``(num_cells, 4)``; whether
-        it is a facet of a side, ``(num_cells, 4)``.
-    """
-    faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
-    flat = faces.reshape(-1, 3)
-    _, which, count = np.unique(flat, axis=0, return_inverse=True, return_counts=True)
-    facet = _find(slab.facets, flat) >= 0
-    return faces, count[which.reshape(-1, 4)], facet.reshape(-1, 4)
-
-
-def _without_flat_walls(slab: Slab) -> Slab:
-    """Take away cells that lie flat in the side walls: their four nodes are all on the boundary.
-
-    What is left has another diagonal there, and walls are free to have any. Facets are not: a flat
-    cell on them, with all of its nodes on one side, stays.
-    """
-    while True:
-        flat = _turned_over(slab)
-        if not flat.any():
-            return slab
-        _, count, facet = _faces(slab)
-        peel = flat & ((count == 1).sum(axis=1) == 2) & ~facet.any(axis=1)
-        if not peel.any():
-            return slab
-        slab = replace(slab, cells=slab.cells[~peel])
-
-
-def _error(slab: Slab):
-    """What is wrong with a slab whose Γ1 is back where it belongs, and where, or None.
-
-    Each cell has a content; each facet is a face of one cell; two cells share each face inside;
-    and what else is bare is a wall, between the sides' rims.
-    """
-    x = slab.x
-    wrong = _turned_over(slab)
-    if wrong.any():
-        return f"{wrong.sum()} cells are flat or inverted", x[slab.cells[wrong.argmax()]].mean(0)
-    faces, count, facet = _faces(slab)
-    facets = slab.facets
-    missing = _find(faces[facet & (count == 1)], facets) < 0
-    if missing.any():
-        return f"{missing.sum()} facets are no faces of it", x[facets[missing.argmax()]].mean(
-            axis=0
-        )
-    rim = np.zeros(len(x), dtype=bool)
-    for side, offset in zip(slab.sides, slab.offsets, strict=True):
-        for loop in side.loops():
-            rim[offset + loop] = True
-    alpha = slab.alpha[faces]
-    wall = rim[faces].all(axis=2) & (np.ptp(alpha, axis=2) > 0)
-    torn = (count > 2) | ((count == 1) & ~facet & ~wall)
-    if torn.any():
-        return f"the cells at {torn.sum()} faces don't fit", x[faces[torn][0]].mean(axis=0)
     return None
 
 
