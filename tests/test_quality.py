@@ -88,7 +88,7 @@ def test_straight_against_curved_in_space(g, caplog):
 # Facets of very different width
 
 
-def crossed(n0, n1, layers):
+def crossed(n0, n1, layers, k=1):
     """Blocks on both sides of x = 0."""
     sides = []
     for i, (n, tag) in enumerate(((n0, RIGHT), (n1, LEFT))):
@@ -97,7 +97,7 @@ def crossed(n0, n1, layers):
             return x + np.array((i - 1, 0, 0))
 
         mesh, ft = meshes.block(comm, (layers[i], *n), place, cell="tetrahedron")
-        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag)))
+        sides.append((fem.functionspace(mesh, ("Lagrange", k)), ft.find(tag)))
     return sides
 
 
@@ -118,6 +118,7 @@ def test_fine_and_deep(caplog):
     assert not warnings(caplog, *sides[::-1])
     assert not warnings(caplog, *crossed((1, 1), (8, 8), (1, 4)))
     assert not warnings(caplog, *crossed((8, 2), (2, 8), (2, 2)))
+    assert not warnings(caplog, *crossed((1, 1), (8, 8), (1, 1), k=2))
 
 
 def test_fine_and_deep_in_the_plane(caplog):
