@@ -19,16 +19,20 @@ SAG = 1e-5
 """Distance of curved facets from straight ones, in their lengths, that is taken for straight.
 
 A facet of a circle with 500 of them has 1.6e-3; what CAD kernels and files round has 1e-8."""
-UNEVEN = 5
+UNEVEN = 5.5
 """How much narrower than Γ0's facets, and than its cells' depth, facets of Γ1 may be, per degree.
 
 Two linear tetrahedra across a unit cube, a smooth field prescribed all around: λ's L² error is 2.3
 times that of matching facets at 4, 4 times at 8, 8 times at 16, and 2.5, 4.2 and 11 times with
 facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 times at 8, 2.5 times
 with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
-error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow."""
+error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
+Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
 OFF = 1e-3
 """Distance between the sides' outlines, in lengths of their edges, that is taken for none."""
+
+CORNER = np.radians(80)
+"""What an outline turns by, from one edge to the next, where it has a corner."""
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -160,15 +164,16 @@ def outlines(surface0: Surface, surface1: Surface) -> str | None:
     rims = _Rim(surface0), _Rim(surface1)
     if not all(len(rim.x) for rim in rims):
         return None
-    (off0, _), (off1, area) = rims[0].off(rims[1]), rims[1].off(rims[0])
+    (off0, area0), (off1, area1) = rims[0].off(rims[1]), rims[1].off(rims[0])
     worst = off1 if off1[0] >= off0[0] else off0
     if worst[0] <= 0:
         return None
     total = np.linalg.norm(_area_vectors(surface1), axis=1).sum()
+    share = 100 * max(area0, area1) / total
     return (
         f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
-        f"lies {100 * area / total:.2g} % of Γ1's area, which is tied as if it were on both sides. "
-        "Make both end at the same place."
+        f"lies {share:.2g} % of Γ1's area, which is tied as if it were on both sides. Make both end "
+        "at the same place."
     )
 
 
@@ -192,14 +197,14 @@ class _Rim:
         cosine = np.einsum("ei,eki->ek", self.normal, surface.normals[beside])
         self.bend = np.arccos(np.clip(cosine, -1, 1)).max(axis=1, initial=0)  # to the next facets
         # An arc's distance from its chord is its length times an eighth of what it turns by; what
-        # turns by more than a hexagon is a corner, where the outline has a node
+        # turns by more than a pentagon does is a corner, where both outlines have a node
         edge_at = np.full(len(surface.x), -1)
         edge_at[start] = np.arange(len(start))
         following = edge_at[end]
         unit = self.t / self.length[:, None]
         cosine = np.einsum("ei,ei->e", unit, unit[following])
         turn = np.arccos(np.clip(cosine, -1, 1))
-        turn[turn > 1.01 * np.pi / 3] = 0
+        turn[turn > CORNER] = 0
         self.sag = self.length * turn / 8
         np.maximum.at(self.sag, following, self.length[following] * turn / 8)
 
