@@ -168,18 +168,14 @@ def outlines(surface0: Surface, surface1: Surface) -> str | None:
     worst = off1 if off1[0] >= off0[0] else off0
     if worst[0] <= 0:
         return None
-    total = np.linalg.norm(_area_vectors(surface1), axis=1).sum()
-    share = 100 * max(area0, area1) / total
+    v = surface1.x[surface1.facets]
+    twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum()
+    share = 200 * max(area0, area1) / twice
     return (
         f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
-        f"lies {share:.2g} % of Γ1's area, which is tied as if it were on both sides. Make both end "
-        "at the same place."
+        f"lies {share:.2g} % of Γ1's area, tied as if it were on both sides. Make both end at the "
+        "same place."
     )
-
-
-def _area_vectors(surface: Surface) -> npt.NDArray[np.float64]:
-    v = surface.x[surface.facets]
-    return np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]) / 2
 
 
 class _Rim:
