@@ -27,6 +27,9 @@ from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"
+CLOSED = 0.5
+"""Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
+0, half a circle 0.64, half a sphere 0.5."""
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -304,7 +307,7 @@ def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
     normals, size = _padded(surface.normals), surface.size ** (surface.gdim - 1)
     extent = np.ptp(_padded(surface.x), axis=0).max()
     mean = _mean_normal(surface)
-    if np.linalg.norm(mean) > 0.5:
+    if np.linalg.norm(mean) > CLOSED:
         return distance * mean / np.linalg.norm(mean), np.zeros(3), 1.0
     # Closed around a centre: the outer body grows, or the inner one shrinks
     centre = (size[:, None] * x).sum(axis=0) / size.sum()
@@ -321,7 +324,7 @@ def _draw_gap_domains(
         distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
     places = _pulled_apart(ties, distance)
     mean = _mean_normal(ties[0].surfaces[0])
-    closed = dim == 3 and np.linalg.norm(mean) <= 0.5
+    closed = dim == 3 and np.linalg.norm(mean) <= CLOSED
     bodies = {id(V.mesh): V.mesh for tie in ties for V in tie.spaces}
     plotter = _plotter(comm, window)
     for key, mesh in bodies.items():

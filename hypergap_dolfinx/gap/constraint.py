@@ -17,6 +17,10 @@ from dolfinx import fem
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
 
+ON_SURFACE = 1e-10
+"""Distance of α from 0 or 1 at which a node is on Γ0 or Γ1. Nodes between them have 0.01 and more
+(spacing of nodes of high degree), round-off makes 1e-16."""
+
 
 @dataclass(frozen=True)
 class Constraint:
@@ -93,14 +97,14 @@ def create_constraint(
     node, first = node[node < owned], first[node < owned]
     row = node + index_map.local_range[0]
     alpha = hosts.alpha.ravel()[first]
-    interior = (alpha > 1e-10) & (alpha < 1 - 1e-10)
+    interior = (alpha > ON_SURFACE) & (alpha < 1 - ON_SURFACE)
     free = interior & free_interior
     entries: list[tuple] = []
     for surface, facets, X, weight in zip(
         domain.surfaces, hosts.facets, hosts.X, (1 - alpha, alpha), strict=True
     ):
         X = X.reshape(-1, X.shape[-1])[first]
-        use = weight > 1e-10
+        use = weight > ON_SURFACE
         point, dof, value = interpolation_weights(
             surface, facets.ravel()[first[use]], X[use], weight[use]
         )

@@ -24,7 +24,11 @@ from hypergap_dolfinx.gap import kernel
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.strip import mesh_strip
-from hypergap_dolfinx.gap.surface import Surface, tabulate
+from hypergap_dolfinx.gap.surface import LAST_DIGITS, STRAIGHT, Surface, tabulate
+
+NOUGHT = 1e-13
+"""Value of a shape function that counts as none: round-off makes 1e-15 of a 0 at a node, and what
+is left out is less than the residual of a direct solve."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,7 @@ def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
     weights = np.column_stack((1 - points.sum(axis=1), points))
     deviation = np.abs(weights @ x[:, : n + 1] - x).max(axis=(1, 2))
     size = np.ptp(x, axis=1).max(axis=1)
-    return deviation > 1e-12 * size + 8 * np.finfo(float).eps * magnitude
+    return deviation > STRAIGHT * size + LAST_DIGITS * magnitude
 
 
 def _interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
@@ -231,5 +235,5 @@ def interpolation_weights(surface: Surface, facet, X, weight):
     """
     values = tabulate(surface.element, X) * weight[:, None]
     # A node that is a dof takes one 1: round-off must not spread it over its facet
-    point, local = np.nonzero(np.abs(values) > 1e-13)
+    point, local = np.nonzero(np.abs(values) > NOUGHT)
     return point, surface.dofs[facet[point], local], values[point, local]

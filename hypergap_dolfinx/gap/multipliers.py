@@ -25,6 +25,10 @@ from hypergap_dolfinx.gap.triangulation import kinks, neighbours
 from hypergap_dolfinx.graph import components
 
 AROUND = 3  # rings of facets in which multipliers are looked for that a dropped one can follow
+INDEPENDENT = 1e-6
+"""Smallest singular value of the monomials at a facet's neighbours from which these determine a
+polynomial. Lengths are those of the facet: neighbours of good shape have 0.1 and more, neighbours
+on one line 1e-16."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +151,7 @@ class Multipliers:
             found, first = np.unique(known[facet, dof], return_index=True)
             x = surface.points(reach[facet[first]], points[dof[first]])
             P = np.prod(((x - own) @ inverse)[:, :, None] ** exponents, axis=1)  # (dof, monomial)
-            if np.linalg.matrix_rank(P, tol=1e-6) == P.shape[1]:
+            if np.linalg.matrix_rank(P, tol=INDEPENDENT) == P.shape[1]:
                 return np.linalg.pinv(P)[0], found
         return None
 

@@ -19,12 +19,17 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import NOISE, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
 END = 1e-7  # ends this close (in facet lengths) are no partial overlap
-DIRECTION = np.array((np.cos(1), np.sin(1)))
+DIRECTION = np.array((np.cos(1), np.sin(1)))  # a line that no mesh is made along
 KINK = np.pi / 3  # a turn that is a corner whatever is beside it
+STANDS_OUT = 4  # a turn more than this many times those beside it is a corner
+TURN = 1e-8  # radians; a turn that is none: round-off of coordinates with 8 digits
+SAME_TURN = 1e-3  # relative difference of the turns of both surfaces that have one kink
+COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface; coordinates of files
+SAMPLES = 64  # places at which two chains are compared in direction
 
 
 def _length(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -181,9 +186,9 @@ def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.boo
     turn[inner] = np.arctan2(np.abs(cross), np.einsum("vi,vi->v", n0, n1))
     beside = np.zeros(len(surface.x))
     beside[inner] = np.maximum(turn[start[before[inner]]], turn[end[after[inner]]])
-    noise = 64 * np.finfo(float).eps * np.abs(surface.x).max() / surface.size.min()
-    turn[turn <= 1e-8 + noise] = 0
-    return turn, (turn > KINK) | (turn > 4 * beside)
+    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
+    turn[turn <= TURN + noise] = 0
+    return turn, (turn > KINK) | (turn > STANDS_OUT * beside)
 
 
 def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:
@@ -203,7 +208,7 @@ def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chai
     if len(at[0]) and len(at[1]) and (corner0.any() or corner1.any()):
         i, j = _coincident(surface0.x[at[0]], surface1.x[at[1]])
         i, j = at[0][i], at[1][j]
-        same = np.abs(turn0[i] - turn1[j]) <= 1e-3 * turn0[i] + 1e-8
+        same = np.abs(turn0[i] - turn1[j]) <= SAME_TURN * turn0[i] + TURN
         kink = (corner0[i] & corner1[j]) | (same & (corner0[i] | corner1[j]))
         breaks[0][i[kink]] = breaks[1][j[kink]] = True
     c0, c1 = (chains(surface, b) for surface, b in zip(surfaces, breaks, strict=True))
@@ -296,7 +301,7 @@ def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
 
 def _aligned(c0: Chain, c1: Chain) -> bool:
     """Whether two chains run side by side in the same direction."""
-    s = (np.arange(64) + 0.5) / 64
+    s = (np.arange(SAMPLES) + 0.5) / SAMPLES
     edges = [np.searchsorted(c.arc[1:-1], s) for c in (c0, c1)]
     tangents = [c.tangents[e] / c.lengths[e, None] for c, e in zip((c0, c1), edges, strict=True)]
     return bool(np.einsum("si,si->s", *tangents).mean() > 0)
@@ -321,7 +326,7 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices of the points of two sets that lie at the same place."""
     origin = np.array([min(a.min(), b.min()) for a, b in zip(x0.T, x1.T, strict=True)])
     size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
-    cell = 2e-9 * size + 64 * np.finfo(float).eps * np.abs(x0).max()
+    cell = COINCIDE * size + NOISE * np.abs(x0).max()
     # Few have another one's shadow on a line as good as any
     near = _near(x0 @ DIRECTION, x1 @ DIRECTION, 2 * cell)
     x0, x1 = x0[near[0]], x1[near[1]]

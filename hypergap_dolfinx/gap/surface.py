@@ -17,6 +17,17 @@ from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 
+STRAIGHT = 1e-12
+"""Distance of geometry nodes from where straight edges have them, in sizes of their facet or cell,
+that is taken for none: round-off makes 1e-16, a circle of 100 000 facets 4e-11."""
+LAST_DIGITS = 8 * np.finfo(float).eps
+"""Error of a coordinate, in the largest coordinate: what rounding leaves of a sum of few terms."""
+NOISE = 64 * np.finfo(float).eps
+"""Error of a difference of coordinates, in the largest coordinate, with room for meshes that were
+moved or scaled: away from the origin a small mesh has few digits."""
+SAME_NODE = 1e-10
+"""Distance of nodes of reference elements that are one. Nodes are 0.1 apart, round-off is 1e-16."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -68,8 +79,8 @@ class Surface:
         straight = _barycentric(self.geometry.points) @ self.x[self.facets]
         deviation = np.abs(self.nodes - straight).max(axis=(1, 2))
         # Coordinates carry a rounding error of their own, which grows away from the origin
-        noise = 8 * np.finfo(float).eps * np.abs(self.x).max()
-        return deviation > 1e-12 * self.size + noise
+        noise = LAST_DIGITS * np.abs(self.x).max()
+        return deviation > STRAIGHT * self.size + noise
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of reference points.
@@ -118,7 +129,7 @@ def _match(points, reference) -> npt.NDArray[np.intp] | None:
     """Index in ``reference`` of each of ``points``, or None if one is missing."""
     distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
     index = distance.argmin(axis=1)
-    return index if distance[np.arange(len(points)), index].max() < 1e-10 else None
+    return index if distance[np.arange(len(points)), index].max() < SAME_NODE else None
 
 
 def _facet_tables(cell_type, element, facet_element):

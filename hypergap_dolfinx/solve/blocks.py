@@ -21,6 +21,10 @@ from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import Interface
 from hypergap_dolfinx.solve.multipliers import Choice, choose
 
+UNTIED = 1e-12
+"""Sum of a row's entries at displacements of Γ0 that can move, over the largest such sum, up to
+which nothing moves there: entries of prescribed ones are exact zeros, round-off makes 1e-16."""
+
 
 class ConstraintBlocks:
     """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each interface, a column a field.
@@ -292,7 +296,7 @@ class ConstraintBlocks:
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
-        untied = (size[lost - start] > 1e-12 * size.max(initial=0)).sum()
+        untied = (size[lost - start] > UNTIED * size.max(initial=0)).sum()
         mask.destroy()
         B0.destroy()
         untied = tie.sigma.comm.allreduce(int(untied))

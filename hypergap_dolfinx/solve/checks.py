@@ -21,10 +21,21 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT
 from hypergap_dolfinx.solve.interface import Interface
 
 CHUNK = 100_000  # cells at a time
 FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts as none
+TURNED = 1e-10
+"""How negative det J may be at a cell's corner, over its diameter to the power n: corners of 180°
+are flat up to the digits that files have."""
+SAME_PLACE = 1e-6
+"""Distance, in the shortest facet's lengths, below which nodes of both sides are at one place."""
+CONTRADICT = 1e-6
+"""Difference of values prescribed on both sides, over the largest of them, that contradicts: what
+both meshes interpolate from one function differs by 1e-16, or by 1e-7 in single precision."""
+NO_LENGTH = 1e-12
+"""Difference of prescribed displacements, in sizes of the interface, that never contradicts."""
 
 
 def check_cells(mesh: Mesh, name: str):
@@ -66,7 +77,7 @@ def check_cells(mesh: Mesh, name: str):
         sign = np.sign(det[:, :1])
         bad = ~(sign * det[:, :num_inside] > FLAT * size[:, None]).all(axis=1)
         # A corner may be flat, but not turned over
-        bad |= (sign * det < -1e-10 * size[:, None]).any(axis=1)
+        bad |= (sign * det < -TURNED * size[:, None]).any(axis=1)
         # What is no number has a message of its own
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
@@ -89,7 +100,7 @@ def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
     for start in range(0, len(cells), CHUNK):
         nodes = x[cells[start : start + CHUNK]]
         deviation = np.abs(weights @ nodes[:, : n + 1] - nodes).max(axis=(1, 2))
-        straight[start : start + CHUNK] = ~(deviation > 1e-12 * np.abs(nodes).max(axis=(1, 2)))
+        straight[start : start + CHUNK] = ~(deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2)))
     return straight
 
 
@@ -170,7 +181,7 @@ class Coincidences:
             x.append(surface.points(facet, surface.element.points[local]))
             dofs.append(every)
         h = min(surface.size.min() for surface in tie.surfaces)
-        cell = 1e-6 * h + 64 * np.finfo(float).eps * np.abs(x[0]).max()
+        cell = SAME_PLACE * h + NOISE * np.abs(x[0]).max()
         keys = [np.rint((p - x[0].min(axis=0)) / cell).astype(np.int64) for p in x]
         _, at = np.unique(np.vstack(keys), axis=0, return_inverse=True)
         at0, at1 = np.split(at.ravel(), [len(x[0])])
@@ -197,8 +208,8 @@ class Coincidences:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
-        noise = 1e-12 * self.extent if self.lengths else 0.0
-        wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size + noise)
+        noise = NO_LENGTH * self.extent if self.lengths else 0.0
+        wrong = both & (np.abs(values[0] - values[1]) > CONTRADICT * size + noise)
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
