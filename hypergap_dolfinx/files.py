@@ -3,7 +3,14 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file."""
+"""Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file.
+
+``VTXWriter`` and ``VTKFile`` take functions of any degree, continuous or not, one element a file:
+all of :func:`on_sigma`'s, all of :func:`interpolated`'s, displacements as they are. ``XDMFFile``
+takes continuous functions of the mesh's own degree and constants on cells, and nothing else:
+:func:`interpolated`'s of degree 0, and displacements of a higher degree than the mesh's after
+``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s.
+"""
 
 import ufl
 from dolfinx import fem
@@ -21,7 +28,7 @@ def interpolated(
     Args:
         expression: UFL expression of any shape.
         mesh: Mesh that it lives on.
-        degree: Degree of the function.
+        degree: Degree of the function; 0 for ``XDMFFile``.
         name: Name of the function in files.
 
     Returns:
@@ -46,7 +53,8 @@ def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
         problem: A solved problem.
 
     Returns:
-        Functions on ``tie.sigma`` with one element, discontinuous.
+        Functions on ``tie.sigma`` with one element, discontinuous: for ``VTXWriter`` and
+        ``VTKFile``.
     """
     u0, u1 = (next(u for u in problem.u if u.function_space == V) for V in tie.spaces)
     gap, slip = tie.gap(u0, u1)

@@ -145,9 +145,9 @@ SPACES = {
     "Crouzeix-Raviart": "is not a continuous Lagrange space",
     "bubble": "is not a continuous Lagrange space",
     "quadrature": "is not a continuous Lagrange space",
-    "mixed": "is mixed; tie its collapsed subspaces",
-    "subspace": "is a subspace; tie .* its collapsed copy",
-    "component": "is a subspace; tie .* its collapsed copy",
+    "mixed": "is mixed, .*; give each field a space of its own",
+    "subspace": "is a subspace, .*; tie the whole space, or give each field a space of its own",
+    "component": "is a subspace, .*; tie the whole space, or give each field a space of its own",
 }
 
 

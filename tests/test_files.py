@@ -100,6 +100,27 @@ def test_vtk(functions, tmp_path):
         check(name, grid.points, {f.name: grid[f.name] for f in fs})
 
 
+def test_xdmf(functions, tmp_path):
+    """What XDMFFile takes and what it doesn't, as the docstring says."""
+    (u,), (stress,), fields = functions.values()
+    mesh, lower = stress.function_space.mesh, u.function_space.mesh
+    w = fem.Function(fem.functionspace(lower, ("Lagrange", 1, (2,))), name="displacement")
+    w.interpolate(u)
+    constant = files.interpolated(stress, mesh, 0, "stress")
+    assert np.abs(constant.x.array.reshape(-1, 9).mean(axis=0)[4] - PULL) <= 1e-12
+    taken = [(lower, [w]), (mesh, [constant])]
+    refused = [(lower, [u]), (mesh, [stress]), *((f.function_space.mesh, [f]) for f in fields)]
+    for i, (domain, fs) in enumerate(taken + refused):
+        with io.XDMFFile(comm, tmp_path / f"{i}.xdmf", "w") as file:
+            file.write_mesh(domain)
+            for f in fs:
+                if i < len(taken):
+                    file.write_function(f, 0.0)
+                else:
+                    with pytest.raises(RuntimeError, match="needs to be interpolated"):
+                        file.write_function(f, 0.0)
+
+
 @pytest.mark.skipif(not hasattr(io, "VTXWriter"), reason="DOLFINx without ADIOS2")
 def test_vtx(functions, tmp_path):
     if importlib.util.find_spec("adios2") is None:

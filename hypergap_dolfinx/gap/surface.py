@@ -28,6 +28,12 @@ moved or scaled: away from the origin a small mesh has few digits."""
 SAME_NODE = 1e-10
 """Distance of nodes of reference elements that are one. Nodes are 0.1 apart, round-off is 1e-16."""
 
+OWN_SPACES = (
+    "give each field a space of its own and put the blocks() of its tie into a system of your own "
+    "(demos/own_system.py)"
+)
+"""What to do with fields of different elements in one form."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -156,9 +162,9 @@ def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteE
         The element, and None or a message.
     """
     if V.component():
-        return None, "is a subspace; tie the whole space or its collapsed copy"
+        return None, f"is a subspace, which no form has alone; tie the whole space, or {OWN_SPACES}"
     if V.num_sub_spaces > V.dofmap.index_map_bs:
-        return None, "is mixed; tie its collapsed subspaces instead"
+        return None, f"is mixed, which no tie takes yet; {OWN_SPACES}"
     try:
         element = V.ufl_element().basix_element
     except (NotImplementedError, AttributeError):  # of quadrature points, or of real numbers
