@@ -224,7 +224,7 @@ def traction(
         scale = 0.12 * np.ptp(_padded(x), axis=0).max() / (largest or 1)
         arrows = points.glyph(orient="traction", scale="length", factor=scale)
         bar, clim = _bar("traction"), (0, largest)
-        if dim == 3:  # pressure points into the body: draw its arrows up to the surface
+        if dim == 3:  # arrows of pressure point into the body: they end at the surface, to be seen
             inwards = np.einsum("pi,pi->p", t, np.vstack([part[2] for part in parts])) < 0
             points.points[inwards] -= scale * points["traction"][inwards]
             arrows = points.glyph(orient="traction", scale="length", factor=scale)
@@ -340,7 +340,9 @@ def _draw_gap_domains(
             clim = (0, 1) if f is None else sigma.get_data_range("value")
             options = {"scalars": "value", "cmap": "viridis", "clim": clim}
             _add(plotter, sigma, edges="white", scalar_bar_args=_bar(title), **options)
-    up = mean * np.sign(mean[np.abs(mean).argmax()] or 1)  # what is above stays above
+    up = mean * np.sign(
+        mean[np.abs(mean).argmax()] or 1
+    )  # bodies that lie above others are drawn above them
     return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(up), up)
 
 

@@ -22,13 +22,13 @@ from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.surface import NOISE, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
-END = 1e-7  # ends this close (in facet lengths) are no partial overlap
-DIRECTION = np.array((np.cos(1), np.sin(1)))  # a line that no mesh is made along
+END = 1e-7  # ends this close (in facet lengths) are no partial overlap; files have 8 digits
+DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
 KINK = np.pi / 3  # a turn that is a corner whatever is beside it
 STANDS_OUT = 4  # a turn more than this many times those beside it is a corner
-TURN = 1e-8  # radians; a turn that is none: round-off of coordinates with 8 digits
+TURN = 1e-8  # a turn (in radians) that is none: coordinates of files have 8 digits
 SAME_TURN = 1e-3  # relative difference of the turns of both surfaces that have one kink
-COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface; coordinates of files
+COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface (less than 2³⁰ cells)
 SAMPLES = 64  # places at which two chains are compared in direction
 
 
@@ -132,7 +132,7 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
     if breaks is not None:
         previous[breaks[start]] = -1
     first, place, smallest = _trace(previous)
-    # Open chains come by their first node. What has no first edge is a loop: it gets one
+    # A chain whose edges all have one before them is a loop; it starts at its smallest edge
     loop = previous[first] >= 0
     if loop.any():
         previous[smallest[loop]] = -1
@@ -157,7 +157,7 @@ def _trace(previous: npt.NDArray[np.intp]):
         For each edge, the first one of its chain, its place in the chain, and the smallest number
         of an edge in reach. In a loop there is no first one.
     """
-    edges = np.arange(len(previous), dtype=np.int32)  # half the memory to go through
+    edges = np.arange(len(previous), dtype=np.int32)  # with int32 each step reads half as much
     back = np.where(previous >= 0, previous, edges).astype(np.int32)
     place, smallest = (previous >= 0).astype(np.int32), edges
     for _ in range(len(previous).bit_length()):
@@ -230,7 +230,8 @@ def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: 
     Raises:
         InterfaceError: Nothing of Γ1 faces Γ0.
     """
-    # One chain each may stand as far apart as they are long; of several, those in reach
+    # With one chain on each side there is no doubt which faces which: they may be as far apart as
+    # they are long. Of several, those face each other that are within a facet's length
     alone = len(chains0) == len(chains1) == 1
     h = max(surface0.size.max(), surface1.size.max())
     pairs = []
@@ -327,11 +328,13 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     origin = np.array([min(a.min(), b.min()) for a, b in zip(x0.T, x1.T, strict=True)])
     size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
     cell = COINCIDE * size + NOISE * np.abs(x0).max()
-    # Few have another one's shadow on a line as good as any
+    # Positions along one line sort out most points: few have one of the other set near them there
     near = _near(x0 @ DIRECTION, x1 @ DIRECTION, 2 * cell)
     x0, x1 = x0[near[0]], x1[near[1]]
     found: set[tuple[int, int]] = set()
-    for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):  # off the borders of one is in another
+    # Points in one cell of a grid are at the same place. A border may lie between two that are, so
+    # there are four grids: what is at a border of one is well inside a cell of another
+    for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):
         grid = (np.rint((x - origin) / cell + shift).astype(np.int64) for x in (x0, x1))
         z0, z1 = ((z[:, 0] << 31) + z[:, 1] for z in grid)  # less than 2³⁰ each
         _, i, j = np.intersect1d(z0, z1, return_indices=True)

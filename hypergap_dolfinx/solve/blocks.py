@@ -23,7 +23,8 @@ from hypergap_dolfinx.solve.multipliers import Choice, choose
 
 UNTIED = 1e-12
 """Sum of a row's entries at displacements of Γ0 that can move, over the largest such sum, up to
-which nothing moves there: entries of prescribed ones are exact zeros, round-off makes 1e-16."""
+which nothing moves there: entries of prescribed ones are exact zeros, others are integrals of shape
+functions or round-off."""
 
 
 class ConstraintBlocks:

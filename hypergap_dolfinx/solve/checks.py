@@ -64,7 +64,8 @@ def check_cells(mesh: Mesh, name: str):
         cells = cells[~straight]
     else:
         lots = []
-    # det J is a polynomial of this degree: what is negative anywhere mostly is so here
+    # On simplices det J is a polynomial of this degree. It is looked at in as many points as it has
+    # coefficients: where it is negative anywhere, it mostly is in one of these too
     degree = n * (cmap.degree - 1) if simplex else 2 * cmap.degree
     inside, _ = basix.make_quadrature(cell_type, 2 * cmap.degree)
     lattice = basix.create_lattice(cell_type, max(degree, 1), basix.LatticeType.equispaced, True)
@@ -76,9 +77,9 @@ def check_cells(mesh: Mesh, name: str):
         size = np.ptp(x, axis=1).max(axis=1) ** n
         sign = np.sign(det[:, :1])
         bad = ~(sign * det[:, :num_inside] > FLAT * size[:, None]).all(axis=1)
-        # A corner may be flat, but not turned over
+        # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
         bad |= (sign * det < -TURNED * size[:, None]).any(axis=1)
-        # What is no number has a message of its own
+        # NaN and infinity in coordinates are told by others, with the name of the surface or body
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
             i = int(bad.argmax())
