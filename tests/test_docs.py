@@ -3,11 +3,22 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The examples in the docstrings of what the package exports."""
+"""What the documentation says is so: examples in docstrings, thresholds, versions."""
 
+import ast
 import doctest
+import importlib
+import math
+import re
+import sys
+from pathlib import Path
+
+import pytest
 
 import hypergap_dolfinx
+
+FOLDER = Path(__file__).parents[1]
+PACKAGE = FOLDER / "hypergap_dolfinx"
 
 
 def test_examples():
@@ -20,3 +31,47 @@ def test_examples():
         runner.run(example, clear_globs=False)
         names = example.globs
     assert runner.summarize(verbose=False) == (0, runner.tries)
+
+
+def constants(file):
+    """Names of a module's numbers in upper case, and their values."""
+    names = [
+        name.id
+        for statement in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(statement, ast.Assign | ast.AnnAssign)
+        for target in getattr(statement, "targets", None) or [statement.target]
+        for name in ast.walk(target)
+        if isinstance(name, ast.Name) and name.id.strip("_").isupper()
+    ]
+    module = ".".join(file.relative_to(FOLDER).with_suffix("").parts)
+    values = {name: getattr(importlib.import_module(module), name) for name in names}
+    number = {name: v for name, v in values.items() if isinstance(v, int | float)}
+    return {f"{module.removeprefix('hypergap_dolfinx.')}.{n}": v for n, v in number.items()}
+
+
+def test_thresholds():
+    """Every number that is a constant of the package stands in CONTRIBUTING.md, and no other."""
+    pytest.importorskip("pyvista")  # for hypergap_dolfinx.plot
+    text = (FOLDER / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w.]+\.[A-Z_0-9]+)` \| `([^`]+)` \|", text, re.MULTILINE)
+    names = {"__builtins__": {}, "pi": math.pi, "eps": sys.float_info.epsilon}
+    told = {name: eval(value, names) for name, value in rows}
+    assert len(told) == len(rows), "a constant has two rows"
+    is_so = {}
+    for file in PACKAGE.rglob("*.py"):
+        if file.name != "__init__.py":
+            is_so |= constants(file)
+    assert sorted(told) == sorted(is_so)
+    assert told == pytest.approx(is_so, rel=1e-12, abs=0)
+
+
+def test_version():
+    """It stands in four files."""
+    version = re.escape(hypergap_dolfinx.__version__)
+    for file, line in {
+        "pyproject.toml": f'^version = "{version}"',
+        "CITATION.cff": f"^version: {version}$",
+        "CHANGELOG.md": rf"^## {version}\b",
+    }.items():
+        text = (FOLDER / file).read_text(encoding="utf-8")
+        assert re.search(line, text, re.MULTILINE), file
