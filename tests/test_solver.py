@@ -17,6 +17,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.solve import solvers
+from hypergap_dolfinx.solve.substructures import order_of_bodies
 
 comm = MPI.COMM_WORLD
 
@@ -449,8 +450,8 @@ def test_the_default_falls_back(monkeypatch):
     monkeypatch.setattr(solvers, "LARGE", 100)
     pytest.importorskip("gmsh")
     a, L, bcs, ties = pile(3, stiffness=(1.0, 1e3))
-    options = dict(solvers.OPTIONS["bodies"], ksp_max_it=5)
-    monkeypatch.setitem(solvers.OPTIONS, "bodies", options)
+    options = dict(solvers.Bodies.OPTIONS, ksp_max_it=5)
+    monkeypatch.setattr(solvers.Bodies, "OPTIONS", options)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
     problem.solve()
     assert problem.solver.getPC().getType() == "lu"
@@ -477,7 +478,7 @@ def facets_at(V, y):
 
 
 def test_order_of_bodies():
-    order = solvers.order_of_bodies
+    order = order_of_bodies
     assert order(3, [(0, 1), (1, 2)]) == [2, 1, 0]
     assert order(2, []) == [0, 1]
     assert order(3, [(0, 1), (1, 2), (2, 0)]) is None

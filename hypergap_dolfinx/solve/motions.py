@@ -15,10 +15,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.graph import components, parts
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.modes import NOTHING, common_modes, rigid_modes
 from hypergap_dolfinx.solve.saddle import row_length
-from hypergap_dolfinx.solve.substructures import motions, nonzero_columns, orthonormal, rigid_modes
-
-SMALL = 1e-12  # force of a motion, over the largest there could be, that counts as none
+from hypergap_dolfinx.solve.substructures import nonzero_columns
 
 
 def free_motions(
@@ -101,16 +100,7 @@ def _free_alone(comm, moved, K, constraints: ConstraintBlocks) -> int:
 
 def _free_together(comm, spaces, K, prescribed, nodes: dict[int, npt.NDArray]) -> int:
     """Motions of tied parts as one."""
-    x = [spaces[i].tabulate_dof_coordinates()[: len(mask)][mask] for i, mask in nodes.items()]
-    num = comm.allreduce(sum(len(places) for places in x))
-    centre = comm.allreduce(sum(places.sum(axis=0) for places in x)) / num
-    modes = []
-    for i, mask in nodes.items():
-        V = spaces[i]
-        moved = np.repeat(mask, V.dofmap.index_map_bs)[:, None]
-        modes.append(np.where(moved, motions(V, centre[: V.mesh.geometry.dim]), 0))
-    together = orthonormal(comm, np.vstack(modes))
-    modes = np.split(together, np.cumsum([len(part) for part in modes])[:-1])
+    modes = common_modes([spaces[i] for i in nodes], list(nodes.values()))
     forces = [_forces(K[i], prescribed[i], part) for i, part in zip(nodes, modes, strict=True)]
     return _num_small(comm, np.vstack(forces))
 
@@ -125,7 +115,7 @@ def _num_small(comm, rows) -> int:
     """How many combinations of the columns are nothing."""
     R = np.linalg.qr(rows, mode="r")
     values = np.linalg.svd(np.vstack(comm.allgather(R)), compute_uv=False)
-    return int((values < SMALL * values.max(initial=1.0)).sum())
+    return int((values < NOTHING * values.max(initial=1.0)).sum())
 
 
 def _product(A: PETSc.Mat, columns) -> npt.NDArray[np.float64]:

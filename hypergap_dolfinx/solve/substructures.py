@@ -18,17 +18,14 @@ iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ
 """
 
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
-
-FLOATING = 1e-11  # energy of a rigid mode (in mean diagonals of K) that counts as none
+from hypergap_dolfinx.solve.modes import NOTHING
 
 
 def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:
@@ -69,64 +66,6 @@ def nonzero_columns(B: PETSc.Mat) -> npt.NDArray[np.intp]:
     return found
 
 
-def motions(
-    V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
-) -> npt.NDArray[np.float64]:
-    """Rigid displacements of a body, constants of other fields. Collective.
-
-    Args:
-        V: Its space.
-        centre: Of the rotations; the mean of the dofs' places if not given.
-
-    Returns:
-        This rank's owned rows, ``(num_dofs, num_modes)``.
-    """
-    dofmap, n, comm = V.dofmap, V.mesh.geometry.dim, V.mesh.comm
-    num, block_size = dofmap.index_map.size_local, dofmap.index_map_bs
-    modes = [np.tile(unit, (num, 1)) for unit in np.eye(block_size)]
-    if V.value_shape == (n,):
-        x = V.tabulate_dof_coordinates()[:num, :n]
-        if centre is None:
-            centre = comm.allreduce(x.sum(axis=0)) / dofmap.index_map.size_global
-        x = x - centre
-        for i, j in combinations(range(n), 2):
-            mode = np.zeros((num, n))
-            mode[:, i], mode[:, j] = x[:, j], -x[:, i]
-            modes.append(mode)
-    return np.stack([mode.ravel() for mode in modes], axis=1)
-
-
-def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Orthonormal columns that span those of R, with rows on all ranks. Collective."""
-    R = R / np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))
-    values, vectors = np.linalg.eigh(comm.allreduce(R.T @ R))
-    keep = values > 1e-10
-    return R @ (vectors[:, keep] / np.sqrt(values[keep]))
-
-
-def rigid_modes(
-    V: fem.FunctionSpace,
-    prescribed: npt.NDArray[np.bool_],
-    part: npt.NDArray[np.int32],
-    num_parts: int,
-) -> npt.NDArray[np.float64]:
-    """A basis of the :func:`motions` of a body's parts, 0 where it is prescribed. Collective.
-
-    Args:
-        V: Its space.
-        prescribed: Which owned dofs (unrolled) are prescribed.
-        part: The part of each node, from :func:`hypergap_dolfinx.graph.parts`.
-        num_parts: Number of parts.
-
-    Returns:
-        Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
-    """
-    part = np.repeat(part, V.dofmap.index_map_bs)[:, None]
-    modes = np.where(prescribed[:, None], 0, motions(V))
-    modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
-    return orthonormal(V.mesh.comm, modes)
-
-
 class Body:
     """A body's part in a step: its solver, with Γ1's own dofs held if it has any."""
 
@@ -142,7 +81,7 @@ class Body:
 
         Args:
             K: Stiffness.
-            modes: Its :func:`rigid_modes`.
+            modes: Its :func:`~hypergap_dolfinx.solve.modes.rigid_modes`.
             prefix: Of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
             loaded: B₀ of the ties whose Γ0 the body has.
@@ -198,7 +137,7 @@ class Body:
             image[:] = self._r.array_r
         stiffness = mean_diagonal(K)
         energy, vectors = np.linalg.eigh(comm.allreduce(Q.T @ KQ) / stiffness)
-        floating = Q @ vectors[:, energy < FLOATING]
+        floating = Q @ vectors[:, energy < NOTHING]
         if not floating.shape[1] or not self._loaded:
             return
         sums = sum(column_sums(B).array_r for B in self._loaded)
@@ -308,7 +247,7 @@ class Substructures:
             bodies: Γ0's and Γ1's body of each tie.
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
             order: Of the bodies, see :func:`order_of_bodies`.
-            modes: The bodies' :func:`rigid_modes`.
+            modes: The bodies' :func:`~hypergap_dolfinx.solve.modes.rigid_modes`.
         """
         self._K, self._B, self._bodies, self._own = K, B, bodies, own
         self._order, self._modes = order, modes
