@@ -26,6 +26,19 @@ class NonlinearTiedProblem(TiedSystem):
     Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
     displacements and hold whatever rotation the bodies make together.
 
+    What is costly in a step can be kept for later ones, and for later calls of :meth:`solve`, by
+    PETSc's own options. The Jacobian, and so the factors: for small load steps, and contact or
+    damage that goes on slowly; Newton's steps are cheap then, and more::
+
+        petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
+
+    Only what the Jacobian is solved with: ``solver="bodies"`` and ``"iterative"`` then take as many
+    of Newton's steps as before, with more iterations in each::
+
+        petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
+
+    Here −2 means once and never again, n > 0 in each n-th step. To begin anew, make a new problem.
+
     Example:
         As in :class:`TiedProblem`'s example, with a conductivity of 1 + u²:
 

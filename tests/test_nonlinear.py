@@ -10,6 +10,7 @@ import weakref
 from itertools import pairwise
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
+from hypergap_dolfinx.solve import solvers
 
 comm = MPI.COMM_WORLD
 
@@ -167,3 +169,86 @@ def test_units(E):
         results.append([u.x.array.copy() for u in problem.solve()])
     for u, v in zip(*results, strict=True):
         np.testing.assert_allclose(u, v, atol=1e-8)
+
+
+def load_steps(solver=None, steps=(0.02, 0.04, 0.06), **options):
+    """Displacements, numbers of Newton's steps, and how often J was assembled and factorised."""
+    V, fts, tie = two_blocks()
+    options = {"snes_rtol": 1e-10, **options}
+    problem, bcs = problem_of(
+        V, fts, tie, energy, (fixed, None), solver=solver, petsc_options=options
+    )
+    PETSc.Log.begin()
+    events = [PETSc.Log.Event(name) for name in ("SNESJacobianEval", "MatLUFactorNum")]
+    before = [comm.allreduce(event.getPerfInfo()["count"], MPI.MAX) for event in events]
+    newton = []
+    for step in steps:
+        bcs[0].function.interpolate(lambda x, step=step: step * sheared(x))
+        us = problem.solve()
+        newton.append(problem.solver.getIterationNumber())
+    counts = [comm.allreduce(event.getPerfInfo()["count"], MPI.MAX) for event in events]
+    return us, newton, *(after - b for after, b in zip(counts, before, strict=True))
+
+
+def assert_same(us, reference):
+    for u, v in zip(us, reference, strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-10)
+
+
+@pytest.mark.parametrize("solver", solvers.SOLVERS)
+def test_solvers_agree(solver):
+    reference, newton, *_ = load_steps(steps=(0.3,))
+    us, its, *_ = load_steps(solver, steps=(0.3,))
+    assert its == newton
+    assert_same(us, reference)
+
+
+def test_a_solver_of_the_users():
+    """Types that are named take over, and so do PETSc's own ways to set tolerances."""
+    options = {"ksp_type": "gmres", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    us, newton, _, factorised = load_steps(snes_ksp_ew=True, **options)
+    assert factorised == sum(newton)
+    assert_same(us, load_steps()[0])
+
+
+@pytest.mark.parametrize("solver, factors", (("direct", 1), ("bodies", 3), ("iterative", 2)))
+def test_a_factorisation_that_is_kept(solver, factors):
+    """The docstring's examples: what is factorised once does for all load steps."""
+    reference, newton, assembled, factorised = load_steps(solver)
+    assert assembled == sum(newton) and factorised >= assembled
+    kept = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
+    us, its, assembled, factorised = load_steps(solver, **kept)
+    assert (assembled, factorised) == (1, factors) and sum(its) > sum(newton)
+    assert_same(us, reference)
+    kept = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
+    us, its, assembled, factorised = load_steps(solver, **kept)
+    assert (assembled, factorised) == (sum(its), factors)
+    if solver != "direct":  # the others iterate on the system of now
+        assert its == newton
+    assert_same(us, reference)
+
+
+def test_a_factorisation_for_some_steps():
+    _, newton, assembled, factorised = load_steps("bodies", snes_lag_jacobian=2)
+    assert assembled == 2 * 3 and sum(newton) == 3 * 3 and factorised < 3 * sum(newton)
+
+
+@pytest.mark.parametrize("reaction, match", ((-30.0, "symmetric and positive"), (-1e4, "diagonal")))
+def test_a_solver_that_fails(reaction, match):
+    """Its own words and advice, not SNES's, and not the first time alone."""
+    V, fts, tie = two_blocks()
+
+    def density(u):
+        return small_strain_energy(u) + reaction * ufl.inner(u, u)
+
+    problem, _ = problem_of(V, fts, tie, density, (fixed, sheared), solver="iterative")
+    for _ in range(2):
+        with pytest.raises(SolveError, match=f'{match}.* take solver="direct"'):
+            problem.solve()
+
+
+def test_a_solver_that_is_not_possible():
+    V, fts, tie = two_blocks(interior="free")
+    for solver, match in (("bodies", "free interior nodes"), ("cholesky", "solver is one of")):
+        with pytest.raises(ValueError, match=match):
+            problem_of(V, fts, tie, energy, (fixed, sheared), solver=solver)

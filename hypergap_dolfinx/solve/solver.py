@@ -86,6 +86,9 @@ class Options:
         try:
             yield
         except PETSc.Error as error:
+            cause = error.__cause__
+            if cause is not None and not isinstance(cause, PETSc.Error):
+                raise cause from None  # of Python that PETSc called; old PETSc raises it itself
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
             raise SolveError(
                 f"PETSc can't solve with these options: {reason} (code {error.ierr})."
