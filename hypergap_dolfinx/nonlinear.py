@@ -27,13 +27,13 @@ class NonlinearTiedProblem(TiedSystem):
     displacements and hold whatever rotation the bodies make together.
 
     What is costly in a step can be kept for later ones, and for later calls of :meth:`solve`, by
-    PETSc's own options. The Jacobian, and so the factors: for small load steps, and contact or
-    damage that goes on slowly; Newton's steps are cheap then, and more::
+    PETSc's own options. The Jacobian, and so its factors: Newton's steps are cheap then, but
+    there are more of them, and load steps are to be small::
 
         petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
 
-    Only what the Jacobian is solved with: ``solver="bodies"`` and ``"iterative"`` then take as many
-    of Newton's steps as before, with more iterations in each::
+    Only the factors: ``solver="bodies"`` and ``"iterative"`` take as many of Newton's steps as
+    before then, with more iterations in each::
 
         petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
 

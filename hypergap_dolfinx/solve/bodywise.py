@@ -5,20 +5,16 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The saddle system solved with factors of one body at a time, and an iteration over the ties."""
 
-from collections.abc import Sequence
-
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve import saddle
-from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.modes import rigid_modes
 from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System, prefixed
-from hypergap_dolfinx.solve.substructures import Substructures, column_sums, order_of_bodies
+from hypergap_dolfinx.solve.substructures import Substructures, order_of_bodies
 
 LU = {
     "ksp_type": "preonly",
@@ -75,7 +71,7 @@ class Bodies(IterativeSolver):
         return none if spaces[0].mesh.comm.allreduce(wrong) else None
 
     def _create(self) -> Substitute:
-        return BodywiseSystem(self._system.K, self._system.constraints, self._system.spaces)
+        return BodywiseSystem(self._system)
 
 
 class BodywiseSystem(Substitute):
@@ -85,23 +81,16 @@ class BodywiseSystem(Substitute):
     of the constraints otherwise, if that has other units.
     """
 
-    def __init__(
-        self,
-        K: Sequence[PETSc.Mat],
-        constraints: ConstraintBlocks,
-        spaces: Sequence[fem.FunctionSpace],
-    ):
+    def __init__(self, system: System):
         """Scale the ties by the values that K has now. Collective.
 
         Args:
-            K: Stiffness of each body.
-            constraints: The ties' blocks.
-            spaces: Space of each body.
+            system: The saddle system.
         """
-        self._K, self._bodies = K, constraints.bodies
-        self._own, self._free = constraints.own, constraints.free
+        self._A, self._K = system.A, system.K
+        K, constraints, spaces = system.K, system.constraints, system.spaces
         self.scales = self._scales_now()
-        self._B = [[b and b.copy() for b in row] for row in self._free]
+        self._B = [[b and b.copy() for b in row] for row in constraints.free]
         for row, scale in zip(self._B, self.scales, strict=True):
             for b in row:
                 if b is not None:
@@ -114,14 +103,14 @@ class BodywiseSystem(Substitute):
             rigid_modes(V, held, *parts(V))
             for V, held in zip(spaces, constraints.prescribed, strict=True)
         ]
-        order = order_of_bodies(len(K), self._bodies)
+        order = order_of_bodies(len(K), constraints.bodies)
         assert order is not None
         columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, self._bodies, columns, order, modes)
+        self.preconditioner = Substructures(K, self._B, constraints.bodies, columns, order, modes)
 
     def update(self, ksp: PETSc.KSP) -> bool:
         """Take the stiffness as it is now, if it is of the same size. Collective."""
-        ratio = np.array(self._scales_now()) / self.scales
+        ratio = self._scales_now() / self.scales
         if not (np.abs(np.log10(ratio)) < 0.5).all():
             return False
         self.matrix.assemble()
@@ -129,12 +118,8 @@ class BodywiseSystem(Substitute):
         ksp.getPC().setPythonContext(self.preconditioner)
         return True
 
-    def _scales_now(self) -> list[float]:
-        """Size of K over that of B, for each tie. Collective."""
-        return [
-            _mean_diagonal(self._K[i1], own) / _mean_column(row[i1], own)
-            for own, row, (_, i1) in zip(self._own, self._free, self._bodies, strict=True)
-        ]
+    def _scales_now(self) -> npt.NDArray[np.float64]:
+        return np.array(saddle.scales(self._A)[len(self._K) :])
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -160,22 +145,6 @@ class BodywiseSystem(Substitute):
             ksp.solve(self.b, self.x)
             self.iterations += ksp.getIterationNumber()
         values = np.split(self.x.array_r, np.cumsum([len(part) for part in parts])[:-1])
-        scales = [1.0] * num_bodies + self.scales
+        scales = [*np.ones(num_bodies), *self.scales]
         for part, value, scale in zip(x.getNestSubVecs(), values, scales, strict=True):
             part.array[:] = scale * value
-
-
-def _mean_diagonal(K: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
-    diagonal = K.getDiagonal()
-    values = diagonal.array_r[dofs - K.getOwnershipRange()[0]]
-    total, num = K.comm.tompi4py().allreduce(np.array((np.abs(values).sum(), len(values))))
-    diagonal.destroy()
-    return total / num if total else 1.0
-
-
-def _mean_column(B: PETSc.Mat, dofs: npt.NDArray[np.int64]) -> float:
-    sums = column_sums(B)
-    values = sums.array_r[dofs - B.getOwnershipRangeColumn()[0]]
-    total, num = B.comm.tompi4py().allreduce(np.array((values.sum(), len(values))))
-    sums.destroy()
-    return total / num if total else 1.0

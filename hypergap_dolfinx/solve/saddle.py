@@ -189,14 +189,14 @@ def _residual(ksp: PETSc.KSP) -> tuple[float, float]:
         lengths = r.norm(), b.norm()
     else:
         squares = np.zeros(2)
-        for scale, *parts in zip(_scales(A), r.getNestSubVecs(), b.getNestSubVecs(), strict=True):
+        for scale, *parts in zip(scales(A), r.getNestSubVecs(), b.getNestSubVecs(), strict=True):
             squares += [(scale * part.norm()) ** 2 for part in parts]
         lengths = tuple(np.sqrt(squares))
     r.destroy()
     return lengths
 
 
-def _scales(A: PETSc.Mat) -> list[float]:
+def scales(A: PETSc.Mat) -> list[float]:
     """Units of the rows of blocks: 1, of ties the size of the softest body's K over that of B."""
     num = A.getNestSize()[0]
 
