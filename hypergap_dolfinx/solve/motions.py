@@ -15,9 +15,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.graph import components, parts
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.matrices import nonzero_columns, row_length
 from hypergap_dolfinx.solve.modes import NOTHING, common_modes, rigid_modes
-from hypergap_dolfinx.solve.saddle import row_length
-from hypergap_dolfinx.solve.substructures import nonzero_columns
 
 
 def free_motions(

@@ -29,10 +29,11 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.matrices import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.solve.modes import common_modes
 from hypergap_dolfinx.solve.saddle import check_solved
 from hypergap_dolfinx.solve.solver import Substitute
-from hypergap_dolfinx.solve.substructures import create_solver, mean_diagonal, nonzero_columns
+from hypergap_dolfinx.solve.substructures import create_solver
 
 FEW = 0.1
 """Forces of the ties, over the loads, for which the solver is called again."""

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve.matrices import row_length
 
 RESIDUAL = 1e-3
 """Largest residual of a direct solve, relative to the right-hand side, both as forces: 1e-15 times
@@ -84,11 +85,6 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
         del database[key]
     if before is not None:
         database[key] = before
-
-
-def row_length(A: PETSc.Mat) -> float:
-    """Root mean square of the lengths of a matrix's rows. Collective."""
-    return A.norm() / (A.getSize()[0] or 1) ** 0.5
 
 
 def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:

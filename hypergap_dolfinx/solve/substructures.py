@@ -25,6 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.solve.matrices import column_sums, mean_diagonal
 from hypergap_dolfinx.solve.modes import NOTHING
 
 
@@ -46,24 +47,6 @@ def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[
         order += ready
         left = [i for i in left if i not in ready]
     return order
-
-
-def column_sums(B: PETSc.Mat) -> PETSc.Vec:
-    """Sums of the absolute values in each column. Collective."""
-    sums = B.createVecRight()
-    sums.set(0.0)
-    _, columns, values = B.getValuesCSR()
-    sums.setValues(columns, np.abs(values), addv=PETSc.InsertMode.ADD)
-    sums.assemble()
-    return sums
-
-
-def nonzero_columns(B: PETSc.Mat) -> npt.NDArray[np.intp]:
-    """Which of this rank's columns aren't empty, numbered from 0. Collective."""
-    sums = column_sums(B)
-    found = np.flatnonzero(sums.array_r)
-    sums.destroy()
-    return found
 
 
 class Body:
@@ -193,20 +176,6 @@ class Body:
             solver.solveTranspose(x1, b1)
             multipliers.append(b1.array_r.copy())
         return u.array_r, multipliers
-
-
-def mean_diagonal(K: PETSc.Mat) -> float:
-    """Mean of the diagonal. Collective."""
-    diagonal = K.getDiagonal()
-    mean = diagonal.sum() / diagonal.getSize()
-    diagonal.destroy()
-    return mean
-
-
-def _vector(K: PETSc.Mat, values) -> PETSc.Vec:
-    x = K.createVecRight()
-    x.array[:] = values
-    return x
 
 
 def square_part(B: PETSc.Mat, own: npt.NDArray) -> PETSc.Mat:
