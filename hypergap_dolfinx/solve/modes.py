@@ -22,6 +22,11 @@ DEPENDENT = 1e-10
 none: of a motion that nothing but prescribed dofs could make."""
 
 
+def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Where this rank's owned nodes are, ``(num_nodes, n)``."""
+    return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : V.mesh.geometry.dim]
+
+
 def motions(
     V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
 ) -> npt.NDArray[np.float64]:
@@ -35,7 +40,7 @@ def motions(
         This rank's owned rows, ``(num_dofs, num_modes)``.
     """
     n, block_size = V.mesh.geometry.dim, V.dofmap.index_map_bs
-    x = _places(V)
+    x = places(V)
     modes = [np.tile(unit, (len(x), 1)) for unit in np.eye(block_size)]
     if V.value_shape == (n,):
         x = x - (_mean(V.mesh.comm, [x]) if centre is None else centre)
@@ -82,10 +87,10 @@ def common_modes(
         For each body this rank's owned rows, ``(num_dofs, num_modes)``; columns that are
         orthonormal over all bodies.
     """
-    comm, places = spaces[0].mesh.comm, [_places(V) for V in spaces]
+    comm, x = spaces[0].mesh.comm, [places(V) for V in spaces]
     if moved is None:
-        moved = [np.ones(len(x), dtype=bool) for x in places]
-    centre = _mean(comm, [x[mask] for x, mask in zip(places, moved, strict=True)])
+        moved = [np.ones(len(part), dtype=bool) for part in x]
+    centre = _mean(comm, [part[mask] for part, mask in zip(x, moved, strict=True)])
     modes = [
         np.where(np.repeat(mask, V.dofmap.index_map_bs)[:, None], motions(V, centre), 0)
         for V, mask in zip(spaces, moved, strict=True)
@@ -102,12 +107,7 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
     return R @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
-def _places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Where this rank's owned nodes are, ``(num_nodes, n)``."""
-    return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : V.mesh.geometry.dim]
-
-
-def _mean(comm: MPI.Comm, places: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+def _mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
     """The mean of places on all ranks. Collective."""
-    total = sum(x.sum(axis=0) for x in places)
-    return comm.allreduce(total) / comm.allreduce(sum(len(x) for x in places))
+    total = sum(part.sum(axis=0) for part in x)
+    return comm.allreduce(total) / comm.allreduce(sum(len(part) for part in x))
