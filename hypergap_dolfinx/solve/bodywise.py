@@ -26,6 +26,9 @@ LU = {
 FIRST = 1e-10
 """Residual at which the iteration begins anew: a second, short run does what a step of refinement
 does for factors (the worst of the 3D patch tests: 4e-13; in one go 3e-12)."""
+RESCALE = 0.5
+"""Decades by which the stiffness may change before the ties are scaled anew: factors of 1e8 cost
+digits without."""
 
 
 class Bodies(IterativeSolver):
@@ -111,7 +114,7 @@ class BodywiseSystem(Substitute):
     def update(self, ksp: PETSc.KSP) -> bool:
         """Take the stiffness as it is now, if it is of the same size. Collective."""
         ratio = self._scales_now() / self.scales
-        if not (np.abs(np.log10(ratio)) < 0.5).all():
+        if not (np.abs(np.log10(ratio)) < RESCALE).all():
             return False
         self.matrix.assemble()
         ksp.setOperators(self.matrix)

@@ -16,10 +16,13 @@ import numpy.typing as npt
 from dolfinx import fem
 
 NOTHING = 1e-12
-"""Force or energy of a rigid motion, over the largest there could be, that counts as none."""
+"""Force or energy of a rigid motion of length 1, over the size of K's rows, that counts as none.
+Round-off makes 2e-15 (1000 times a body's size away from the origin 5e-13), 80 000 displacements
+held at one node a force of 2.5e-3 and an energy of 2.5e-5."""
 DEPENDENT = 1e-10
-"""Squared length of a column's part beyond the span of the others, over its own, that counts as
-none: of a motion that nothing but prescribed dofs could make."""
+"""Eigenvalue of the Gram matrix of columns of length 1 that counts as zero: motions that are the
+same on what isn't prescribed make 1e-16, a rotation of free dofs within 1e-5 of the body's size
+1e-10."""
 
 
 def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

