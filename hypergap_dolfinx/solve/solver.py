@@ -312,7 +312,6 @@ class IterativeSolver(KSPSolver):
         assert self._substitute is not None, "update() comes first"
         # Its blocks are K itself: if SNES lags, the preconditioner is of then, the system of now
         self._substitute.solve(self._ksp, b, x)
-        x.assemble()  # it was written to by parts: the norm that it knows is of before
         self._failure = saddle.failure(self._ksp, self.ADVICE)
         if self._failure is None:
             error = saddle.backward_error(self._system.A, x, b)
