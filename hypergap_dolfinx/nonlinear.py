@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve import solvers
 from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
@@ -103,7 +104,7 @@ class NonlinearTiedProblem(TiedSystem):
             )
 
         self._F = [compiled(form) for form in F]
-        super().__init__([compiled(form) for form in J], bcs, ties, u)
+        super().__init__([compiled(form) for form in J], bcs, Joined(ties), u)
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
@@ -127,7 +128,7 @@ class NonlinearTiedProblem(TiedSystem):
         """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
         self._assign(x)
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
-        num_bodies, num_ties = len(self._u), len(self._ties)
+        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
         multipliers = x_parts[len(x_parts) - num_ties :]
         lifted = []
         prescribed = self._constraints.prescribed

@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve import checks, solvers
 from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
@@ -127,7 +128,7 @@ class TiedProblem(TiedSystem):
         self._L = [compiled(form) for form in loads]
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
-        super().__init__([compiled(form) for form in a], bcs or (), ties, solutions)
+        super().__init__([compiled(form) for form in a], bcs or (), Joined(ties), solutions)
         self._solver = solvers.create(self._system, solver, petsc_options_prefix, petsc_options)
 
     def assemble_vector(self):

@@ -129,6 +129,7 @@ class Tie(disposal.Owner):
         self._close_gap = close_gap
         self._swapped = False
         self._spaces = (V0, V1)
+        self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
             move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
@@ -214,6 +215,11 @@ class Tie(disposal.Owner):
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
         return self._spaces
+
+    @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
+        return self._facets
 
     @property
     def block_size(self) -> int:

@@ -177,7 +177,8 @@ def inertia(problem: TiedProblem) -> tuple[int, int, int]:
     The matrix is scaled to a unit diagonal of K and unit rows of B, so that zero means zero.
     """
     rows = [part.getIndices() for part in problem.A.getNestISs()[0]]  # of this rank
-    ties = np.concatenate([np.empty(0, int), *rows[len(rows) - len(problem.ties) :]])
+    num_fields = len(problem.u) + sum(tie.free_interior for tie in problem.ties)
+    ties = np.concatenate([np.empty(0, int), *rows[num_fields:]])
     ties = np.concatenate(comm.allgather(ties)).astype(int)
     A = dense(problem.A)
     bodies = np.setdiff1d(np.arange(len(A)), ties)
@@ -208,3 +209,91 @@ def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, traction=True) 
     assert error <= 1e-12
     assert max(errors, default=0) <= 1e-11
     return p
+
+
+# A smooth field that is in no finite element space. An over-constraint costs it accuracy, which
+# linear fields don't notice.
+
+
+def smooth(x, m=np):
+    """A displacement; of coordinates (arrays, or with ``m=ufl`` UFL's)."""
+    return (
+        m.sin(1.3 * x[0] + 0.4) * m.cos(0.9 * x[1]),
+        0.7 * m.cos(1.1 * x[0]) * m.exp(0.5 * x[1]),
+    )
+
+
+def smooth_stress(body: Body, x) -> npt.NDArray[np.float64]:
+    """σ of the smooth field at points ``(..., 2)``."""
+    a, b = 1.3 * x[..., 0] + 0.4, 0.9 * x[..., 1]
+    c, e = 1.1 * x[..., 0], np.exp(0.5 * x[..., 1])
+    gradient = np.array(
+        [
+            [1.3 * np.cos(a) * np.cos(b), -0.9 * np.sin(a) * np.sin(b)],
+            [-0.77 * np.sin(c) * e, 0.35 * np.cos(c) * e],
+        ]
+    )
+    gradient = np.moveaxis(gradient, (0, 1), (-2, -1))
+    eps = (gradient + np.swapaxes(gradient, -1, -2)) / 2
+    trace = np.trace(eps, axis1=-2, axis2=-1)[..., None, None]
+    return body.E / (1 + body.nu) * (eps + body.nu / (1 - 2 * body.nu) * trace * np.eye(2))
+
+
+def smooth_problem(
+    bodies: Sequence[Body], ties: Sequence[Tie], tied: Sequence[tuple[int, object]], alone=None
+) -> TiedProblem:
+    """The smooth field's loads, and its values on all that is not tied; solved.
+
+    Args:
+        bodies: The bodies.
+        ties: The ties.
+        tied: Body and tags of the interfaces.
+        alone: Instead of the ties, exact displacements (``"held"``) or tractions (``"loaded"``).
+    """
+    a, L, bcs = [], [], []
+    for i, body in enumerate(bodies):
+        x, v = ufl.SpatialCoordinate(body.mesh), ufl.TestFunction(body.V)
+        sigma = body.stress(ufl.as_vector(smooth(x, ufl)))
+        rule = {"quadrature_degree": 2 * body.V.ufl_element().degree + 2}
+        load = -ufl.dot(ufl.div(sigma), v) * ufl.dx(metadata=rule)
+        facets = [body.facets(tag) for b, tag in tied if b == i]
+        inner = np.unique(np.concatenate([*facets, np.empty(0, dtype=np.int32)])).astype(np.int32)
+        if alone == "loaded":
+            ones = np.full(len(inner), 1, dtype=np.int32)
+            tags = dolfinx.mesh.meshtags(body.mesh, 1, inner, ones)
+            ds = ufl.Measure("ds", body.mesh, subdomain_data=tags, metadata=rule)(1)
+            load += ufl.dot(ufl.dot(sigma, ufl.FacetNormal(body.mesh)), v) * ds
+        rest = body.boundary if alone == "held" else np.setdiff1d(body.boundary, inner)
+        value = fem.Function(body.V)
+        value.interpolate(lambda x: np.array(smooth(x)))
+        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(body.V, 1, rest)))
+        a.append(body.a)
+        L.append(load)
+    p = TiedProblem(a, L, bcs=bcs, ties=() if alone else ties)
+    p.solve()
+    return p
+
+
+def smooth_errors(problem: TiedProblem) -> npt.NDArray[np.float64]:
+    """L² and H¹ errors over all bodies."""
+    squares = np.zeros(2)
+    for u in problem.u:
+        mesh, V = u.function_space.mesh, u.function_space
+        e = u - ufl.as_vector(smooth(ufl.SpatialCoordinate(mesh), ufl))
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * V.ufl_element().degree + 4})
+        forms = (ufl.inner(e, e) * dx, ufl.inner(ufl.grad(e), ufl.grad(e)) * dx)
+        squares += [fem.assemble_scalar(fem.form(form)) for form in forms]
+    return np.sqrt(comm.allreduce(squares))
+
+
+def smooth_traction_error(problem: TiedProblem, ties: Sequence[Tie], bodies) -> float:
+    """L² error of λ on all of some ties, relative to the traction."""
+    error = size = 0.0
+    for tie in ties:
+        q = tie.quadrature(2 * tie.domain.element.degree + 2)
+        body = next(b for b in bodies if b.V == tie.spaces[0])
+        exact = np.einsum("cpij,cpj->cpi", smooth_stress(body, q.x), q.normal)
+        deviation = q.evaluate(tie.traction(problem)) - exact
+        error += float(q.integrate((deviation**2).sum(axis=-1)))
+        size += float(q.integrate((exact**2).sum(axis=-1)))
+    return (error / size) ** 0.5

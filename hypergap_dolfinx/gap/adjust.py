@@ -15,8 +15,9 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.gap.constraint import Constraint, Dropped, create_constraint, independent_rows
+from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, create_constraint
 from hypergap_dolfinx.gap.domain import create_gap_domain
+from hypergap_dolfinx.gap.multipliers import Multipliers
 from hypergap_dolfinx.gap.surface import create_surface
 
 ROUNDS = 3
@@ -87,15 +88,34 @@ def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
         mesh.geometry.x[compat.geometry_dofmap(mesh), axis] = f.x.array[W.dofmap.list]
 
 
+def _without(constraint: Constraint, domain, drop: npt.NDArray[np.bool_]) -> PETSc.Mat:
+    """E with λ = E λ', where some multipliers are dropped and follow the others. Collective."""
+    multipliers = Multipliers.of(constraint, domain)
+    start, end = constraint.R_A.getOwnershipRangeColumn()
+    gone = np.sort(constraint.rows[drop])
+    here = (start <= constraint.rows) & (constraint.rows < end)
+    i, j, value = [], [], []
+    for m in np.flatnonzero(here).tolist():
+        weights, others = np.ones(1), np.array([m])
+        if drop[m]:
+            weights, others, _ = multipliers.follow(m, drop)
+        i.append(np.full(len(others), constraint.rows[m]))
+        j.append(constraint.rows[others])
+        value.append(weights)
+    entries = [np.concatenate([*parts, np.empty(0)]) for parts in (i, j, value)]
+    entries[1] -= np.searchsorted(gone, entries[1])
+    num_kept = int((here & ~drop).sum())
+    return coo_matrix(domain.mesh.comm, (end - start, num_kept), *entries)
+
+
 def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:
     """The positions of Γ1's body with Σ_i B_i X_i = 0; only nodes under multipliers move."""
-    shape = (len(constraint.dofs), 1)
     _, at, count = np.unique(constraint.dofs, return_inverse=True, return_counts=True)
-    drop = (count[at] > 1)[:, None]
-    E, _ = independent_rows(constraint, domain, Dropped(drop, np.zeros(shape, dtype=bool), []))
+    drop = count[at] > 1
+    E = _without(constraint, domain, drop) if drop.any() else None
     B = [E.transposeMatMult(B_i) if E else B_i.copy() for B_i in constraint.B]
     start, end = B[1].getOwnershipRangeColumn()
-    free = np.setdiff1d(constraint.dofs, constraint.dofs[drop[:, 0]])
+    free = np.setdiff1d(constraint.dofs, constraint.dofs[drop])
     free = free[(free >= start) & (free < end)]
     columns = PETSc.IS().createGeneral(free.astype(PETSc.IntType), comm=B[1].comm)
     first, last = B[1].getOwnershipRange()

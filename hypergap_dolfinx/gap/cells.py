@@ -71,5 +71,7 @@ class GapCells:
     λ jumps where two pieces meet, as the traction does at a kink. So the pieces' parts of Σ share
     no vertex there: each has its own, at the same place, and nodes on Γ1 have hosts in their own
     piece."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""

@@ -54,6 +54,8 @@ class GapDomain:
     """Hosts of the nodes of ``space``."""
     patch: npt.NDArray[np.int32]
     """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
 
     @property
     def geometry(self) -> basix.finite_element.FiniteElement:
@@ -168,6 +170,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         curved=_curved(x_cells, coordinates.basix_element.points, np.abs(x).max()),
         hosts=gap.hosts(space.ufl_element().basix_element.points, order),
         patch=gap.patch,
+        covered=gap.covered,
     )
 
 

@@ -129,7 +129,8 @@ def geometry_at_points(element: GapElement, x, alpha):
     Returns:
         N and v, ``(num_cells, num_points, n)`` each.
     """
-    X = np.einsum("cmi,pmj->cpij", x, element.dpsi, optimize=True)
+    # From the first node on: derivatives of basis functions add up to zero but for round-off
+    X = np.einsum("cmi,pmj->cpij", x - x[:, :1], element.dpsi, optimize=True)
     dalpha = (alpha[:, 1:] - alpha[:, :1])[:, None]  # (cell, 1, n)
     return normal_and_direction(X, dalpha)
 
@@ -200,7 +201,8 @@ def _contract(dpsi, T, x, alpha, normal):
     size = max(CHUNK // num_points, 64)
     for start in range(0, len(x), size):
         part = slice(start, start + size)
-        xs = np.ascontiguousarray(x[part].transpose(2, 1, 0))  # (i, m, cell): long axis last
+        x_part = x[part] - x[part, :1]  # what basis functions' derivatives add up to is round-off
+        xs = np.ascontiguousarray(x_part.transpose(2, 1, 0))  # (i, m, cell): long axis last
         X = (dpsi @ xs).reshape(n, n, num_points, -1)  # (i, j, point, cell)
         vertices = alpha[part].T
         N, v = normal_and_direction(np.moveaxis(X, (0, 1), (2, 3)), (vertices[1:] - vertices[0]).T)

@@ -572,5 +572,6 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         normal=np.vstack([slab.normal for slab in slabs]),
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=group1,
+        covered=np.ones(len(group1)),
         hosts=hosts,
     )

@@ -501,6 +501,9 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
     patch = np.empty(len(surface1.facets), dtype=np.int32)
     for i, chain in enumerate(chains1):
         patch[chain.facets] = i
+    covered = np.zeros(len(surface1.facets))
+    for _, chain in pairs:
+        np.add.at(covered, chain.facets, np.abs(np.diff(chain.X)[:, 0]))
     offsets = np.cumsum([0] + [len(strip.x) for strip in strips])
     side = np.concatenate([strip.side for strip in strips])
     base = np.concatenate([strip.base for strip in strips])
@@ -517,5 +520,6 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
         normal=normal,
         rank=rank,
         patch=patch,
+        covered=covered,
         hosts=lambda X, cells: Hosts.concatenate([strip.hosts(X) for strip in strips])[cells],
     )

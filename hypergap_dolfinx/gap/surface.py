@@ -81,7 +81,10 @@ class Surface:
         Returns:
             Coordinates, ``(num_points, n)``.
         """
-        return np.einsum("pa,pai->pi", tabulate(self.geometry, X), self.nodes[facet])
+        nodes = self.nodes[facet]
+        # From the first node on: what is equal at all nodes stays so to the last digit
+        steps = nodes[:, 1:] - nodes[:, :1]
+        return nodes[:, 0] + np.einsum("pa,pai->pi", tabulate(self.geometry, X)[:, 1:], steps)
 
 
 def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.float64]:

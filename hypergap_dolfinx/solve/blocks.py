@@ -15,14 +15,17 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.constraint import Dropped, independent_rows
+from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
-from hypergap_dolfinx.solve.cross_points import dropped_multipliers, look_up
+from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.multipliers import Choice, choose
 
 
 class ConstraintBlocks:
-    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each tie, a column for each field.
+    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each interface, a column a field.
+
+    An interface is a tie, or several that are its pieces: those between the same two bodies.
 
     The fields are the bodies' displacements, then the free interior nodes of ties that have them.
     Rows of prescribed dofs are gone, and so are columns: what they hold is known.
@@ -47,41 +50,51 @@ class ConstraintBlocks:
         """
         self._spaces = list(spaces)
         self._ties = list(ties)
-        self._bodies = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
-        self._rows: list[PETSc.Mat | None] = []
-        self._full: list[list[PETSc.Mat | None]] = []
-        self._free: list[list[PETSc.Mat | None]] = []
-        self._own: list[npt.NDArray[np.int64]] = []
+        self._sides = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
+        self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
         self._gaps: dict[int, PETSc.Vec] = {}
         self._pairs: dict[int, Coincidences] = {}
-        prescribed = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
-        self._held = prescribed
-        interior = len(self._spaces)
-        self._num_fields = interior + sum(tie.free_interior for tie in self._ties)
-        dropped = dropped_multipliers(self._ties, self._bodies, prescribed)
-        for t, tie in enumerate(self._ties):
-            self._add(t, prescribed, interior, dropped[t])
-            interior += tie.free_interior
+        choice = choose(self._ties, self._sides, self._held)
+        self._interfaces = choice.interfaces
+        self._of_tie = {t: g for g, group in enumerate(choice.interfaces) for t in group}
+        self._bodies = [self._sides[group[0]] for group in self._interfaces]
+        for t, lost in enumerate(choice.lost):
+            self._check_lost_rows(t, lost)
+        rank = self._ties[0].sigma.comm.rank if self._ties else 0
+        self._own = [c.own[(c.rank == rank) & (c.own >= 0)] for c in choice.columns]
+        self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
+        self._full = self._pulled_back()
+        self._free = [
+            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
+        ]
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for obj in chain(self._rows, *self._full, *self._free, self._gaps.values()):
+        for obj in chain(
+            *(row.values() for row in self._rows), *self._full, *self._free, self._gaps.values()
+        ):
             if obj is not None:
                 obj.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
-        """B on what is not prescribed, ``[tie][field]``."""
+        """B on what is not prescribed, ``[interface][field]``."""
         return self._free
 
     @property
     def full(self) -> list[list[PETSc.Mat | None]]:
-        """B on all dofs, ``[tie][field]``."""
+        """B on all dofs, ``[interface][field]``."""
         return self._full
 
     @property
-    def bodies(self) -> list[tuple[int, int]]:
+    def sides(self) -> list[tuple[int, int]]:
         """Γ0's and Γ1's body of each tie."""
+        return self._sides
+
+    @property
+    def bodies(self) -> list[tuple[int, int]]:
+        """Γ0's and Γ1's body of each interface."""
         return self._bodies
 
     @property
@@ -91,7 +104,10 @@ class ConstraintBlocks:
 
     @property
     def own(self) -> list[npt.NDArray[np.int64]]:
-        """Global dof (unrolled) of V₁ under each of this rank's multipliers, for each tie."""
+        """Global dofs (unrolled) of V₁ that answer to this rank's multipliers, of each interface.
+
+        One a multiplier; fewer than rows where several dofs answer to one together.
+        """
         return self._own
 
     @property
@@ -99,33 +115,32 @@ class ConstraintBlocks:
         """Local and global numbers of free interior dofs, of the ties that have them."""
         return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
 
-    def apply(self, t: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
-        """Compute c = Σ_i B_i u_i of a tie, prescribed dofs included. Collective.
+    def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
+        """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
 
         A tie that closes the gap takes the positions x_i + u_i instead of the u_i.
 
         Args:
-            t: Number of the tie.
+            g: Number of the interface.
             fields: u_i; of the bodies alone or of all fields.
             c: Takes the result.
         """
         c.set(0.0)
-        for u, B in zip(fields, self._full[t], strict=False):
+        for u, B in zip(fields, self._full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
-        if self._ties[t].closes_gap:
-            c.axpy(1.0, self._gap(t))
+        for t, row in enumerate(self._rows):
+            if self._ties[t].closes_gap and g in row:
+                row[g].multTransposeAdd(self._gap(t), c, c)
 
     def _gap(self, t: int) -> PETSc.Vec:
-        """Σ_i B_i x_i with the positions x_i of the dofs. Collective."""
+        """Σ_i B_i x_i of a tie with the positions x_i of the dofs. Collective."""
         if t not in self._gaps:
-            bodies = self._bodies[t]
-            c = next(B for B in self._full[t] if B is not None).createVecLeft()
+            tie = self._ties[t]
+            c = tie.blocks()[0].createVecLeft()
             c.set(0.0)
-            origin = self._ties[t].surfaces[0].x[0]  # far from the origin digits are few
-            for body in sorted(set(bodies)):
-                V, B = self._spaces[body], self._full[t][body]
-                assert B is not None
+            origin = tie.surfaces[0].x[0]  # far from the origin digits are few
+            for V, B in zip(tie.spaces, tie.blocks()):
                 x = B.createVecRight()
                 n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
                 x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
@@ -143,7 +158,7 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._bodies, strict=True)):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             if tie.closes_gap:
                 continue
             if t not in self._pairs:
@@ -154,18 +169,22 @@ class ConstraintBlocks:
                 held = self._held[body].reshape(shape).astype(np.int8)
                 both.append(look_up(comm, held, start, dofs).astype(bool))
                 given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
-            pairs.check(t, both, given)
+            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
+            pairs.check(t, both, given, size)
 
-    def multipliers(self, t: int, x: PETSc.Vec) -> npt.NDArray[np.float64]:
-        """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective."""
-        E = self._rows[t]
-        if E is None:
-            values = x.array_r.copy()
-        else:
-            full = E.createVecLeft()
-            E.mult(x, full)
-            values = full.array_r.copy()
-            full.destroy()
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
+        """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
+
+        Args:
+            t: Number of the tie.
+            x: λ' of each interface.
+        """
+        full = self._ties[t].blocks()[0].createVecLeft()
+        full.set(0.0)
+        for g, E in self._rows[t].items():
+            E.multAdd(x[g], full, full)
+        values = full.array_r.copy()
+        full.destroy()
         return values.reshape(-1, self._ties[t].block_size)
 
     def _bodies_of(self, t: int, tie: Interface) -> tuple[int, int]:
@@ -190,41 +209,65 @@ class ConstraintBlocks:
             marker[dofs[dofs < len(marker)]] = True
         return marker
 
-    def _add(self, t: int, prescribed, interior: int, dropped: Dropped):
-        """The blocks of a tie, with the rows and columns that are left free."""
-        tie, bodies = self._ties[t], self._bodies[t]
-        E, lost = independent_rows(tie.constraint, tie.domain, dropped)
-        self._check_lost_rows(t, lost, prescribed[bodies[0]])
-        dofs = tie.constraint.dofs[:, None] * tie.block_size + np.arange(tie.block_size)
-        dofs = dofs[~dropped.dropped]
-        start, end = np.multiply(tie.spaces[1].dofmap.index_map.local_range, tie.block_size)
-        self._own.append(dofs[(dofs >= start) & (dofs < end)])
-        full: dict[int, PETSc.Mat] = {}
-        for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
-            B = E.transposeMatMult(B) if E else B.copy()
-            if i in full:  # both sides on one body
-                full[i].axpy(1.0, B)
-                B.destroy()
-            else:
-                full[i] = B
-        free = {i: B.copy() for i, B in full.items()}
-        for body in set(bodies):
-            mask = free[body].createVecRight()
-            mask.array[:] = ~prescribed[body]
-            free[body].diagonalScale(R=mask)
-            mask.destroy()
-        self._rows.append(E)
-        self._full.append([full.get(i) for i in range(self._num_fields)])
-        self._free.append([free.get(i) for i in range(self._num_fields)])
+    def _extensions(self, t: int, choice: Choice) -> dict[int, PETSc.Mat]:
+        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g. Collective."""
+        tie = self._ties[t]
+        comm, block_size = tie.sigma.comm, tie.block_size
+        i, group, j, value = choice.entries[t]
+        multiplier, component = np.divmod(i, block_size)
+        row = tie.constraint.rows[multiplier] * block_size + component
+        start, end = np.multiply(tie.constraint.R_A.getOwnershipRangeColumn(), block_size)
+        here = (start <= row) & (row < end)
+        found = {}
+        for g in sorted({self._of_tie[t], *group.tolist()}):
+            mine = here & (group == g)
+            num = int((choice.columns[g].rank == comm.rank).sum())
+            sizes = (end - start, num)
+            found[g] = coo_matrix(comm, sizes, row[mine], j[mine], value[mine])
+        return found
 
-    def _check_lost_rows(self, t: int, lost, prescribed0):
+    def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
+        """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
+        full: list[list[PETSc.Mat | None]] = [[None] * self._num_fields for _ in self._interfaces]
+        interior = len(self._spaces)
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+            for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
+                for g, E in self._rows[t].items():
+                    product = E.transposeMatMult(B)
+                    before = full[g][i]
+                    if before is None:
+                        full[g][i] = product
+                    else:  # pieces of one interface, or both sides on one body
+                        before.axpy(1.0, product)
+                        product.destroy()
+            interior += tie.free_interior
+        return full
+
+    def _without_prescribed(self, i: int, B: PETSc.Mat | None) -> PETSc.Mat | None:
+        """A block without the columns of prescribed dofs. Collective."""
+        if B is None:
+            return None
+        B = B.copy()
+        if i < len(self._held):
+            mask = B.createVecRight()
+            mask.array[:] = ~self._held[i]
+            B.diagonalScale(R=mask)
+            mask.destroy()
+        return B
+
+    def _check_lost_rows(self, t: int, lost: npt.NDArray[np.intp]):
         """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
         tie = self._ties[t]
+        if not len(lost):
+            return
+        multiplier, component = np.divmod(lost, tie.block_size)
+        lost = tie.constraint.rows[multiplier] * tie.block_size + component
         B0 = tie.blocks()[0].copy()
         mask = B0.createVecRight()
-        mask.array[:] = ~prescribed0
+        mask.array[:] = ~self._held[self._sides[t][0]]
         B0.diagonalScale(R=mask)
-        start, _ = B0.getOwnershipRange()
+        start, end = B0.getOwnershipRange()
+        lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
         untied = (size[lost - start] > 1e-12 * size.max(initial=0)).sum()

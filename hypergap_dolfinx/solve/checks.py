@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
@@ -130,26 +131,28 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             )
 
 
-def check_apart(ties: Sequence[Interface], bodies: Sequence[tuple[int, int]]):
+def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
     """Raise where two ties tie the same facets to each other.
 
     Args:
         ties: The ties.
-        bodies: Numbers of the bodies on both sides of each.
+        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    sides = []
+    for tie in ties:
+        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        sides.append(
+            [
+                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, body in zip(tie.surfaces, bodies, strict=True)
+            ]
+        )
     for t, s in combinations(range(len(ties)), 2):
-        if sorted(bodies[t]) != sorted(bodies[s]):
-            continue
-        facets = [
-            {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-            for tie, pair in ((ties[t], bodies[t]), (ties[s], bodies[s]))
-            for surface, body in zip(tie.surfaces, pair, strict=True)
-        ]
-        others = facets[2] | facets[3]
-        if facets[0] & others and facets[1] & others:
+        others = sides[s][0] | sides[s][1]
+        if sides[t][0] & others and sides[t][1] & others:
             raise InterfaceError(
                 f"ties {t} and {s} tie the same facets to each other; once is enough."
             )
@@ -181,19 +184,19 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, t: int, prescribed, values):
+    def check(self, t: int, prescribed, values, size: float):
         """Raise where both sides are prescribed, and differently.
 
         Args:
             t: Number of the tie.
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
+            size: Of displacements, the largest that either body has prescribed anywhere.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
-        size = max(np.abs(v).max(initial=0) for v in values)
         noise = 1e-12 * self.extent if self.lengths else 0.0
         wrong = both & (np.abs(values[0] - values[1]) > 1e-6 * size + noise)
         if wrong.any():

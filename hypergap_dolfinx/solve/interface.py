@@ -5,9 +5,12 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """What the solvers need to know of an interface, whoever made it."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from petsc4py import PETSc
+
+import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -53,3 +56,24 @@ class Interface(Protocol):
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
+
+
+class Pieces(Protocol):
+    """What users tied, and the interfaces that these are pieces of."""
+
+    @property
+    def ties(self) -> Sequence[Interface]:
+        """What users tied."""
+
+    @property
+    def interfaces(self) -> Sequence[Interface]:
+        """What is solved."""
+
+    def find(self, tie) -> int:
+        """Number of the interface that a tie is a piece of."""
+
+    def of_piece(self, tie, multipliers: npt.NDArray) -> npt.NDArray:
+        """A tie's own multipliers among those of its interface."""
+
+    def destroy(self):
+        """Destroy the PETSc objects of interfaces that no user has. Collective."""

@@ -19,7 +19,7 @@ from hypergap_dolfinx import compat, disposal
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve import checks, saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
-from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.interface import Interface, Pieces
 from hypergap_dolfinx.solve.motions import free_motions
 from hypergap_dolfinx.solve.solver import Solver, System
 
@@ -33,7 +33,7 @@ class TiedSystem(disposal.Owner):
         self,
         a: Sequence[fem.Form],
         bcs: Sequence[fem.DirichletBC],
-        ties: Sequence[Interface],
+        pieces: Pieces,
         u: Sequence[fem.Function],
     ):
         """Make the matrix and the vectors, without values in K and b. Collective.
@@ -41,7 +41,7 @@ class TiedSystem(disposal.Owner):
         Args:
             a: Compiled bilinear form of each body.
             bcs: Dirichlet conditions of any of the bodies.
-            ties: The ties.
+            pieces: The ties, and what they are pieces of.
             u: Solution function of each body.
 
         Raises:
@@ -49,7 +49,8 @@ class TiedSystem(disposal.Owner):
                 twice.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
-        self._a, self._ties, self._u = list(a), list(ties), list(u)
+        self._a, self._u, self._pieces = list(a), list(u), pieces
+        ties = pieces.ties
         self._solved = False
         self._motions_known = False
         self._scales = [1.0] * len(self._a)
@@ -73,8 +74,8 @@ class TiedSystem(disposal.Owner):
         spaces = [f.function_space for f in self._u]
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
-        self._constraints = ConstraintBlocks(spaces, self._bcs, self._ties)
-        checks.check_apart(self._ties, self._constraints.bodies)
+        self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces)
+        checks.check_apart(ties, spaces)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
@@ -104,7 +105,7 @@ class TiedSystem(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
-        single = ("_solver", "_A", "_b", "_x", "_constraints")
+        single = ("_solver", "_A", "_b", "_x", "_constraints", "_pieces")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
         objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)
@@ -155,13 +156,11 @@ class TiedSystem(disposal.Owner):
         Returns:
             This rank's rows, ``(num_multipliers, block_size)``.
         """
-        t = next((t for t, other in enumerate(self._ties) if other is tie), None)
-        if t is None:
-            raise ValueError("the tie is not one of this problem's.")
+        t = self._pieces.find(tie)
         if not self._solved:
             raise ValueError("the problem is not solved yet: call solve() first.")
-        x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) + t]
-        return self._constraints.multipliers(t, x)
+        x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) :]
+        return self._pieces.of_piece(tie, self._constraints.multipliers(t, x))
 
     @property
     def A(self) -> PETSc.Mat:
@@ -186,4 +185,4 @@ class TiedSystem(disposal.Owner):
     @property
     def ties(self) -> list[Interface]:
         """The ties."""
-        return self._ties
+        return list(self._pieces.ties)

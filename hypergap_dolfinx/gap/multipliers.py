@@ -1,0 +1,225 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Where the multipliers of an interface lie on Γ1, and what λ is where some have to go.
+
+A dof without a multiplier has the λ that its neighbours have there: in its facet λ becomes a
+polynomial of degree k − 1, so that tractions up to that degree are still carried.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.gap.constraint import Constraint
+from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.strip import turns
+from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.triangulation import kinks, neighbours
+from hypergap_dolfinx.graph import components
+
+AROUND = 3  # rings of facets in which multipliers are looked for that a dropped one can follow
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """The multipliers of an interface, the same arrays on every rank."""
+
+    dofs: npt.NDArray[np.int64]
+    """Global dof (block) of V₁ under each, ``(num_multipliers,)``."""
+    patch: npt.NDArray[np.int64]
+    """Smooth piece of Γ1 that each belongs to, ``(num_multipliers,)``."""
+    surface: Surface
+    """Γ1."""
+    on_facets: npt.NDArray[np.intp]
+    """Multiplier at each dof of each facet of Γ1, −1 where Σ doesn't reach,
+    ``(num_facets, num_dofs)``."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets,)``."""
+
+    @classmethod
+    def of(cls, constraint: Constraint, domain: GapDomain) -> "Multipliers":
+        """Those of a constraint on Σ."""
+        surface = domain.surfaces[1]
+        num_patches = int(domain.patch.max()) + 1
+        keys = constraint.dofs * num_patches + constraint.patch
+        wanted = surface.dofs * num_patches + domain.patch[:, None]
+        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
+        at[keys[at] != wanted] = -1
+        return cls(constraint.dofs, constraint.patch, surface, at, domain.covered)
+
+    @cached_property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Where their dofs lie, ``(num_multipliers, n)``."""
+        dofs, first = np.unique(self.surface.dofs, return_index=True)
+        facet, local = np.divmod(first, self.surface.dofs.shape[1])
+        x = self.surface.points(facet, self.surface.element.points[local])
+        return x[np.searchsorted(dofs, self.dofs)]
+
+    @cached_property
+    def reach(self) -> npt.NDArray[np.float64]:
+        """Largest covered part of the facets at each, ``(num_multipliers,)``."""
+        most = np.zeros(len(self.dofs))
+        facet, local = np.nonzero(self.on_facets >= 0)
+        np.maximum.at(most, self.on_facets[facet, local], self.covered[facet])
+        return most
+
+    @cached_property
+    def _inverse(self):
+        facet, local = np.nonzero(self.on_facets >= 0)
+        value = self.on_facets[facet, local]
+        order = np.argsort(value, kind="stable")
+        offsets = np.searchsorted(value[order], np.arange(len(self.dofs) + 1))
+        return facet[order], local[order], offsets
+
+    def facets_of(self, m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The facets that have a multiplier, and its place in them."""
+        facet, local, offsets = self._inverse
+        part = slice(offsets[m], offsets[m + 1])
+        return facet[part], local[part]
+
+    def follow(
+        self, m: int, drop: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp], bool]:
+        """What λ is at a dropped multiplier: Σ weights · λ at others of its patch.
+
+        Args:
+            m: The dropped one.
+            drop: Which are dropped, ``(num_multipliers,)``.
+
+        Returns:
+            Weights and multipliers, both empty if the patch has none left; and whether they are
+            in one of its own facets, or around these.
+        """
+        facets, local = self.facets_of(m)
+        at = self.on_facets[facets]
+        free = (at >= 0) & ~drop[at]  # (facet, dof)
+        best = int(free.sum(axis=1).argmax())
+        element = self.surface.element
+        if not _determined(element, tuple(free[best])):
+            around = self._from_around(drop, facets, local)
+            if around is not None:  # a corner: most of the facet's dofs are dropped
+                return *around, True
+        if free[best].any():
+            weights = _extension(element, int(local[best]), tuple(free[best]))
+            return weights, at[best][free[best]], True
+        return *self._nearest(drop, m), False
+
+    def _nearest(self, drop, m: int):
+        """The remaining multiplier of the same patch in the facet nearest to a dropped one's."""
+        mine = np.where(self.on_facets >= 0, self.patch[self.on_facets] == self.patch[m], False)
+        free = mine & ~drop[self.on_facets]
+        facets = np.flatnonzero(free.any(axis=1))
+        if not len(facets):
+            return np.empty(0), np.empty(0, dtype=np.intp)
+        centres = self.surface.nodes.mean(axis=1)
+        own = centres[self.facets_of(m)[0]].mean(axis=0)
+        facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
+        return np.ones(1), self.on_facets[facet][free[facet]][:1]
+
+    def _from_around(self, drop, facets, local):
+        """Multipliers that remain around a dropped one and extend a polynomial to it.
+
+        Args:
+            drop: Which multipliers are dropped.
+            facets: Facets at the dropped one.
+            local: Its number in them.
+
+        Returns:
+            Weights and multipliers, or None if there are too few in reach.
+        """
+        surface = self.surface
+        points, v = surface.element.points, surface.x[surface.facets[facets[0]]]
+        own = surface.points(facets[:1], points[local[:1]])
+        inverse = np.linalg.pinv(v[1:] - v[0])
+        exponents, reach = _exponents(surface.element), facets
+        for _ in range(AROUND):
+            known = self.on_facets[reach]
+            reach = np.flatnonzero(np.isin(self.on_facets, known[known >= 0]).any(axis=1))
+            known = self.on_facets[reach]
+            facet, dof = np.nonzero((known >= 0) & ~drop[known])
+            found, first = np.unique(known[facet, dof], return_index=True)
+            x = surface.points(reach[facet[first]], points[dof[first]])
+            P = np.prod(((x - own) @ inverse)[:, :, None] ** exponents, axis=1)  # (dof, monomial)
+            if np.linalg.matrix_rank(P, tol=1e-6) == P.shape[1]:
+                return np.linalg.pinv(P)[0], found
+        return None
+
+
+def _exponents(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.intp]:
+    """Exponents of the monomials of degree k − 1, the constant first, ``(dim, num_monomials)``."""
+    dim = element.points.shape[1]
+    exponents = np.indices((element.degree,) * dim).reshape(dim, -1)
+    return exponents[:, exponents.sum(axis=0) < element.degree]
+
+
+@lru_cache(maxsize=1024)
+def _determined(element: basix.finite_element.FiniteElement, free: tuple[bool, ...]) -> bool:
+    """Whether a polynomial of degree k − 1 follows from the dofs that are free."""
+    P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)
+    where = np.asarray(free)
+    return bool(where.any() and np.linalg.matrix_rank(P[where]) == P.shape[1])
+
+
+@lru_cache(maxsize=1024)
+def _extension(
+    element: basix.finite_element.FiniteElement, local: int, free: tuple[bool, ...]
+) -> npt.NDArray[np.float64]:
+    """Weights of a facet's free dofs that extend a polynomial of degree k − 1 to another dof."""
+    points, where = element.points, np.asarray(free)
+    exponents = np.indices((element.degree,) * points.shape[1]).reshape(points.shape[1], -1)
+    total = exponents.sum(axis=0)
+    for degree in range(element.degree - 1, -1, -1):
+        powers = exponents[:, total <= degree]
+        P = np.prod(points[:, :, None] ** powers, axis=1)  # (dof, monomial)
+        if np.linalg.matrix_rank(P[where]) == powers.shape[1]:
+            break
+    return P[local] @ np.linalg.pinv(P[where])
+
+
+def smooth_pieces(surfaces: Sequence[Surface]) -> list[npt.NDArray[np.int32]]:
+    """The smooth piece that facets belong to, of surfaces that are parts of one body's boundary.
+
+    Args:
+        surfaces: Parts that may touch or share facets; their dofs are one space's.
+
+    Returns:
+        For each surface, the piece of each facet: the same number where one piece goes on.
+    """
+    first = surfaces[0]
+    starts = np.cumsum([0, *(len(s.facets) for s in surfaces)])
+    dofs = np.vstack([s.dofs for s in surfaces])
+    corner = [d[0] for d in first.element.entity_dofs[0]]
+    _, at, facet = np.unique(np.sort(dofs, axis=1), axis=0, return_index=True, return_inverse=True)
+    vertices = np.vstack([s.x[s.facets] for s in surfaces])[at]  # (facet, vertex, n)
+    dofs = dofs[at]
+    key, where, number = np.unique(dofs[:, corner], return_index=True, return_inverse=True)
+    union = replace(
+        first,
+        x=vertices.reshape(-1, first.gdim)[where],
+        facets=number.reshape(-1, len(corner)).astype(np.int32),
+        nodes=np.vstack([s.nodes for s in surfaces])[at],
+        dofs=dofs,
+        owner=np.concatenate([s.owner for s in surfaces])[at],
+    )
+    if first.gdim == 2:
+        corners = turns(union)[1]
+        before = np.full(len(key), -1)
+        before[union.facets[:, 1]] = np.arange(len(union.facets))
+        start = union.facets[:, 0]
+        joined = (before[start] >= 0) & ~corners[start]
+        i, j = np.flatnonzero(joined), before[start[joined]]
+    else:
+        behind = neighbours(union.facets, union.name, union.x)
+        apart = np.zeros(behind.shape, dtype=bool)
+        apart[kinks(union, behind)] = True
+        f, k = np.nonzero((behind > np.arange(len(behind))[:, None]) & ~apart)
+        i, j = f, behind[f, k]
+    piece = components(len(union.facets), i, j)[facet.ravel()]
+    return np.split(piece, starts[1:-1])

@@ -1,0 +1,141 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Ties that are pieces of one interface: given one by one, as tags have them, and solved as one.
+
+Each piece by itself would end where the next begins, with fewer multipliers or with more than the
+bodies can answer to. One Σ over all of them has neither ends nor seams there.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
+from hypergap_dolfinx.gap.multipliers import Multipliers, smooth_pieces
+from hypergap_dolfinx.graph import components
+from hypergap_dolfinx.tie import Tie
+
+NEAR = 0.5
+"""Distance of surfaces, in lengths of their longest facet, up to which they can be pieces of one
+interface; what is tied across a distance (periodic faces) has no common Σ around a corner."""
+
+
+class Joined:
+    """The interfaces that ties are pieces of."""
+
+    def __init__(self, ties: Sequence[Tie]):
+        """Join what belongs together. Collective.
+
+        Args:
+            ties: The ties.
+        """
+        self.ties = list(ties)
+        self.interfaces: list[Tie] = []
+        """What stands for the ties: themselves, or one for several; the first one's place."""
+        self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
+        """By a tie's number: its interface's number, and the multiplier there of each its own."""
+        for group in _groups(self.ties):
+            whole = _union([self.ties[t] for t in group]) if len(group) > 1 else None
+            if whole is None:
+                for t in group:
+                    self._of[t] = len(self.interfaces), None
+                    self.interfaces.append(self.ties[t])
+                continue
+            for t in group:
+                self._of[t] = len(self.interfaces), _places(self.ties[t], whole)
+            self.interfaces.append(whole)
+
+    def destroy(self):
+        """Destroy the PETSc objects of interfaces that no user has. Collective."""
+        for tie in self.interfaces:
+            if all(tie is not other for other in self.ties):
+                tie.destroy()
+
+    def find(self, tie) -> int:
+        """Number of the interface that a tie is a piece of.
+
+        Raises:
+            ValueError: Not one of the ties.
+        """
+        t = next((t for t, other in enumerate(self.ties) if other is tie), None)
+        if t is None:
+            raise ValueError("the tie is not one of this problem's.")
+        return self._of[t][0]
+
+    def of_piece(self, tie: Tie, multipliers: npt.NDArray) -> npt.NDArray:
+        """A tie's own multipliers among those of its interface.
+
+        Args:
+            tie: The tie.
+            multipliers: This rank's rows of its interface's, ``(num_multipliers, block_size)``.
+        """
+        t = next(t for t, other in enumerate(self.ties) if other is tie)
+        places = self._of[t][1]
+        return multipliers if places is None else multipliers[places]
+
+
+def _groups(ties: Sequence[Tie]) -> list[list[int]]:
+    """Ties that go on in each other: between the same bodies, on one smooth piece of Γ1."""
+    alike = defaultdict(list)
+    for t, tie in enumerate(ties):
+        V0, V1 = tie.spaces
+        if not tie.free_interior and V0 is not V1:
+            alike[id(V0), id(V1), tie.closes_gap].append(t)
+    pairs = []
+    for same in alike.values():
+        if len(same) < 2:
+            continue
+        same = [t for t in same if _is_near(ties[t])]
+        surfaces = [ties[t].surfaces[1] for t in same]
+        pieces = smooth_pieces(surfaces) if same else []
+        # A dof of Γ1 on a smooth piece, that two ties have
+        keys = [
+            {(int(d), int(p)) for row, p in zip(surface.dofs, piece) for d in row}
+            for surface, piece in zip(surfaces, pieces, strict=True)
+        ]
+        pairs += [
+            (same[i], same[j]) for i, j in combinations(range(len(same)), 2) if keys[i] & keys[j]
+        ]
+    i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    label = components(len(ties), i, j)
+    return [np.flatnonzero(label == k).tolist() for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _is_near(tie: Tie) -> bool:
+    length = max(surface.size.max(initial=0.0) for surface in tie.surfaces)
+    return bool(tie.domain.distance() <= NEAR * length)
+
+
+def _union(ties: Sequence[Tie]) -> Tie | None:
+    """One tie over all facets, or None if their Σ can't be made. Collective."""
+    sides = []
+    for i in (0, 1):
+        facets = np.unique(np.concatenate([tie.facets[i] for tie in ties])).astype(np.int32)
+        sides.append((ties[0].spaces[i], facets))
+    try:
+        return Tie(*sides, close_gap=ties[0].closes_gap)
+    except (InterfaceError, InvertedCellError):  # the same on all ranks
+        return None
+
+
+def _places(tie: Tie, whole: Tie) -> npt.NDArray[np.intp]:
+    """This rank's rows of the whole's multipliers at those of a piece."""
+    own, all_ = (Multipliers.of(t.constraint, t.domain) for t in (tie, whole))
+    known = {row.tobytes(): f for f, row in enumerate(np.sort(all_.surface.dofs, axis=1))}
+    facet = [known[row.tobytes()] for row in np.sort(own.surface.dofs, axis=1)]
+    at = np.empty(len(own.dofs), dtype=np.intp)
+    for f, (mine, dofs) in enumerate(zip(own.on_facets, own.surface.dofs, strict=True)):
+        order = {int(d): m for d, m in zip(all_.surface.dofs[facet[f]], all_.on_facets[facet[f]])}
+        for m, dof in zip(mine, dofs, strict=True):
+            if m >= 0:
+                at[m] = order[int(dof)]
+    start, end = tie.constraint.R_A.getOwnershipRangeColumn()
+    here = np.flatnonzero((start <= tie.constraint.rows) & (tie.constraint.rows < end))
+    here = here[np.argsort(tie.constraint.rows[here])]
+    return whole.constraint.rows[at[here]] - whole.constraint.R_A.getOwnershipRangeColumn()[0]

@@ -1,0 +1,344 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which multipliers exist where interfaces end, meet or are held.
+
+The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it
+could lose rank. What remains keeps this **invariant**:
+
+* no row of B, on what is free, follows from the others: where multipliers had to be replaced, each
+  new row makes an angle with those before it whose sine is at least
+  :data:`~hypergap_dolfinx.solve.replacements.INDEPENDENT` (`CONSISTENT` for rows that a patch test
+  needs);
+* there are no more rows than free dofs that can answer to them;
+* each patch's λ can be any polynomial of degree k − 1, and can carry a force and a moment.
+
+Three rules lead there:
+
+1. λ belongs to a surface. Where several ties lie on one smooth piece of a body's surface, and the
+   bodies opposite are one or tied to each other there, the multipliers at one place are *one*.
+   So pieces between the same two bodies are one interface, however many ties it is given as.
+2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
+   that is prescribed, or that another interface uses too: there λ follows its neighbours, as in
+   mortar methods with cross points.
+3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
+   in space, as far as these rows don't follow from those of other such patches.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.multipliers import smooth_pieces
+from hypergap_dolfinx.graph import components
+from hypergap_dolfinx.solve.every import Every, Pair, prescribed_dofs
+from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.replacements import Replacement, pieces, replacements
+
+COVERED = 0.3
+"""Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
+SAME_PLACE = 1e-6  # distance, in facets' lengths, below which dofs of two bodies are at one place
+
+
+def interfaces(ties: Sequence[Interface], bodies: Sequence[Pair]) -> list[list[int]]:
+    """Ties that are pieces of one interface, and share a block of rows: between the same bodies."""
+    found: dict[tuple, list[int]] = {}
+    for t, (tie, pair) in enumerate(zip(ties, bodies, strict=True)):
+        key = (*pair, t) if tie.free_interior else pair
+        found.setdefault(key, []).append(t)
+    return list(found.values())
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The multipliers that exist, of one interface, in the order of their rows in B."""
+
+    rank: npt.NDArray[np.intp]
+    """The rank that has each, in ascending order, ``(num_columns,)``."""
+    own: npt.NDArray[np.int64]
+    """Global dof (unrolled) of V₁ that answers to each; −1 where several do, ``(num_columns,)``."""
+
+
+@dataclass
+class Choice:
+    """What became of the multipliers of all ties; the same on every rank."""
+
+    interfaces: list[list[int]]
+    """The ties of each interface."""
+    columns: list[Columns]
+    """The multipliers that exist, of each interface."""
+    entries: list[tuple[npt.NDArray, npt.NDArray, npt.NDArray, npt.NDArray]]
+    """E with λ = E λ' of each tie: row (multiplier times block size plus component), interface,
+    column and value of each nonzero."""
+    lost: list[npt.NDArray[np.intp]]
+    """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
+
+
+class _Smooth:
+    """Smooth pieces of the bodies' surfaces that ties lie on, found when they are asked for."""
+
+    def __init__(self, every: Every):
+        self._every = every
+        self._pieces: dict[tuple[int, int], list[npt.NDArray]] = {}
+
+    def _piece(self, side: int, t: int) -> npt.NDArray:
+        """Piece of each facet of a tie's side, numbered over all ties on that side of the body."""
+        body = self._every.bodies[t][side]
+        on = [s for s, pair in enumerate(self._every.bodies) if pair[side] == body]
+        if (side, body) not in self._pieces:
+            surfaces = [self._every.ties[s].surfaces[side] for s in on]
+            self._pieces[side, body] = smooth_pieces(surfaces)
+        return self._pieces[side, body][on.index(t)]
+
+    def on_side1(self, m: int) -> set[int]:
+        """Pieces of Γ1's body at a multiplier."""
+        multipliers, local = self._every.local(m)
+        return set(self._piece(1, self._every.tie[m])[multipliers.facets_of(local)[0]])
+
+    def on_side0(self, m: int) -> set[int]:
+        """The piece of Γ0's body that is nearest to a multiplier."""
+        multipliers, local = self._every.local(m)
+        t = self._every.tie[m]
+        x = self._every.ties[t].surfaces[0].nodes.mean(axis=1)
+        facet = np.linalg.norm(x - multipliers.x[local], axis=1).argmin()
+        return {self._piece(0, t)[facet]}
+
+
+def _merge(every: Every, users) -> npt.NDArray[np.int32]:
+    """Rule 1: the number of the class that each multiplier is in."""
+    ties, bodies = every.ties, every.bodies
+    tied = {frozenset(pair) for pair in bodies}
+    smooth = _Smooth(every)
+
+    def may(a: int, b: int, side: int) -> bool:
+        """Whether two ties with the same body on one side act as one interface at a place."""
+        s, t = every.tie[a], every.tie[b]
+        if s == t or ties[s].closes_gap != ties[t].closes_gap:
+            return False
+        if ties[s].free_interior or ties[t].free_interior:
+            return False
+        opposite = bodies[s][1 - side], bodies[t][1 - side]
+        return opposite[0] == opposite[1] or frozenset(opposite) in tied
+
+    pairs = [
+        (a, b)
+        for same in every.places().values()
+        for a, b in combinations(same, 2)
+        if may(a, b, 1) and smooth.on_side1(a) & smooth.on_side1(b)
+    ]
+    # On one smooth piece of Γ0, bodies on the other side whose corners meet
+    by_body = defaultdict(list)
+    for m in users:
+        by_body[bodies[every.tie[m]][0]].append(m)
+    for same in by_body.values():
+        x = every.x(same)
+        size = min(every.lists[every.tie[m]].surface.size.min() for m in same)
+        for i, a in enumerate(same):
+            near = np.abs(x[i + 1 :] - x[i]).max(axis=1) <= SAME_PLACE * size
+            for b in np.array(same[i + 1 :], dtype=int)[near]:
+                apart = bodies[every.tie[a]][1] != bodies[every.tie[b]][1]
+                if apart and may(a, b, 0) and smooth.on_side0(a) & smooth.on_side0(b):
+                    pairs.append((a, int(b)))
+    first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return components(len(every), first, second)
+
+
+def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool_]:
+    """Which multipliers another interface competes with for their dofs, ``(num,)``."""
+    bodies = every.bodies
+    crossed = np.zeros(len(every), dtype=bool)
+    for same in every.places().values():
+        for a, b in combinations(same, 2):
+            crossed[[a, b]] |= every.tie[a] == every.tie[b]  # patches that meet at a kink
+    for m, others in users.items():
+        mine = [every.tie[k] for k in members[label[m]]]
+        # What ties the bodies that meet here ends here, and gives way
+        ending = {
+            frozenset((bodies[s][side], bodies[t][side]))
+            for s, t in combinations(mine, 2)
+            for side in (0, 1)
+        }
+        for s, side in others:
+            if s in mine and side == 1:
+                continue
+            crossed[m] |= s in mine or frozenset(bodies[s]) not in ending
+    return crossed
+
+
+def _covered(every: Every, label, members) -> npt.NDArray[np.bool_]:
+    """Which multipliers have a facet that their interface covers by enough, ``(num,)``."""
+    enough = np.concatenate([lists.reach > COVERED for lists in every.lists])
+    for same in members.values():
+        if len(same) > 1 and not enough[same].any():
+            total: defaultdict[tuple, float] = defaultdict(float)
+            for lists, local in map(every.local, same):
+                for facet in lists.facets_of(local)[0]:
+                    total[tuple(np.sort(lists.surface.dofs[facet]))] += lists.covered[facet]
+            enough[same] = max(total.values()) > COVERED
+        elif len(same) > 1:
+            enough[same] = True
+    return enough
+
+
+def choose(
+    ties: Sequence[Interface], bodies: Sequence[Pair], prescribed: Sequence[npt.NDArray]
+) -> Choice:
+    """Choose the multipliers. Collective.
+
+    Args:
+        ties: The ties.
+        bodies: Numbers of the bodies on both sides of each tie.
+        prescribed: Which owned dofs of each body are prescribed, ``(num_dofs * block_size,)``.
+    """
+    groups = interfaces(ties, bodies)
+    if not ties:
+        return Choice([], [], [], [])
+    every = Every(ties, bodies)
+    users = every.users()
+    label = _merge(every, users)
+    members: defaultdict[int, list[int]] = defaultdict(list)
+    for m in np.flatnonzero(np.bincount(label)[label] > 1).tolist():
+        members[int(label[m])].append(m)
+    for m in users:
+        members.setdefault(int(label[m]), [m])
+    held = np.vstack(
+        [
+            prescribed_dofs(tie, 1, prescribed[pair[1]], lists.dofs)
+            for tie, pair, lists in zip(ties, bodies, every.lists, strict=True)
+        ]
+    )
+    gone = _at_cross_points(every, users, label, members) | ~_covered(every, label, members)
+    drop = held | gone[:, None]
+    for same in members.values():
+        drop[same] = held[same].all(axis=0) | gone[same].any()
+    return _Assembly(every, groups, label, held, drop, prescribed).choice()
+
+
+class _Assembly:
+    """Numbers the multipliers that exist, and says what λ is at all others."""
+
+    def __init__(self, every: Every, groups, label, held, drop, prescribed):
+        self._every, self._groups, self._label = every, groups, label
+        self._held, self._drop = held, drop
+        self._prescribed = prescribed
+        self._group = np.empty(len(every.ties), dtype=np.intp)
+        for g, group in enumerate(groups):
+            self._group[group] = g
+        self._piece_of: dict[int, npt.NDArray[np.int32]] = {}
+        # Of each column: interface, rank, the multiplier that it stands for, component, own dof
+        self._columns: list[npt.NDArray[np.int64]] = []
+        # Of each entry of E: multiplier, component, column, value
+        self._entries: list[tuple] = []
+        self._lost: list[tuple[int, int]] = []  # multiplier and component
+
+    def choice(self) -> Choice:
+        """Carry it out. Collective."""
+        every, block_size = self._every, self._held.shape[1]
+        new = replacements(every, self._label, self._held, self._drop, self._prescribed)
+        elsewhere = np.zeros_like(self._drop)
+        for piece in new:
+            elsewhere[piece.numbers, piece.component] = True
+        # One column for each class that is left, at its first multiplier
+        first = np.unique(self._label, return_index=True)[1][self._label]
+        m, component = np.nonzero(~self._drop)
+        own = first[m] == m
+        column = np.full(self._drop.shape, -1, dtype=np.intp)
+        column[m[own], component[own]] = np.arange(own.sum())
+        dofs = every.dof[m[own]] * block_size + component[own]
+        self._add_columns(m[own], component[own], dofs)
+        column[m, component] = column[first[m], component]
+        self._entries.append((m, component, column[m, component], np.ones(len(m))))
+        for m, component in np.argwhere(self._drop & ~elsewhere).tolist():
+            weights, others, beside = self._follow(m, component)
+            if not beside and self._all_held(m, component):
+                self._lost.append((m, component))
+            at = column[others, component]
+            num = len(others)
+            self._entries.append((np.full(num, m), np.full(num, component), at, weights))
+        for piece in new:
+            self._add_replacement(piece)
+        return self._numbered()
+
+    def _add_columns(self, m, component, own):
+        """Columns at multipliers, with the dofs that answer to them; on the ranks of these."""
+        every = self._every
+        tie = every.tie[m]
+        rank = np.empty(len(m), dtype=np.intp)
+        for t in np.unique(tie):
+            ends = every.ties[t].surfaces[1].dof_range[1:]
+            rank[tie == t] = np.searchsorted(ends, every.dof[m[tie == t]], side="right")
+        self._columns.append(np.stack((self._group[tie], rank, m, component, own), axis=1))
+
+    def _follow(self, m: int, component: int):
+        """Weights and the multipliers that λ follows, and whether these are beside it."""
+        every, drop = self._every, self._drop[:, component]
+        lists, local = every.local(m)
+        start = every.starts[every.tie[m]]
+        weights, others, beside = lists.follow(local, drop[start : start + len(lists.dofs)])
+        if len(others):
+            return weights, start + others, beside
+        # Its own tie has none left there, but another one of the same piece
+        if component not in self._piece_of:
+            self._piece_of[component] = pieces(every, self._label, drop)
+        piece = self._piece_of[component]
+        mine = np.flatnonzero((piece == piece[m]) & ~drop)
+        if len(mine):
+            nearest = np.linalg.norm(every.x(mine) - lists.x[local], axis=1).argmin()
+            return np.ones(1), mine[nearest : nearest + 1], beside
+        return weights, others, beside
+
+    def _all_held(self, m: int, component: int) -> bool:
+        """Whether all dofs of the facets at a multiplier are prescribed."""
+        lists, local = self._every.local(m)
+        start = self._every.starts[self._every.tie[m]]
+        at = lists.on_facets[lists.facets_of(local)[0]]
+        return bool((self._held[start + at, component] | (at < 0)).all())
+
+    def _add_replacement(self, piece: Replacement):
+        """Columns of the multipliers that a piece has instead of its own."""
+        numbers, component = piece.numbers, piece.component
+        start = sum(len(columns) for columns in self._columns)
+        at = np.repeat(numbers[:1], len(piece.taken))
+        self._add_columns(at, np.full(len(at), component), np.full(len(at), -1))
+        for i, values in enumerate(piece.taken):
+            num = len(numbers)
+            self._entries.append(
+                (numbers, np.full(num, component), np.full(num, start + i), values)
+            )
+        if not piece.complete:
+            self._lost += [(m, component) for m in numbers if self._all_held(m, component)]
+
+    def _numbered(self) -> Choice:
+        """Sort the columns of each interface by rank."""
+        every, block_size = self._every, self._held.shape[1]
+        columns = np.concatenate(self._columns)
+        interface, rank, m, component, own = columns.T
+        order = np.lexsort((np.arange(len(columns)), component, m, rank, interface))
+        starts = np.searchsorted(interface[order], np.arange(len(self._groups) + 1))
+        number = np.empty(len(order), dtype=np.intp)
+        number[order] = np.arange(len(order)) - starts[interface[order]]
+        m, component, column, value = (
+            np.concatenate(part) for part in zip(*self._entries, strict=True)
+        )
+        m, column = m.astype(np.intp), column.astype(np.intp)
+        tie = every.tie[m]
+        row = (m - every.starts[tie]) * block_size + component.astype(np.intp)
+        lost = np.array(self._lost, dtype=np.intp).reshape(-1, 2)
+        lost_tie = every.tie[lost[:, 0]]
+        lost_row = (lost[:, 0] - every.starts[lost_tie]) * block_size + lost[:, 1]
+        each = range(len(every.ties))
+        return Choice(
+            self._groups,
+            [Columns(rank[part], own[part]) for part in np.split(order, starts[1:-1])],
+            [
+                (row[mine], interface[column[mine]], number[column[mine]], value[mine])
+                for mine in (tie == t for t in each)
+            ],
+            [lost_row[lost_tie == t] for t in each],
+        )

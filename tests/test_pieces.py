@@ -1,0 +1,176 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Interfaces that are given in pieces, or that meet: judged by a field that is in no space.
+
+Beside tied bodies stand the bodies alone with exact data, and one tie over all.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from assembly import (
+    Body,
+    comm,
+    displacement_error,
+    inertia,
+    problem,
+    rectangle,
+    smooth_errors,
+    smooth_problem,
+    smooth_traction_error,
+    tie,
+)
+
+import dolfinx
+from hypergap_dolfinx import Tie
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+ELEMENTS = {"Q1": ("quadrilateral", 1), "P2": ("triangle", 2), "Q3": ("quadrilateral", 3)}
+
+
+def alone(bodies, tied):
+    """Errors of the bodies by themselves: the worse of exact displacements and tractions."""
+    found = [smooth_errors(smooth_problem(bodies, (), tied, how)) for how in ("held", "loaded")]
+    return np.max(found, axis=0)
+
+
+def wall(cell, degree, num=10, plate_cells=7):
+    """Bricks of one cell each on a plate: bodies, pairs of the plate's ties, pairs between them."""
+    bodies = [rectangle((plate_cells, 4), (0, 0), (1, 0.5), cell=cell, degree=degree)]
+    for i in range(num):
+        corners = (i / num, 0.5), ((i + 1) / num, 0.7)
+        bodies.append(rectangle((1, 1), *corners, cell=cell, degree=degree))
+    on_plate = [((0, TOP), (i, BOTTOM)) for i in range(1, num + 1)]
+    between = [((i, RIGHT), (i + 1, LEFT)) for i in range(1, num)]
+    return bodies, on_plate, between
+
+
+@pytest.mark.parametrize("swap_between", (False, True))
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("name", ("Q1", "P2"))
+def test_bricks_on_a_plate(name, swap, swap_between):
+    """Displacements as good as the bodies alone, tractions as those of one tie over all."""
+    bodies, on_plate, between = wall(*ELEMENTS[name])
+    tied = [side for pair in on_plate + between for side in pair]
+    ties = [tie(bodies, *(pair[::-1] if swap else pair)) for pair in on_plate]
+    ties += [tie(bodies, *(pair[::-1] if swap_between else pair)) for pair in between]
+    p = smooth_problem(bodies, ties, tied)
+    ratios = smooth_errors(p) / alone(bodies, tied)
+    cell, degree = ELEMENTS[name]
+    one = [bodies[0], rectangle((10, 1), (0, 0.5), (1, 0.7), cell=cell, degree=degree)]
+    sides = ((1, BOTTOM), (0, TOP)) if swap else ((0, TOP), (1, BOTTOM))
+    over_all = tie(one, *sides)
+    reference = smooth_traction_error(smooth_problem(one, [over_all], sides), [over_all], one)
+    errors = [smooth_traction_error(p, some, bodies) for some in (ties[:10], ties)]
+    print(ratios, errors, reference)
+    assert ratios[0] <= 1.3
+    assert ratios[1] <= 1.1
+    assert max(errors) <= 2 * reference
+    if comm.size == 1:
+        negative, zero, multipliers = inertia(p)
+        assert (negative, zero) == (multipliers, 0)
+
+
+def test_bricks_that_nothing_else_holds():
+    """The same patch as everywhere: of bricks with loads instead of prescribed displacements."""
+    for name, tied_to_each_other in product(("Q1", "P2"), (False, True)):
+        bodies, on_plate, between = wall(*ELEMENTS[name], num=4, plate_cells=3)
+        pairs = on_plate + between * tied_to_each_other
+        for swap in (False, True):
+            ties = [tie(bodies, *(pair[::-1] if swap else pair)) for pair in pairs]
+            tied = [side for pair in pairs for side in pair]
+            p = problem(bodies, ties, tied, [(0, BOTTOM, (0, 1))])
+            p.solve()
+            assert displacement_error(p) <= 1e-12
+            assert inertia(p)[1] == 0
+
+
+def tags(body: Body, tag: int, num: int):
+    """Facets of a side by tags of equal length, without empty ones."""
+    facets = body.facets(tag)
+    x = dolfinx.mesh.compute_midpoints(body.mesh, 1, facets)[:, 0]
+    parts = [facets[np.floor(x * num).astype(int) == i] for i in range(num)]
+    return [part for part in parts if comm.allreduce(len(part))]
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("cells", ((10, 4), (10, 7), (40, 7)))
+@pytest.mark.parametrize("name", ("Q1", "P2"))
+def test_one_interface_as_many_ties(name, cells, swap):
+    """Tags on one side, the whole other side in each tie; or tags on both where they fit."""
+    cell, degree = ELEMENTS[name]
+    bodies = [
+        rectangle((cells[0], 3), (0, 0), (1, 0.5), cell=cell, degree=degree),
+        rectangle((cells[1], 3), (0, 0.5), (1, 1), cell=cell, degree=degree),
+    ]
+    tied = [(0, TOP), (1, BOTTOM)]
+    whole = [bodies[0].facets(TOP), bodies[1].facets(BOTTOM)]
+
+    def solve(facets):
+        ties = []
+        for pair in facets:
+            sides = [(body.V, f) for body, f in zip(bodies, pair, strict=True)]
+            ties.append(Tie(*(sides[::-1] if swap else sides)))
+        p = smooth_problem(bodies, ties, tied)
+        return np.array([*smooth_errors(p), smooth_traction_error(p, ties, bodies)])
+
+    one = solve([whole])
+    for num in (5, 10, 20) if comm.size == 1 else (5,):
+        for facets in (
+            [(part, whole[1]) for part in tags(bodies[0], TOP, num)],
+            [(whole[0], part) for part in tags(bodies[1], BOTTOM, num)],
+        ):
+            ratios = solve(facets) / one
+            print(num, len(facets), ratios)
+            assert ratios.max() <= 1.1
+
+
+FOUR = [((0, RIGHT), (1, LEFT)), ((2, RIGHT), (3, LEFT)), ((0, TOP), (2, BOTTOM))]
+FOUR += [((1, TOP), (3, BOTTOM))]
+THREE = [((0, RIGHT), (1, LEFT)), ((0, TOP), (2, BOTTOM)), ((1, TOP), (2, BOTTOM))]
+
+
+@pytest.mark.parametrize("cells", ((2, 3, 4, 5), (4, 6, 3, 5)))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_four_blocks(name, cells):
+    cell, degree = ELEMENTS[name]
+    corners = ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
+    bodies = [
+        rectangle((n, n), (x, y), (x + 0.5, y + 0.5), cell=cell, degree=degree)
+        for n, (x, y) in zip(cells, corners, strict=True)
+    ]
+    tied = [side for pair in FOUR for side in pair]
+    reference = alone(bodies, tied)
+    for swaps in ((0, 0, 0, 0), (1, 1, 0, 0), (0, 1, 0, 1)):
+        ties = [tie(bodies, *(p[::-1] if s else p)) for p, s in zip(FOUR, swaps, strict=True)]
+        p = smooth_problem(bodies, ties, tied)
+        ratios = smooth_errors(p) / reference
+        error = smooth_traction_error(p, ties, bodies)
+        print(swaps, ratios, error)
+        assert ratios.max() <= 1.1
+        assert error <= (0.1, 5e-3, 2e-4)[degree - 1]
+
+
+@pytest.mark.parametrize("cut", (0.5, 0.37))
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_t_junction(name, cut):
+    cell, degree = ELEMENTS[name]
+    corners = (((0, 0), (cut, 0.5)), ((cut, 0), (1, 0.5)), ((0, 0.5), (1, 1)))
+    bodies = [
+        rectangle((n, 3), *corner, cell=cell, degree=degree)
+        for n, corner in zip((6, 9, 10), corners, strict=True)
+    ]
+    tied = [side for pair in THREE for side in pair]
+    reference = alone(bodies, tied)
+    for swaps in product((0, 1), repeat=3) if comm.size == 1 else ((0, 0, 1),):
+        ties = [tie(bodies, *(p[::-1] if s else p)) for p, s in zip(THREE, swaps, strict=True)]
+        p = smooth_problem(bodies, ties, tied)
+        ratios = smooth_errors(p) / reference
+        error = smooth_traction_error(p, ties, bodies)
+        print(swaps, ratios, error)
+        assert ratios.max() <= 1.1
+        assert error <= (0.08, 4e-3, 2e-4)[degree - 1]
