@@ -84,7 +84,7 @@ class NonlinearTiedProblem(TiedSystem):
 
         Raises:
             ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
-                a space that belongs to no body.
+                a space that belongs to no body; a solver that isn't possible.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         if J is None:

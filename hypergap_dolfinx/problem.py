@@ -99,7 +99,7 @@ class TiedProblem(TiedSystem):
 
         Raises:
             ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
-                belongs to no body.
+                belongs to no body; a solver that isn't possible.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         if isinstance(a, ufl.Form) or isinstance(L, ufl.Form):

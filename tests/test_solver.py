@@ -453,8 +453,12 @@ def test_the_default_falls_back(monkeypatch):
     options = dict(solvers.Bodies.OPTIONS, ksp_max_it=5)
     monkeypatch.setattr(solvers.Bodies, "OPTIONS", options)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+    given_up = problem.solver
     problem.solve()
-    assert problem.solver.getPC().getType() == "lu"
+    assert problem.solver.getPC().getType() == "lu" and problem.iterations <= 2
+    assert (
+        given_up.getType() == "gmres" and given_up.getIterationNumber() == 5
+    )  # who holds it, has it
     direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
     direct.solve()
     assert difference(problem, direct) <= 1e-8

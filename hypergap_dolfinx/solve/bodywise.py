@@ -13,7 +13,8 @@ import numpy.typing as npt
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.modes import rigid_modes
-from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System, prefixed
+from hypergap_dolfinx.solve.options import prefixed
+from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System
 from hypergap_dolfinx.solve.substructures import Substructures, order_of_bodies
 
 LU = {

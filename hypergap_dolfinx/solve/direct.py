@@ -10,7 +10,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from hypergap_dolfinx.solve import saddle
-from hypergap_dolfinx.solve.solver import UNFIT, KSPSolver, System
+from hypergap_dolfinx.solve.solver import KSPSolver, System
 
 PLANE = {"mat_mumps_icntl_7": 2}
 """In the plane MUMPS orders by approximate minimum fill: in all a third to a half less time than
@@ -32,7 +32,10 @@ class Direct(KSPSolver):
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_icntl_14": 100,  # 20 % of workspace to spare is too little for saddle systems
     }
-    UNFIT = UNFIT
+    UNFIT = (
+        " The matrix is a MatNest with a block of zeros; "
+        'pc_type "lu" (MUMPS) and "fieldsplit" take it.'
+    )
     REPLACEABLE = True
 
     @classmethod

@@ -51,7 +51,8 @@ def free_motions(
         )
     ]
     every = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
-    apart = [_apart(spaces, row) for row in constraints.full]
+    sizes = [_cell_sizes(V) if constraints.full and _rotates(V) else None for V in spaces]
+    apart = [_apart(spaces, sizes, row) for row in constraints.full]
     together: list[Modes] = [
         dict(zip(nodes, common_modes([spaces[i] for i in nodes], list(nodes.values()))))
         for nodes in _tied_groups(spaces, in_part, constraints, apart)
@@ -64,31 +65,44 @@ def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:
     return next(B for B in row if B is not None).getLocalSize()[0]
 
 
+def _rotates(V: fem.FunctionSpace) -> bool:
+    """Whether a body's field is a displacement."""
+    return V.value_shape == (V.mesh.geometry.dim,)
+
+
 def _apart(
-    spaces: Sequence[fem.FunctionSpace], row: Sequence[PETSc.Mat | None]
+    spaces: Sequence[fem.FunctionSpace],
+    sizes: Sequence[npt.NDArray[np.float64] | None],
+    row: Sequence[PETSc.Mat | None],
 ) -> npt.NDArray[np.bool_]:
     """Which of a tie's rows tie what is apart, ``(num_rows,)``. Collective.
 
     A row makes nothing of constants; so what it makes of positions is its weight times a distance.
+
+    Args:
+        spaces: Space of each body.
+        sizes: Size of the cells around each node, of bodies that have displacements.
+        row: The tie's block on each field.
     """
     n, num_rows = spaces[0].mesh.geometry.dim, _num_rows(row)
+    # Nobody here knows where free interior nodes are
     if any(B is not None for B in row[len(spaces) :]):
-        return np.zeros(num_rows, dtype=bool)  # nobody here knows where free interior nodes are
+        return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
-    for V, B in zip(spaces, row, strict=False):
-        if B is None:
+    for V, h, B in zip(spaces, sizes, row, strict=False):
+        if B is None or h is None:
             continue
-        x, h = places(V), _cell_sizes(V)
+        x = places(V)
         # Digits are few far from the origin, which may be anywhere, but the same for all bodies
         origin = spaces[0].mesh.comm.bcast(places(spaces[0])[:1].sum(axis=0))
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = np.repeat(columns, V.dofmap.index_map_bs, axis=0)
         moment += product(B, columns[:, :n])
         magnitudes = absolute(B)
-        mine, sizes = product(magnitudes, columns[:, n:]).T
+        mine, weighted = product(magnitudes, columns[:, n:]).T
         magnitudes.destroy()
         weight += mine
-        size = np.maximum(size, np.divide(sizes, mine, out=np.zeros(num_rows), where=mine > 0))
+        size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
     # Half of the weight is on either side
     return 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
 

@@ -6,8 +6,9 @@
 """The saddle system solved by conjugate gradients and algebraic multigrid."""
 
 from hypergap_dolfinx.solve.bodywise import LU
+from hypergap_dolfinx.solve.options import prefixed
 from hypergap_dolfinx.solve.projected import ProjectedSystem
-from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System, prefixed
+from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System
 
 
 class Multigrid(IterativeSolver):

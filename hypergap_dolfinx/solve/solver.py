@@ -7,23 +7,16 @@
 
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from petsc4py import PETSc
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
-
-UNKNOWN_TYPE = 86
-"""PETSc's code for a type of KSP or PC that it doesn't have."""
-UNFIT = (
-    ' The matrix is a MatNest with a block of zeros; pc_type "lu" (MUMPS) and "fieldsplit" take it.'
-)
+from hypergap_dolfinx.solve.options import Options, names_types
 
 
 @dataclass(frozen=True)
@@ -38,67 +31,6 @@ class System:
     """B."""
     spaces: Sequence[fem.FunctionSpace]
     """Space of each body."""
-
-
-def prefixed(prefix: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of what a solver consists of."""
-    return {prefix + key: value for key, value in options.items()}
-
-
-def names_types(options: dict | None) -> bool:
-    """Whether PETSc options say how to solve, and not only how exactly."""
-    return bool({"ksp_type", "pc_type"} & set(options or {}))
-
-
-class Options:
-    """PETSc options that are in its database only while they are needed."""
-
-    def __init__(self, prefix: str, options: dict[str, Any], defaults: dict[str, Any], unfit: str):
-        """Choose them: given ones, the command line's, defaults, in this order.
-
-        Args:
-            prefix: Of PETSc's objects.
-            options: The user's.
-            defaults: Those of the solver.
-            unfit: What is said of options that PETSc can't solve with.
-
-        Raises:
-            ValueError: No prefix.
-        """
-        if not prefix:
-            raise ValueError("the PETSc options prefix cannot be empty.")
-        given = PETSc.Options().getAll()
-        free = {key: value for key, value in defaults.items() if prefix + key not in given}
-        self._options = {prefix + key: value for key, value in {**free, **options}.items()}
-        self._unfit = unfit
-
-    @contextmanager
-    def in_use(self) -> Iterator[None]:
-        """Put them into the database: MUMPS reads its own when it is called.
-
-        Raises:
-            SolveError: PETSc can't solve with these options.
-        """
-        database = PETSc.Options()
-        before = database.getAll()
-        for key, value in self._options.items():
-            database[key] = value
-        try:
-            yield
-        except PETSc.Error as error:
-            cause = error.__cause__
-            if cause is not None and not isinstance(cause, PETSc.Error):
-                raise cause from None  # of Python that PETSc called; old PETSc raises it itself
-            reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
-            raise SolveError(
-                f"PETSc can't solve with these options: {reason} (code {error.ierr})."
-                + self._unfit * (error.ierr != UNKNOWN_TYPE)
-            ) from error
-        finally:
-            for key in self._options:
-                del database[key]
-                if key in before:
-                    database[key] = before[key]
 
 
 class Solver(ABC):
@@ -315,7 +247,7 @@ class IterativeSolver(KSPSolver):
         self._failure = saddle.failure(self._ksp, self.ADVICE)
         if self._failure is None:
             error = saddle.backward_error(self._system.A, x, b)
-            if error > saddle.BACKWARD:
+            if not error <= saddle.BACKWARD:  # or no number
                 self._failure = (
                     f'the linear solve with solver="{self.name}" ended, but misses the system by '
                     f'{error:.0e} of its terms; take solver="direct".'

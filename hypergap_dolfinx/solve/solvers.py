@@ -10,7 +10,8 @@ from petsc4py import PETSc
 from hypergap_dolfinx.solve.bodywise import Bodies
 from hypergap_dolfinx.solve.direct import Direct, DirectStep
 from hypergap_dolfinx.solve.multigrid import Multigrid
-from hypergap_dolfinx.solve.solver import KSPSolver, Solver, System, names_types
+from hypergap_dolfinx.solve.options import names_types
+from hypergap_dolfinx.solve.solver import KSPSolver, Solver, System
 
 SOLVERS: dict[str, type[KSPSolver]] = {cls.name: cls for cls in (Direct, Bodies, Multigrid)}
 """What a user can name."""
