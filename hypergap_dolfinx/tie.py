@@ -18,7 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap import fields
+from hypergap_dolfinx.gap import fields, quality
 from hypergap_dolfinx.gap.adjust import adjust_surface
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
@@ -137,7 +137,9 @@ class Tie(disposal.Owner):
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
         self._domain = create_gap_domain(comm, *surfaces)
-        self._warn_of_distance()
+        for doubt in quality.doubts(self._domain, (side0, side1)):
+            if comm.rank == 0:
+                LOG.warning(doubt)
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
@@ -187,18 +189,6 @@ class Tie(disposal.Owner):
             reason = "" if why == "second" else f", the {why} one"
             LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
         return tie
-
-    def _warn_of_distance(self):
-        """Surfaces far apart may be meant, but mostly are a wrong tag or a mesh in other units."""
-        distance = self._domain.distance()
-        length = max(surface.size.max(initial=0.0) for surface in self.surfaces)
-        if distance > length and self.sigma.comm.rank == 0:
-            LOG.warning(
-                "Γ0 and Γ1 are %.3g apart on average, but their longest facet is %.3g: are tags "
-                "and units right? They are tied across the gap.",
-                distance,
-                length,
-            )
 
     @property
     def swapped(self) -> bool:

@@ -5,9 +5,20 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Random scenes: the patch test holds, or an exception comes that the documentation names."""
 
+from itertools import pairwise, permutations
+
 import numpy as np
-from assembly import comm, displacement_error, linear, problem, rectangle, tie
-from hypothesis import HealthCheck, given, settings
+from assembly import (
+    comm,
+    displacement_error,
+    linear,
+    problem,
+    rectangle,
+    smooth_errors,
+    smooth_problem,
+    tie,
+)
+from hypothesis import HealthCheck, assume, event, given, settings
 from hypothesis import strategies as st
 
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError
@@ -90,3 +101,46 @@ def test_patch_or_exception(scene):
     assert np.isfinite(values).all()
     if right and damage is None:
         assert displacement_error(p, linear) <= 1e-11 * max(1.0, 0.01 * shift)
+
+
+@st.composite
+def walls(draw):
+    """Courses of blocks on each other: cells, where they are, elements; tied by up to 12 ties."""
+    cell, degree = draw(ELEMENTS)
+    columns = draw(st.lists(st.integers(1, 3), min_size=2, max_size=3))
+    blocks = []
+    for row, num in enumerate(columns):
+        inner = [draw(st.floats(0.2, 0.8)) for _ in range(num - 1)]
+        cuts = np.array([0, *np.cumsum([*inner, 1]) / (sum(inner) + 1)][: num + 1])
+        for left, right in pairwise(cuts):
+            n = draw(st.integers(1, 5)), draw(st.integers(1, 4))
+            blocks.append((n, (left, row / 2), (right, (row + 1) / 2)))
+    return cell, degree, blocks, draw(st.booleans())
+
+
+@settings(
+    max_examples=EXAMPLES // 3,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(walls())
+def test_walls(wall):
+    """A smooth field in as many bodies and ties as there may be: no pair spoils another's."""
+    cell, degree, blocks, swap = wall
+    bodies = [rectangle(*block, cell=cell, degree=degree) for block in blocks]
+    pairs = []
+    for (i, (_, low, high)), (j, (_, low2, high2)) in permutations(enumerate(blocks), 2):
+        if low[1] == low2[1] and abs(high[0] - low2[0]) < 1e-9:
+            pairs.append(((i, RIGHT), (j, LEFT)))
+        if low2[1] == high[1] and min(high[0], high2[0]) - max(low[0], low2[0]) > 1e-6:
+            pairs.append(((i, TOP), (j, BOTTOM)))
+    assume(len(pairs) <= 12)
+    tied = [side for pair in pairs for side in pair]
+    ties = [tie(bodies, *(pair[::-1] if swap else pair)) for pair in pairs]
+    p = smooth_problem(bodies, ties, tied)
+    ratios = smooth_errors(p) / smooth_errors(smooth_problem(bodies, (), tied, "held"))
+    event(f"{len(pairs)} ties")
+    # Blocks of one cell beside finer ones: exact data are better than what the coarse ones have
+    assert ratios.max() <= 3

@@ -10,9 +10,6 @@ solid. Its sides are closed like the strip in 2D, Gmsh fills it, and of the resu
 connectivity is kept: the vertices go back to where they belong.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-
 from mpi4py import MPI
 
 import numpy as np
@@ -21,10 +18,11 @@ import numpy.typing as npt
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import tetrahedra
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.kernel import cofactor
-from hypergap_dolfinx.gap.strip import triangulate
+from hypergap_dolfinx.gap.flat_cells import error_of, without_flat_cells
+from hypergap_dolfinx.gap.pieces import Side, side_walls
+from hypergap_dolfinx.gap.slab_cells import Slab, find
 from hypergap_dolfinx.gap.surface import Surface
-from hypergap_dolfinx.gap.triangulation import facing_pieces, loops, neighbours, project
+from hypergap_dolfinx.gap.triangulation import facing_pieces, project
 
 ATTEMPTS = (
     *[(offset, True, tetrahedra.HXT) for offset in (0.5, 0.25, 1.0)],
@@ -36,352 +34,6 @@ ATTEMPTS = (
 """Offsets in cell sizes, whether along each vertex's own normal or the mean one, and algorithms.
 
 The first that gives a valid Σ is taken."""
-FLAT = 1e-9  # sine of the angle at which a cell's two edges, one on each side, count as parallel
-COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
-
-
-@dataclass(frozen=True)
-class Side:
-    """A piece of Γ_i in the slab."""
-
-    surface: Surface
-    facets: npt.NDArray[np.intp]
-    """The piece's facets in the surface, ``(num_facets,)``."""
-    vertices: npt.NDArray[np.intp]
-    """Its vertices in the surface, ``(num_vertices,)``."""
-    triangles: npt.NDArray[np.intp]
-    """The facets in these vertices, ``(num_facets, 3)``."""
-
-    @classmethod
-    def of(cls, surface: Surface, facets: npt.NDArray[np.intp]) -> "Side":
-        """The piece of a surface that some facets make up."""
-        vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
-        return cls(surface, facets, vertices.astype(np.intp), triangles.reshape(-1, 3))
-
-    @property
-    def x(self) -> npt.NDArray[np.float64]:
-        """Vertex coordinates, ``(num_vertices, 3)``."""
-        return self.surface.x[self.vertices]
-
-    @cached_property
-    def behind(self) -> npt.NDArray[np.intp]:
-        """Neighbours in the piece, numbered as in the piece, ``(num_facets, 3)``."""
-        return neighbours(self.triangles, self.surface.name, self.x)
-
-    @cached_property
-    def vertex_normals(self) -> npt.NDArray[np.float64]:
-        """Vectors along which the vertices' facets all move outwards by about one."""
-        x = self.x[self.triangles]
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        total = np.zeros_like(self.x)
-        for k in range(3):
-            np.add.at(total, self.triangles[:, k], normal)
-        total /= np.linalg.norm(total, axis=1, keepdims=True)
-        cosine = np.ones(len(total))
-        unit = self.surface.normals[self.facets]
-        for k in range(3):
-            at = self.triangles[:, k]
-            np.minimum.at(cosine, at, np.einsum("fi,fi->f", unit, total[at]))
-        return total / np.maximum(cosine, 0.4)[:, None]
-
-    def loops(self) -> list[npt.NDArray[np.intp]]:
-        """Boundary loops."""
-        return loops(self.triangles, self.behind, self.surface.name, self.x)
-
-
-def side_walls(side0: Side, side1: Side) -> npt.NDArray[np.intp]:
-    """Triangles between the boundary loops of two facing pieces.
-
-    Returns:
-        Vertices, Γ0's first and then Γ1's; outside of the slab is where they turn
-        counterclockwise, ``(num_triangles, 3)``.
-
-    Raises:
-        InterfaceError: The loops don't match.
-    """
-    loops0, loops1 = side0.loops(), [loop[::-1] for loop in side1.loops()]
-    if len(loops0) != len(loops1):
-        raise InterfaceError(
-            f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: in 3D both sides must cover the same part of the interface."
-        )
-    walls = [np.empty((0, 3), dtype=np.intp)]
-    for loop1 in loops1:
-        distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
-        loop0 = loops0.pop(int(np.argmin(distances)))
-        c0, c1, s0, s1 = _parametrise(side0, loop0, side1, loop1)
-        side, edge, apex = triangulate(s0, s1)
-        a, b = (np.where(side == i, edge, 0) for i in (0, 1))
-        a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
-        n0 = len(side0.x)
-        on0 = np.column_stack((c0[a], c0[a1], n0 + c1[apex % len(c1)]))
-        on1 = np.column_stack((n0 + c1[b1], n0 + c1[b], c0[apex % len(c0)]))
-        walls.append(np.where((side == 0)[:, None], on0, on1))
-    return np.vstack(walls)
-
-
-def _mean_distance(x, y) -> float:
-    """Mean distance of a few of the points to the nearest of the others."""
-    some = x[np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))]
-    return float(np.linalg.norm(some[:, None] - y, axis=2).min(axis=1).mean())
-
-
-def _parametrise(side0: Side, loop0, side1: Side, loop1):
-    """Roll two loops to a common start, and give their nodes parameters from 0 to 1.
-
-    Returns:
-        The loops, and parameters (one more than nodes: the last closes the loop), equal at
-        coincident nodes.
-
-    Raises:
-        InterfaceError: The loops are apart.
-    """
-    x0, x1 = side0.x[loop0], side1.x[loop1]
-    nearest = np.empty(len(x1), dtype=np.intp)
-    distance = np.empty(len(x1))
-    for c in range(0, len(x1), 256):
-        d = np.linalg.norm(x1[c : c + 256, None] - x0, axis=2)
-        nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
-    size = np.ptp(x0, axis=0).max()
-    shared = distance < COINCIDE * size + 64 * np.finfo(float).eps * np.abs(x0).max()
-    first = int(distance.argmin())
-    start = int(nearest[first])
-    loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
-    loop1, x1, shared, nearest = (
-        np.roll(a, -first, axis=0) for a in (loop1, x1, shared, (nearest - start) % len(x0))
-    )
-    _check_apart(side0, loop0, side1, loop1)
-    s0, s1 = _arc(x0), _arc(x1)
-    # Anchors: coincident nodes in the same order on both loops
-    j = np.flatnonzero(shared[1:]) + 1
-    i = nearest[j]
-    keep = (i == np.maximum.accumulate(i)) & (i > 0) if len(i) else i.astype(bool)
-    anchors0 = np.concatenate(([0.0], s0[i[keep]], [1.0]))
-    anchors1 = np.concatenate(([0.0], s1[j[keep]], [1.0]))
-    s1 = np.interp(s1, anchors1, anchors0)
-    if not shared.any():  # Γ1's first node lies a little off Γ0's
-        t = x0[1] - x0[0]
-        s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
-    return loop0, loop1, s0, s1
-
-
-def _arc(x) -> npt.NDArray[np.float64]:
-    """Arc length along a closed loop, from 0 to 1."""
-    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
-    s = np.append(0, np.cumsum(edges))
-    return s / s[-1]
-
-
-def _check_apart(side0: Side, loop0, side1: Side, loop1):
-    """Partial overlap would need the surfaces' intersection: not in 3D."""
-    x0, x1 = side0.x[loop0], side1.x[loop1]
-    t = np.roll(x0, -1, axis=0) - x0
-    length = np.linalg.norm(t, axis=1)
-    size = max(length.max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
-    normal = side0.vertex_normals[loop0]
-    for c in range(0, len(x1), 256):
-        y = x1[c : c + 256, None]
-        s = np.clip(np.einsum("pei,ei->pe", y - x0, t) / length**2, 0, 1)
-        apart = y - (x0 + s[..., None] * t)
-        edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-        apart = apart[np.arange(len(apart)), edge]
-        n = normal[edge] / np.linalg.norm(normal[edge], axis=1, keepdims=True)
-        apart -= np.einsum("pi,pi->p", apart, n)[:, None] * n  # a gap between them is fine
-        distance = np.linalg.norm(apart, axis=1)
-        if distance.max() > REACH * size:
-            worst = distance.argmax()
-            raise InterfaceError(
-                f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "in 3D both sides must cover the same part of the interface. Give only the facets "
-                "of the common part; to have some, split the larger surface along the outline of "
-                "the other in the mesher."
-            )
-
-
-@dataclass(frozen=True)
-class Slab:
-    """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
-
-    sides: tuple[Side, Side]
-    cells: npt.NDArray[np.int64]
-    """``(num_cells, 4)``."""
-    inner: Hosts
-    """Hosts of the interior vertices, ``(1, num_interior)``; facets are the pieces' numbers."""
-
-    @cached_property
-    def x(self) -> npt.NDArray[np.float64]:
-        """Vertex coordinates, ``(num_vertices, 3)``."""
-        alpha = self.inner.alpha[0, :, None]
-        x0, x1 = (
-            side.surface.points(side.facets[facets[0]], X[0]) if len(alpha) else np.empty((0, 3))
-            for side, facets, X in zip(self.sides, self.inner.facets, self.inner.X, strict=True)
-        )
-        return np.vstack((self.sides[0].x, self.sides[1].x, (1 - alpha) * x0 + alpha * x1))
-
-    @cached_property
-    def alpha(self) -> npt.NDArray[np.float64]:
-        """α at the vertices, ``(num_vertices,)``."""
-        n0, n1 = (len(side.vertices) for side in self.sides)
-        return np.concatenate((np.zeros(n0), np.ones(n1), self.inner.alpha[0]))
-
-    @property
-    def offsets(self) -> tuple[int, int]:
-        """Number of the first vertex of each side."""
-        return 0, len(self.sides[0].vertices)
-
-    @cached_property
-    def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """A facet of each side at each vertex, in the piece's numbers; −1 where there is none."""
-        found = []
-        for i, side in enumerate(self.sides):
-            seed = np.full(len(self.alpha), -1)
-            facet = np.repeat(np.arange(len(side.triangles)), 3)
-            seed[self.offsets[i] + side.triangles.ravel()] = facet
-            if self.inner.alpha.size:
-                seed[-self.inner.alpha.size :] = self.inner.facets[i][0]
-            found.append(seed)
-        return found[0], found[1]
-
-    @cached_property
-    def bases(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """The facet of each side that is a face of the cell, −1 where there is none."""
-        found = []
-        for i, side in enumerate(self.sides):
-            base = np.full(len(self.cells), -1)
-            on = self.alpha[self.cells] == i
-            three = np.flatnonzero(on.sum(axis=1) == 3)
-            face = self.cells[three][on[three]].reshape(-1, 3) - self.offsets[i]
-            base[three] = _find(side.triangles, face)
-            found.append(base)
-        return found[0], found[1]
-
-    @cached_property
-    def normal(self) -> npt.NDArray[np.float64]:
-        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.zeros((len(self.cells), 3))
-        for i, side in enumerate(self.sides):
-            seed = self.seeds[i][self.cells]
-            unit = (1 - 2 * i) * side.surface.normals[side.facets]
-            total = np.zeros_like(self.x)
-            for k in range(3):
-                np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
-            if self.inner.alpha.size:
-                total[-self.inner.alpha.size :] = unit[self.inner.facets[i][0]]
-            total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-            normal += (total[self.cells] * (seed >= 0)[..., None]).sum(axis=1)
-        for i, side in enumerate(self.sides):
-            base = self.bases[i] >= 0
-            normal[base] = (1 - 2 * i) * side.surface.normals[side.facets[self.bases[i][base]]]
-        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-    @property
-    def rank(self) -> npt.NDArray[np.int32]:
-        """Owner of a facet beside each cell, ``(num_cells,)``."""
-        rank = np.full(len(self.cells), -1, dtype=np.int32)
-        for i, side in enumerate(self.sides):
-            facet = np.where(self.bases[i] >= 0, self.bases[i], self._seed(i))
-            left = rank < 0 if i == 0 else self.bases[1] >= 0
-            rank[left] = side.surface.owner[side.facets[facet]][left]
-        return rank
-
-    def _seed(self, i: int) -> npt.NDArray[np.intp]:
-        """A facet of a side at each cell."""
-        seed = self.seeds[i][self.cells]
-        # A vertex on the side itself before an interior one
-        prefer = np.where(self.alpha[self.cells] == i, 2, 0) + (seed >= 0)
-        return np.take_along_axis(seed, prefer.argmax(axis=1)[:, None], axis=1)[:, 0]
-
-    def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
-        """Where points of the reference tetrahedron lie on both surfaces.
-
-        Nodes of Γ0 and Γ1 are found in their own facet. A node between them is projected: a walk
-        over the surface, from a facet at the cell, ends in the nearest one.
-
-        Args:
-            points: Reference points, ``(num_points, 3)``.
-            cells: Cells, ``(num_cells,)``.
-        """
-        weights = np.column_stack((1 - points.sum(axis=1), points))
-        weights[np.abs(weights) < 1e-12] = 0
-        vertices = self.cells[cells]  # (cell, vertex)
-        alpha = self.alpha[vertices] @ weights.T
-        x = weights @ self.x[vertices]  # (cell, point, i)
-        facets, X = [], []
-        for i, side in enumerate(self.sides):
-            support = weights != 0  # (point, vertex)
-            off = self.alpha[vertices] != i  # (cell, vertex)
-            on = ~(off[:, None] & support).any(axis=2)  # (cell, point)
-            host = np.broadcast_to(self._seed(i)[cells][:, None], alpha.shape).copy()
-            at = np.zeros((*alpha.shape, 2))
-            host[on], at[on] = self._own_facet(i, vertices, weights, on)
-            away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
-            host[away], at[away] = project(side.x, side.triangles, side.behind, x[away], host[away])
-            facets.append(side.facets[host])
-            X.append(at)
-        # An interior vertex has the hosts that gave it its place
-        interior = (self.alpha[vertices] > 0) & (self.alpha[vertices] < 1)
-        for point in np.flatnonzero(weights.max(axis=1) == 1):
-            c = np.flatnonzero(interior[:, weights[point].argmax()])
-            if len(c):
-                own = vertices[c, weights[point].argmax()] - sum(
-                    len(side.vertices) for side in self.sides
-                )
-                for i, side in enumerate(self.sides):
-                    facets[i][c, point] = side.facets[self.inner.facets[i][0, own]]
-                    X[i][c, point] = self.inner.X[i][0, own]
-        return Hosts(alpha, (facets[0], facets[1]), (X[0], X[1]))
-
-    def _own_facet(self, i: int, vertices, weights, on):
-        """Facets and reference coordinates of points on Γ_i itself."""
-        side = self.sides[i]
-        cell, point = np.nonzero(on)
-        w = weights[point]
-        v = np.where(w != 0, vertices[cell] - self.offsets[i], -1)  # what the point lies between
-        facet = np.empty(len(v), dtype=np.intp)
-        count = (w != 0).sum(axis=1)
-        for n in (1, 2, 3):
-            mine = count == n
-            corners = v[mine][w[mine] != 0].reshape(-1, n)
-            if n == 1:
-                facet[mine] = self.seeds[i][corners[:, 0] + self.offsets[i]]
-            else:
-                facet[mine] = _find(side.triangles, corners)
-        lost = facet < 0  # an edge through the slab with both ends on Γ_i
-        facet[lost] = self._seed_of(i, v[lost])
-        # Weight of each of the facet's vertices
-        match = side.triangles[facet][:, :, None] == v[:, None, :]
-        bary = (match * w[:, None, :]).sum(axis=2)
-        X = bary[:, 1:]
-        if lost.any():
-            x = np.einsum("pv,pvi->pi", w[lost], side.x[np.maximum(v[lost], 0)])
-            facet[lost], X[lost] = project(side.x, side.triangles, side.behind, x, facet[lost])
-        return facet, X
-
-    def _seed_of(self, i: int, v):
-        return self.seeds[i][v.max(axis=1) + self.offsets[i]]
-
-
-def _find(triangles, corners) -> npt.NDArray[np.intp]:
-    """A triangle that has the given vertices, two or three of them; −1 where there is none."""
-    if not len(corners):
-        return np.empty(0, dtype=np.intp)
-    n = int(max(triangles.max(), corners.max())) + 1
-    each = np.arange(len(triangles))
-    if corners.shape[1] == 3:
-        lots, facet = [np.sort(triangles, axis=1)], each
-    else:
-        lots = [np.sort(triangles[:, [k, (k + 1) % 3]], axis=1) for k in range(3)]
-        facet = np.tile(each, 3)
-
-    def key(v):
-        return np.ravel_multi_index(tuple(v.T.astype(np.int64)), (n,) * v.shape[1])
-
-    known = key(np.vstack(lots))
-    order = np.argsort(known, kind="stable")
-    wanted = key(np.sort(corners, axis=1))
-    at = order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)]
-    return np.where(known[at] == wanted, facet[at], -1)
 
 
 def _volumes(x, cells) -> npt.NDArray[np.float64]:
@@ -424,12 +76,10 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
         reason = _pushed_off_error(x, cells, triangles, len(side0.facets) + len(side1.facets))
         if reason is None:
             slab = Slab(sides, cells, _interior_hosts(sides, pushed, x[len(surface) :]))
-            slab = _without_flat_walls(slab)
-            wrong = _turned_over(slab)
-            if not wrong.any():
+            slab = without_flat_cells(slab)
+            reason = error_of(slab)
+            if reason is None:
                 return slab
-            place = slab.x[slab.cells[wrong.argmax()]].mean(axis=0)
-            reason = f"{wrong.sum()} cells are flat or inverted", place
         reasons.append(reason)
     reason, place = min(reasons, key=lambda r: r[1] is None)
     place = side1.x.mean(axis=0) if place is None else place
@@ -442,7 +92,7 @@ def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
 def _pushed_off_error(x, cells, triangles, num_facets: int):
     """What is wrong with the mesh of the pushed-off slab, and where, or None."""
     faces = np.vstack([np.delete(cells, k, axis=1) for k in range(4)])
-    missing = _find(faces, triangles[:num_facets]) < 0
+    missing = find(faces, triangles[:num_facets]) < 0
     if missing.any():
         place = x[triangles[:num_facets][missing.argmax()]].mean(axis=0)
         return f"{missing.sum()} facets are no faces of it", place
@@ -453,37 +103,6 @@ def _pushed_off_error(x, cells, triangles, num_facets: int):
     if not np.isclose(volume.sum(), enclosed, rtol=1e-8):
         return f"it has the volume {volume.sum():.6g}, not {enclosed:.6g}", x.mean(axis=0)
     return None
-
-
-def _turned_over(slab: Slab) -> npt.NDArray[np.bool_]:
-    """Which cells are flat or inverted with Γ1 where it belongs, ``(num_cells,)``."""
-    x, alpha = slab.x[slab.cells], slab.alpha[slab.cells]
-    X = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-    dalpha = alpha[:, 1:] - alpha[:, :1]
-    N = np.einsum("cij,cj->ci", cofactor(X), dalpha)
-    size = (np.linalg.norm(X, axis=1) ** 2).max(axis=1) * np.abs(dalpha).max(axis=1)
-    return ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
-
-
-def _without_flat_walls(slab: Slab) -> Slab:
-    """Take away cells that lie flat in the side walls: their four nodes are all on the boundary.
-
-    What is left has another diagonal there, and walls are free to have any.
-    """
-    while True:
-        flat = _turned_over(slab)
-        if not flat.any():
-            return slab
-        faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
-        _, which, count = np.unique(
-            faces.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
-        )
-        bare = (count[which.reshape(-1, 4)] == 1).sum(axis=1)
-        base = (slab.bases[0] >= 0) | (slab.bases[1] >= 0)
-        peel = flat & (bare == 2) & ~base
-        if not peel.any():
-            return slab
-        slab = replace(slab, cells=slab.cells[~peel])
 
 
 def _interior_hosts(sides: tuple[Side, Side], pushed, x) -> Hosts:

@@ -131,7 +131,11 @@ class ConstraintBlocks:
                 B.multAdd(u, c, c)
         for t, row in enumerate(self._rows):
             if self._ties[t].closes_gap and g in row:
-                row[g].multTransposeAdd(self._gap(t), c, c)
+                E = row[g]
+                if E is None:
+                    c.axpy(1.0, self._gap(t))
+                else:
+                    E.multTransposeAdd(self._gap(t), c, c)
 
     def _gap(self, t: int) -> PETSc.Vec:
         """Σ_i B_i x_i of a tie with the positions x_i of the dofs. Collective."""
@@ -182,7 +186,10 @@ class ConstraintBlocks:
         full = self._ties[t].blocks()[0].createVecLeft()
         full.set(0.0)
         for g, E in self._rows[t].items():
-            E.multAdd(x[g], full, full)
+            if E is None:
+                full.axpy(1.0, x[g])
+            else:
+                E.multAdd(x[g], full, full)
         values = full.array_r.copy()
         full.destroy()
         return values.reshape(-1, self._ties[t].block_size)
@@ -209,21 +216,36 @@ class ConstraintBlocks:
             marker[dofs[dofs < len(marker)]] = True
         return marker
 
-    def _extensions(self, t: int, choice: Choice) -> dict[int, PETSc.Mat]:
-        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g. Collective."""
-        tie = self._ties[t]
+    def _extensions(self, t: int, choice: Choice) -> dict[int, PETSc.Mat | None]:
+        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g; None is the identity. Collective.
+
+        Free interior nodes have multipliers of their own, which always remain.
+        """
+        tie, own = self._ties[t], self._of_tie[t]
         comm, block_size = tie.sigma.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
         row = tie.constraint.rows[multiplier] * block_size + component
         start, end = np.multiply(tie.constraint.R_A.getOwnershipRangeColumn(), block_size)
         here = (start <= row) & (row < end)
-        found = {}
-        for g in sorted({self._of_tie[t], *group.tolist()}):
+        interior = np.setdiff1d(np.arange(start, end), row) if tie.free_interior else row[:0]
+        offset = np.append(0, np.cumsum(comm.allgather(len(interior))))
+        if len(choice.interfaces[own]) == 1 and (group == own).all() and choice.complete[t]:
+            return {own: None}
+        found: dict[int, PETSc.Mat | None] = {}
+        for g in sorted({own, *group.tolist()}):
             mine = here & (group == g)
-            num = int((choice.columns[g].rank == comm.rank).sum())
-            sizes = (end - start, num)
-            found[g] = coo_matrix(comm, sizes, row[mine], j[mine], value[mine])
+            rank = choice.columns[g].rank
+            num = int((rank == comm.rank).sum())
+            rows, columns, values = row[mine], j[mine], value[mine]
+            if g == own and tie.free_interior:
+                columns = columns + offset[rank[columns]]
+                last = np.searchsorted(rank, comm.rank, side="right") + offset[comm.rank]
+                rows = np.concatenate((rows, interior))
+                columns = np.concatenate((columns, last + np.arange(len(interior))))
+                values = np.concatenate((values, np.ones(len(interior))))
+                num += len(interior)
+            found[g] = coo_matrix(comm, (end - start, num), rows, columns, values)
         return found
 
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
@@ -233,7 +255,7 @@ class ConstraintBlocks:
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
-                    product = E.transposeMatMult(B)
+                    product = B.copy() if E is None else E.transposeMatMult(B)
                     before = full[g][i]
                     if before is None:
                         full[g][i] = product

@@ -7,6 +7,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -79,6 +80,7 @@ class Every:
         """Where the dofs under some multipliers lie, ``(num, n)``."""
         return np.array([lists.x[local] for lists, local in map(self.local, numbers)])
 
+    @cached_property
     def places(self) -> dict[tuple[int, int], list[int]]:
         """The multipliers at each dof (body and block) that has several."""
         found = defaultdict(list)

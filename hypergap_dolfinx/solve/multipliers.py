@@ -76,6 +76,8 @@ class Choice:
     entries: list[tuple[npt.NDArray, npt.NDArray, npt.NDArray, npt.NDArray]]
     """E with λ = E λ' of each tie: row (multiplier times block size plus component), interface,
     column and value of each nonzero."""
+    complete: list[bool]
+    """Whether all of a tie's multipliers exist, one by one."""
     lost: list[npt.NDArray[np.intp]]
     """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
 
@@ -128,7 +130,7 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
 
     pairs = [
         (a, b)
-        for same in every.places().values()
+        for same in every.places.values()
         for a, b in combinations(same, 2)
         if may(a, b, 1) and smooth.on_side1(a) & smooth.on_side1(b)
     ]
@@ -153,7 +155,7 @@ def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool
     """Which multipliers another interface competes with for their dofs, ``(num,)``."""
     bodies = every.bodies
     crossed = np.zeros(len(every), dtype=bool)
-    for same in every.places().values():
+    for same in every.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= every.tie[a] == every.tie[b]  # patches that meet at a kink
     for m, others in users.items():
@@ -198,7 +200,7 @@ def choose(
     """
     groups = interfaces(ties, bodies)
     if not ties:
-        return Choice([], [], [], [])
+        return Choice([], [], [], [], [])
     every = Every(ties, bodies)
     users = every.users()
     label = _merge(every, users)
@@ -340,5 +342,11 @@ class _Assembly:
                 (row[mine], interface[column[mine]], number[column[mine]], value[mine])
                 for mine in (tie == t for t in each)
             ],
+            [self._is_complete(slice(*every.starts[t : t + 2])) for t in each],
             [lost_row[lost_tie == t] for t in each],
         )
+
+    def _is_complete(self, mine: slice) -> bool:
+        """Whether all multipliers exist, and none is one with another tie's."""
+        alone = np.bincount(self._label)[self._label[mine]] == 1
+        return bool(alone.all() and not self._drop[mine].any())

@@ -1,0 +1,232 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What is doubtful about an interface that can be tied: a line for each, with what to do."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.surface import Surface, thinness
+from hypergap_dolfinx.gap.triangulation import neighbours
+
+SAG = 1e-5
+"""Distance of curved facets from straight ones, in their lengths, that is taken for straight.
+
+A facet of a circle with 500 of them has 1.6e-3; what CAD kernels and files round has 1e-8."""
+UNEVEN = 5.5
+"""How much narrower than Γ0's facets, and than its cells' depth, facets of Γ1 may be, per degree.
+
+Two linear tetrahedra across a unit cube, a smooth field prescribed all around: λ's L² error is 2.3
+times that of matching facets at 4, 4 times at 8, 8 times at 16, and 2.5, 4.2 and 11 times with
+facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 times at 8, 2.5 times
+with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
+error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
+Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
+OFF = 1e-3
+"""Distance between the sides' outlines, in lengths of their edges, that is taken for none."""
+
+CORNER = np.radians(80)
+"""What an outline turns by, from one edge to the next, where it has a corner."""
+
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
+
+
+def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
+    """What to look at before the results are trusted. Collective.
+
+    Args:
+        domain: Σ.
+        sides: The spaces and this rank's facets that it was made of.
+
+    Returns:
+        A line for each doubt, the same on every rank.
+    """
+    found = (
+        distance(domain),
+        straight_facets(domain.surfaces),
+        outlines(*domain.surfaces),
+        uneven_facets(domain, sides),
+    )
+    return [line for line in found if line]
+
+
+def distance(domain: GapDomain) -> str | None:
+    """Surfaces far apart may be meant, but mostly are a wrong tag or a mesh in other units."""
+    apart = domain.distance()
+    length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
+    if apart <= length:
+        return None
+    return (
+        f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: are "
+        "tags and units right? They are tied across the gap."
+    )
+
+
+def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
+    """Straight facets where the other side's are curved cost spaces of degree ≥ 2 their order."""
+    if max(surface.element.degree for surface in surfaces) == 1:
+        return None
+    sags = []
+    for surface in surfaces:
+        X = surface.geometry.points
+        straight = np.column_stack((1 - X.sum(axis=1), X)) @ surface.x[surface.facets]
+        sag = np.linalg.norm(surface.nodes - straight, axis=2).max(axis=1)
+        sags.append(np.where(surface.curved, sag, 0))
+    curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
+    if all(curved) or not any(curved):
+        return None
+    i = curved.index(True)
+    # An arc's distance from its chord goes with the square of the length
+    curvature = (sags[i] / surfaces[i].size ** 2).max()
+    off = curvature * surfaces[1 - i].size.max() ** 2
+    return (
+        f"the facets of {surfaces[i].name} are curved and those of {surfaces[1 - i].name} are "
+        f"straight, about {off:.2g} off: that limits the accuracy whatever the spaces' degree; "
+        "curve both meshes (in Gmsh gmsh.model.mesh.setOrder(2))."
+    )
+
+
+def _widths(v, w):
+    """Where simplices are narrowest compared with others.
+
+    Args:
+        v: Vertices of each simplex, ``(num, d + 1, n)``.
+        w: Vertices of the one to compare it with.
+
+    Returns:
+        How many times as wide the other is in that direction, and the simplex' own width in it,
+        ``(num,)`` each.
+    """
+    d = v.shape[1] - 1
+    corners = np.vstack((np.zeros(d), np.eye(d))) - 1 / (d + 1)
+    L = np.linalg.cholesky(corners.T @ corners)  # of the covariance of the reference vertices
+    E, F = ((a[:, 1:] - a[:, :1]) for a in (v, w))  # (simplex, d, n)
+    metric = np.linalg.inv(E @ E.transpose(0, 2, 1))
+    A = np.linalg.inv(L) @ metric @ (E @ F.transpose(0, 2, 1)) @ L
+    squares, U = np.linalg.eigh(A @ A.transpose(0, 2, 1))
+    covector = U[:, :, -1] @ np.linalg.inv(L)
+    square = np.einsum("si,sij,sj->s", covector, metric, covector)
+    return np.sqrt(squares[:, -1]), 1 / (L[0, 0] * np.sqrt(square))
+
+
+def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
+    """How much narrower than the other side's facets, and than its cells, those of Γ_i are.
+
+    The lesser of both counts, in the direction in which the facets differ most; a tenth of Γ_i's
+    area exceeds what is returned. Collective.
+    """
+    n = domain.x.shape[2]
+    other = domain.surfaces[1 - i]
+    depth = thinness(*sides[i]) * float(np.median(domain.surfaces[i].size))
+    on = domain.alpha_vertices == i
+    apex = domain.alpha_vertices == 1 - i
+    base = (on.sum(axis=1) == n) & (apex.sum(axis=1) == 1)
+    v = domain.x[base, : n + 1][on[base]].reshape(-1, n, n)
+    facet = domain.hosts.facets[1 - i][base, : n + 1][apex[base]]
+    E = v[:, 1:] - v[:, :1]
+    area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
+    some = area > 0
+    v, facet, area = v[some], facet[some], area[some]
+    ratio, width = _widths(v, other.x[other.facets[facet]])
+    mine = np.column_stack((np.minimum(ratio, depth / width), area))
+    value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
+    order = np.argsort(value)
+    total = np.cumsum(area[order])
+    if not len(total):
+        return 0.0
+    return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
+
+
+def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
+    """Γ1's nodes between Γ0's can't move as they would: deep cells answer with large tractions."""
+    value = unevenness(domain, sides, 1)
+    degrees = [surface.element.degree for surface in domain.surfaces]
+    if value <= UNEVEN * degrees[1]:
+        return None
+    swap = unevenness(domain, sides, 0) <= UNEVEN * degrees[0]
+    advice = "swap the tie's sides" if swap else "refine Γ0 that way, or Γ1's cells across Γ1"
+    return (
+        f"Γ1's facets are {value:.2g} times narrower one way than those of Γ0 and than its own "
+        f"cells are deep: λ oscillates, displacements hardly do. To trust λ, {advice}."
+    )
+
+
+def outlines(surface0: Surface, surface1: Surface) -> str | None:
+    """In space the sides end at the same place, as far as straight edges can tell."""
+    if surface0.gdim == 2:
+        return None
+    rims = _Rim(surface0), _Rim(surface1)
+    if not all(len(rim.x) for rim in rims):
+        return None
+    (off0, area0), (off1, area1) = rims[0].off(rims[1]), rims[1].off(rims[0])
+    worst = off1 if off1[0] >= off0[0] else off0
+    if worst[0] <= 0:
+        return None
+    v = surface1.x[surface1.facets]
+    twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum()
+    share = 200 * max(area0, area1) / twice
+    return (
+        f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
+        f"lies {share:.2g} % of Γ1's area, tied as if it were on both sides. Make both end at the "
+        "same place."
+    )
+
+
+class _Rim:
+    """The edges at which a surface in space ends."""
+
+    def __init__(self, surface: Surface):
+        behind = neighbours(surface.facets, surface.name, surface.x)
+        f, k = np.nonzero(behind < 0)
+        start, end = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
+        self.x = surface.x[start]  # (edge, 3)
+        self.t = surface.x[end] - self.x
+        self.length = np.linalg.norm(self.t, axis=1)
+        self.normal = surface.normals[f]
+        beside = np.where(behind[f] < 0, f[:, None], behind[f])
+        cosine = np.einsum("ei,eki->ek", self.normal, surface.normals[beside])
+        self.bend = np.arccos(np.clip(cosine, -1, 1)).max(axis=1, initial=0)  # to the next facets
+        # An arc's distance from its chord is its length times an eighth of what it turns by; what
+        # turns by more than a pentagon does is a corner, where both outlines have a node
+        edge_at = np.full(len(surface.x), -1)
+        edge_at[start] = np.arange(len(start))
+        following = edge_at[end]
+        unit = self.t / self.length[:, None]
+        cosine = np.einsum("ei,ei->e", unit, unit[following])
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        turn[turn > CORNER] = 0
+        self.sag = self.length * turn / 8
+        np.maximum.at(self.sag, following, self.length[following] * turn / 8)
+
+    def off(self, other: "_Rim"):
+        """How far this rim's nodes lie off another one's edges, along the surface.
+
+        Returns:
+            The largest distance beyond what is explained by straight edges of curved rims, that
+            distance in all, and the place; and the area between the rims.
+        """
+        worst, area = (-np.inf, 0.0, self.x[0]), 0.0
+        for c in range(0, len(self.x), 256):
+            part = slice(c, c + 256)
+            y = self.x[part, None]
+            s = np.einsum("pei,ei->pe", y - other.x, other.t) / other.length**2
+            apart = y - (other.x + np.clip(s, 0, 1)[..., None] * other.t)
+            edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
+            apart = apart[np.arange(len(apart)), edge]
+            n = other.normal[edge]
+            height = np.einsum("pi,pi->p", apart, n)
+            distance = np.linalg.norm(apart - height[:, None] * n, axis=1)
+            # A gap is fine; a facet's normal knows its direction as well as facets bend
+            explained = 2 * np.maximum(self.sag[part], other.sag[edge])
+            explained += np.abs(height) * (other.bend[edge] + self.bend[part])
+            beyond = distance - explained - OFF * np.maximum(self.length[part], other.length[edge])
+            area += (np.where(beyond > 0, distance, 0) * self.length[part]).sum()
+            p = beyond.argmax()
+            worst = max(worst, (beyond[p], distance[p], self.x[c + p]), key=lambda w: w[0])
+        return worst, area

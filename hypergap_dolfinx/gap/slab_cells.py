@@ -1,0 +1,215 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra between two facing pieces: α, normals, and where their points lie on both sides."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.triangulation import project
+
+
+@dataclass(frozen=True)
+class Slab:
+    """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
+
+    sides: tuple[Side, Side]
+    cells: npt.NDArray[np.int64]
+    """``(num_cells, 4)``."""
+    inner: Hosts
+    """Hosts of the interior vertices, ``(1, num_interior)``; facets are the pieces' numbers."""
+
+    @cached_property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Vertex coordinates, ``(num_vertices, 3)``."""
+        alpha = self.inner.alpha[0, :, None]
+        x0, x1 = (
+            side.surface.points(side.facets[facets[0]], X[0]) if len(alpha) else np.empty((0, 3))
+            for side, facets, X in zip(self.sides, self.inner.facets, self.inner.X, strict=True)
+        )
+        return np.vstack((self.sides[0].x, self.sides[1].x, (1 - alpha) * x0 + alpha * x1))
+
+    @cached_property
+    def alpha(self) -> npt.NDArray[np.float64]:
+        """α at the vertices, ``(num_vertices,)``."""
+        n0, n1 = (len(side.vertices) for side in self.sides)
+        return np.concatenate((np.zeros(n0), np.ones(n1), self.inner.alpha[0]))
+
+    @property
+    def offsets(self) -> tuple[int, int]:
+        """Number of the first vertex of each side."""
+        return 0, len(self.sides[0].vertices)
+
+    @property
+    def facets(self) -> npt.NDArray[np.intp]:
+        """Both sides' facets, ``(num_facets, 3)``."""
+        sides = zip(self.sides, self.offsets, strict=True)
+        return np.vstack([side.triangles + offset for side, offset in sides])
+
+    @cached_property
+    def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """A facet of each side at each vertex, in the piece's numbers; −1 where there is none."""
+        found = []
+        for i, side in enumerate(self.sides):
+            seed = np.full(len(self.alpha), -1)
+            facet = np.repeat(np.arange(len(side.triangles)), 3)
+            seed[self.offsets[i] + side.triangles.ravel()] = facet
+            if self.inner.alpha.size:
+                seed[-self.inner.alpha.size :] = self.inner.facets[i][0]
+            found.append(seed)
+        return found[0], found[1]
+
+    @cached_property
+    def bases(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The facet of each side that is a face of the cell, −1 where there is none."""
+        found = []
+        for i, side in enumerate(self.sides):
+            base = np.full(len(self.cells), -1)
+            on = self.alpha[self.cells] == i
+            three = np.flatnonzero(on.sum(axis=1) == 3)
+            face = self.cells[three][on[three]].reshape(-1, 3) - self.offsets[i]
+            base[three] = find(side.triangles, face)
+            found.append(base)
+        return found[0], found[1]
+
+    @cached_property
+    def normal(self) -> npt.NDArray[np.float64]:
+        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
+        normal = np.zeros((len(self.cells), 3))
+        for i, side in enumerate(self.sides):
+            seed = self.seeds[i][self.cells]
+            unit = (1 - 2 * i) * side.surface.normals[side.facets]
+            total = np.zeros_like(self.x)
+            for k in range(3):
+                np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
+            if self.inner.alpha.size:
+                total[-self.inner.alpha.size :] = unit[self.inner.facets[i][0]]
+            total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+            normal += (total[self.cells] * (seed >= 0)[..., None]).sum(axis=1)
+        for i, side in enumerate(self.sides):
+            base = self.bases[i] >= 0
+            normal[base] = (1 - 2 * i) * side.surface.normals[side.facets[self.bases[i][base]]]
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+    @property
+    def rank(self) -> npt.NDArray[np.int32]:
+        """Owner of a facet beside each cell, ``(num_cells,)``."""
+        rank = np.full(len(self.cells), -1, dtype=np.int32)
+        for i, side in enumerate(self.sides):
+            facet = np.where(self.bases[i] >= 0, self.bases[i], self._seed(i))
+            left = rank < 0 if i == 0 else self.bases[1] >= 0
+            rank[left] = side.surface.owner[side.facets[facet]][left]
+        return rank
+
+    def _seed(self, i: int) -> npt.NDArray[np.intp]:
+        """A facet of a side at each cell."""
+        seed = self.seeds[i][self.cells]
+        # A vertex on the side itself before an interior one
+        prefer = np.where(self.alpha[self.cells] == i, 2, 0) + (seed >= 0)
+        return np.take_along_axis(seed, prefer.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+    def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
+        """Where points of the reference tetrahedron lie on both surfaces.
+
+        Nodes of Γ0 and Γ1 are found in their own facet. A node between them is projected: a walk
+        over the surface, from a facet at the cell, ends in the nearest one.
+
+        Args:
+            points: Reference points, ``(num_points, 3)``.
+            cells: Cells, ``(num_cells,)``.
+        """
+        weights = np.column_stack((1 - points.sum(axis=1), points))
+        weights[np.abs(weights) < 1e-12] = 0
+        vertices = self.cells[cells]  # (cell, vertex)
+        alpha = self.alpha[vertices] @ weights.T
+        x = weights @ self.x[vertices]  # (cell, point, i)
+        facets, X = [], []
+        for i, side in enumerate(self.sides):
+            support = weights != 0  # (point, vertex)
+            off = self.alpha[vertices] != i  # (cell, vertex)
+            on = ~(off[:, None] & support).any(axis=2)  # (cell, point)
+            host = np.broadcast_to(self._seed(i)[cells][:, None], alpha.shape).copy()
+            at = np.zeros((*alpha.shape, 2))
+            host[on], at[on] = self._own_facet(i, vertices, weights, on)
+            away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
+            host[away], at[away] = project(side.x, side.triangles, side.behind, x[away], host[away])
+            facets.append(side.facets[host])
+            X.append(at)
+        # An interior vertex has the hosts that gave it its place
+        interior = (self.alpha[vertices] > 0) & (self.alpha[vertices] < 1)
+        for point in np.flatnonzero(weights.max(axis=1) == 1):
+            c = np.flatnonzero(interior[:, weights[point].argmax()])
+            if len(c):
+                own = vertices[c, weights[point].argmax()] - sum(
+                    len(side.vertices) for side in self.sides
+                )
+                for i, side in enumerate(self.sides):
+                    facets[i][c, point] = side.facets[self.inner.facets[i][0, own]]
+                    X[i][c, point] = self.inner.X[i][0, own]
+        return Hosts(alpha, (facets[0], facets[1]), (X[0], X[1]))
+
+    def _own_facet(self, i: int, vertices, weights, on):
+        """Facets and reference coordinates of points on Γ_i itself."""
+        side = self.sides[i]
+        cell, point = np.nonzero(on)
+        w = weights[point]
+        v = np.where(w != 0, vertices[cell] - self.offsets[i], -1)  # what the point lies between
+        facet = np.empty(len(v), dtype=np.intp)
+        count = (w != 0).sum(axis=1)
+        for n in (1, 2, 3):
+            mine = count == n
+            corners = v[mine][w[mine] != 0].reshape(-1, n)
+            if n == 1:
+                facet[mine] = self.seeds[i][corners[:, 0] + self.offsets[i]]
+            else:
+                facet[mine] = find(side.triangles, corners)
+        lost = facet < 0  # an edge through the slab with both ends on Γ_i
+        facet[lost] = self._seed_of(i, v[lost])
+        # Weight of each of the facet's vertices
+        match = side.triangles[facet][:, :, None] == v[:, None, :]
+        bary = (match * w[:, None, :]).sum(axis=2)
+        X = bary[:, 1:]
+        if lost.any():
+            x = np.einsum("pv,pvi->pi", w[lost], side.x[np.maximum(v[lost], 0)])
+            facet[lost], X[lost] = project(side.x, side.triangles, side.behind, x, facet[lost])
+        return facet, X
+
+    def _seed_of(self, i: int, v):
+        return self.seeds[i][v.max(axis=1) + self.offsets[i]]
+
+
+def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
+    """A triangle that has the given vertices, two or three of them; −1 where there is none.
+
+    Args:
+        triangles: ``(num_triangles, 3)``.
+        corners: ``(num, 2)`` or ``(num, 3)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    if not len(corners):
+        return np.empty(0, dtype=np.intp)
+    n = int(max(triangles.max(), corners.max())) + 1
+    each = np.arange(len(triangles))
+    if corners.shape[1] == 3:
+        lots, facet = [np.sort(triangles, axis=1)], each
+    else:
+        lots = [np.sort(triangles[:, [k, (k + 1) % 3]], axis=1) for k in range(3)]
+        facet = np.tile(each, 3)
+
+    def key(v):
+        return np.ravel_multi_index(tuple(v.T.astype(np.int64)), (n,) * v.shape[1])
+
+    known = key(np.vstack(lots))
+    order = np.argsort(known, kind="stable")
+    wanted = key(np.sort(corners, axis=1))
+    at = order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)]
+    return np.where(known[at] == wanted, facet[at], -1)

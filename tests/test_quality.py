@@ -1,0 +1,188 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Interfaces that can be tied but are told: what they lack, with the numbers, and who isn't."""
+
+import logging
+
+import numpy as np
+import pytest
+from helpers import comm, two_blocks, two_rings
+
+import meshes
+from dolfinx import fem
+from hypergap_dolfinx import Tie
+from meshes import BACK, FRONT, INNER, LEFT, OUTER, RIGHT
+
+
+def warnings(caplog, *sides):
+    """What the tie says, the same on every rank; rank 0 alone says it."""
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        Tie(*sides)
+    said = comm.allgather([record.getMessage() for record in caplog.records])
+    assert not any(said[1:])
+    assert not any("\n" in line for line in said[0])
+    return said[0]
+
+
+# One side's facets are curved, the other's straight
+
+
+def rings(n, g, k=(2, 2)):
+    sides = []
+    for i, tag in enumerate((OUTER, INNER)):
+        mesh, ft = meshes.ring_sector(comm, n[i], 1, 2 + i / 2, 2.5 + i / 2, degree=g[i])
+        sides.append((fem.functionspace(mesh, ("Lagrange", k[i])), ft.find(tag)))
+    return sides
+
+
+@pytest.mark.parametrize("straight", (0, 1))
+def test_straight_against_curved(straight, caplog):
+    g = [2, 2]
+    g[straight] = 1
+    (said,) = warnings(caplog, *rings((4, 6), g))
+    assert f"those of Γ{straight} are straight" in said and "setOrder(2)" in said
+    r, n = 2.5, (4, 6)[straight]
+    off = float(said.split("about ")[1].split(" off")[0])
+    assert abs(off / (r * (1 - np.cos(np.pi / 4 / n))) - 1) < 0.05
+
+
+@pytest.mark.parametrize("g, k", (((2, 2), (2, 2)), ((1, 1), (2, 2)), ((2, 1), (1, 1))))
+def test_curved_alike_or_linear(g, k, caplog):
+    """Both or none; and linear spaces are no more exact on curved facets."""
+    assert not warnings(caplog, *rings((4, 6), g, k))
+
+
+def test_curved_elsewhere(caplog):
+    """Bodies with curved sides and a straight interface."""
+    sides = []
+    for i, tag in enumerate((RIGHT, LEFT)):
+
+        def place(x, i=i):
+            y = x[:, 1] + (0.2 * np.sin(3 * x[:, 0]) * (x[:, 0] - 1) if i == 0 else 0)
+            return np.column_stack((x[:, 0] + i, y))
+
+        mesh, ft = meshes.block(comm, (2, 3 + i), place, degree=2 - i)
+        sides.append((fem.functionspace(mesh, ("Lagrange", 2)), ft.find(tag)))
+    assert not warnings(caplog, *sides)
+
+
+@pytest.mark.parametrize("g", ((2, 1), (1, 2), (2, 2)))
+def test_straight_against_curved_in_space(g, caplog):
+    pytest.importorskip("gmsh")
+    sides = []
+    for i, tag in enumerate((OUTER, INNER)):
+        mesh, ft = meshes.spherical_shell(comm, 0.4 + 0.1 * i, 1 + i / 2, 1.5 + i / 2, degree=g[i])
+        sides.append((fem.functionspace(mesh, ("Lagrange", 2)), ft.find(tag)))
+    said = warnings(caplog, *sides)
+    if g == (2, 2):
+        assert not said
+    else:
+        (said,) = said
+        assert f"those of Γ{g.index(1)} are straight" in said
+
+
+# Facets of very different width
+
+
+def crossed(n0, n1, layers, k=1):
+    """Blocks on both sides of x = 0."""
+    sides = []
+    for i, (n, tag) in enumerate(((n0, RIGHT), (n1, LEFT))):
+
+        def place(x, i=i):
+            return x + np.array((i - 1, 0, 0))
+
+        mesh, ft = meshes.block(comm, (layers[i], *n), place, cell="tetrahedron")
+        sides.append((fem.functionspace(mesh, ("Lagrange", k)), ft.find(tag)))
+    return sides
+
+
+@pytest.mark.parametrize("swap", (1, -1))
+def test_long_crossed_facets(swap, caplog):
+    """Ten times narrower one way, whichever side is Γ1."""
+    pytest.importorskip("gmsh")
+    (said,) = warnings(caplog, *crossed((20, 2), (2, 20), (2, 2))[::swap])
+    assert "12 times narrower one way" in said and "refine Γ0 that way" in said
+
+
+def test_fine_and_deep(caplog):
+    """Fine facets with deep cells are better on Γ0, and with flat cells on either side."""
+    pytest.importorskip("gmsh")
+    sides = crossed((1, 1), (8, 8), (1, 1))
+    (said,) = warnings(caplog, *sides)
+    assert "8 times narrower" in said and "swap the tie's sides" in said
+    assert not warnings(caplog, *sides[::-1])
+    assert not warnings(caplog, *crossed((1, 1), (8, 8), (1, 4)))
+    assert not warnings(caplog, *crossed((8, 2), (2, 8), (2, 2)))
+    assert not warnings(caplog, *crossed((1, 1), (8, 8), (1, 1), k=2))
+
+
+def test_fine_and_deep_in_the_plane(caplog):
+    (said,) = warnings(caplog, *two_blocks((2, 24)))
+    assert "swap the tie's sides" in said
+    assert not warnings(caplog, *two_blocks((24, 2)))
+    assert not warnings(caplog, *two_blocks((4, 16)))
+
+
+# Outlines that differ
+
+
+def plates(outline, h=(3, 4), shift=0.0):
+    """Blocks above and below z = 0; the upper one is scaled and shifted."""
+    sides = []
+    for i, tag in enumerate((FRONT, BACK)):
+
+        def place(x, i=i):
+            x = x - np.array((0.5, 0.5, 1 - i))
+            return x * np.array((outline, outline, 1)) + np.array((shift, 0, 0)) if i else x
+
+        mesh, ft = meshes.block(comm, (h[i], h[i], 1), place, cell="tetrahedron")
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag)))
+    return sides
+
+
+@pytest.mark.parametrize("swap", (1, -1))
+@pytest.mark.parametrize("outline", (0.93, 1.08, 1.01))
+def test_outlines_apart(outline, swap, caplog):
+    pytest.importorskip("gmsh")
+    (said,) = warnings(caplog, *plates(outline)[::swap])
+    apart = float(said.split("up to ")[1].split(" apart")[0])
+    share = float(said.split("lies ")[1].split(" %")[0])
+    corner = np.sqrt(2) * abs(outline - 1) / 2
+    assert 0.7 * corner < apart < 1.01 * corner
+    area = 100 * abs(outline**2 - 1) / (1 if swap == -1 else outline**2)
+    assert 0.8 * area < share < 1.3 * area
+
+
+def test_outlines_shifted(caplog):
+    """The area is the same."""
+    pytest.importorskip("gmsh")
+    (said,) = warnings(caplog, *plates(1.0, shift=0.1))
+    assert "up to 0.1 apart" in said
+
+
+def holes(h, radius):
+    sides = []
+    for size, z, tag, r in ((h, (-0.3, 0.0), FRONT, 0.25), (1.3 * h, (0.0, 0.2), BACK, radius)):
+        mesh, ft = meshes.perforated_plate(comm, size, z, r)
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag)))
+    return sides
+
+
+@pytest.mark.parametrize("h", (0.2, 0.1))
+def test_rims_of_holes(h, caplog):
+    """Polygons with different corners are as near as they can be; another radius is told."""
+    pytest.importorskip("gmsh")
+    assert not warnings(caplog, *holes(h, 0.25))
+    (said,) = warnings(caplog, *holes(h, 0.25 + 0.4 * h))
+    assert "the outlines of Γ0 and Γ1 are up to" in said
+
+
+def test_same_outline(caplog):
+    pytest.importorskip("gmsh")
+    assert not warnings(caplog, *plates(1.0))
+    assert not warnings(caplog, *two_rings())
