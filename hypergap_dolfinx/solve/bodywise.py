@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve import saddle
+from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.modes import rigid_modes
 from hypergap_dolfinx.solve.options import prefixed
 from hypergap_dolfinx.solve.solver import IterativeSolver, Substitute, System
@@ -60,7 +61,7 @@ class Bodies(IterativeSolver):
         constraints, spaces = system.constraints, system.spaces
         if constraints.interior_sizes:
             return "free interior nodes belong to no body"
-        if order_of_bodies(len(spaces), constraints.bodies) is None:
+        if order_of_bodies(len(spaces), _directions(constraints)) is None:
             return "the ties lead round in a circle, or from a body to itself"
         ties, wrong = range(len(constraints.bodies)), 0
         for body, V in enumerate(spaces):
@@ -76,6 +77,12 @@ class Bodies(IterativeSolver):
 
     def _create(self) -> Substitute:
         return BodywiseSystem(self._system)
+
+
+def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
+    """Pairs of a body that an interface moves and the body of its Γ1."""
+    pairs = zip(constraints.moved, constraints.bodies, strict=True)
+    return [(i, i1) for moved, (_, i1) in pairs for i in moved]
 
 
 class BodywiseSystem(Substitute):
@@ -107,10 +114,12 @@ class BodywiseSystem(Substitute):
             rigid_modes(V, held, *parts(V))
             for V, held in zip(spaces, constraints.prescribed, strict=True)
         ]
-        order = order_of_bodies(len(K), constraints.bodies)
+        order = order_of_bodies(len(K), _directions(constraints))
         assert order is not None
+        moved = zip(constraints.moved, constraints.bodies, strict=True)
+        sides = [(others, i1) for others, (_, i1) in moved]
         columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, constraints.bodies, columns, order, modes)
+        self.preconditioner = Substructures(K, self._B, sides, columns, order, modes)
 
     def update(self, ksp: PETSc.KSP) -> bool:
         """Take the stiffness as it is now, if it is of the same size. Collective."""

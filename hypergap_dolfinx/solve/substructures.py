@@ -203,7 +203,7 @@ class Substructures:
         self,
         K: Sequence[PETSc.Mat],
         B: Sequence[Sequence[PETSc.Mat | None]],
-        bodies: Sequence[tuple[int, int]],
+        sides: Sequence[tuple[Sequence[int], int]],
         own: Sequence[npt.NDArray[np.int32]],
         order: Sequence[int],
         modes: Sequence[npt.NDArray[np.float64]],
@@ -213,19 +213,19 @@ class Substructures:
         Args:
             K: Stiffness of each body.
             B: For each tie, its block on each body, or None.
-            bodies: Γ0's and Γ1's body of each tie.
+            sides: The bodies that each interface moves besides Γ1's, and Γ1's.
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
             order: Of the bodies, see :func:`order_of_bodies`.
             modes: The bodies' :func:`~hypergap_dolfinx.solve.modes.rigid_modes`.
         """
-        self._K, self._B, self._bodies, self._own = K, B, bodies, own
+        self._K, self._B, self._sides, self._own = K, B, sides, own
         self._order, self._modes = order, modes
         sizes = [k.getLocalSize()[0] for k in K]
         sizes += [len(columns) for columns in own]
         ends = np.cumsum([0, *sizes])
         self._parts = [slice(*pair) for pair in pairwise(ends)]
         self._solvers: list[Body] = []
-        self._loads: dict[int, tuple[PETSc.Vec, PETSc.Vec]] = {}
+        self._loads: dict[tuple[int, int], tuple[PETSc.Vec, PETSc.Vec]] = {}
 
     def setUp(self, pc: PETSc.PC):
         """Take the bodies' stiffness as it is now. Collective."""
@@ -234,13 +234,14 @@ class Substructures:
             for i, K in enumerate(self._K):
                 held = {
                     t: (self._B[t][i], self._own[t])
-                    for t, (_, i1) in enumerate(self._bodies)
+                    for t, (_, i1) in enumerate(self._sides)
                     if i1 == i
                 }
-                loaded = [self._B[t][i] for t, (i0, _) in enumerate(self._bodies) if i0 == i]
+                loaded = [self._B[t][i] for t, (moved, _) in enumerate(self._sides) if i in moved]
                 self._solvers.append(Body(K, self._modes[i], prefix, held, loaded))
-            for t, (i0, _) in enumerate(self._bodies):
-                self._loads[t] = self._B[t][i0].createVecs()  # type: ignore[union-attr]
+            for t, (moved, _) in enumerate(self._sides):
+                for i in moved:
+                    self._loads[t, i] = self._B[t][i].createVecs()  # type: ignore[union-attr]
         for body in self._solvers:
             body.set_up()
 
@@ -250,16 +251,16 @@ class Substructures:
         r = [x.array_r[part] for part in self._parts]
         result = y.array
         for i in self._order:
-            ties = [t for t, (_, i1) in enumerate(self._bodies) if i1 == i]
+            ties = [t for t, (_, i1) in enumerate(self._sides) if i1 == i]
             u, multipliers = self._solvers[i].solve(r[i], [r[num_bodies + t] for t in ties])
             result[self._parts[i]] = u
             for t, value in zip(ties, multipliers, strict=True):
                 result[self._parts[num_bodies + t]] = value
-                i0 = self._bodies[t][0]
-                load, multiplier = self._loads[t]
-                multiplier.array[:] = value
-                self._B[t][i0].multTranspose(multiplier, load)  # type: ignore[union-attr]
-                r[i0] = r[i0] - load.array_r
+                for j in self._sides[t][0]:
+                    load, multiplier = self._loads[t, j]
+                    multiplier.array[:] = value
+                    self._B[t][j].multTranspose(multiplier, load)  # type: ignore[union-attr]
+                    r[j] = r[j] - load.array_r
 
     def destroy(self, pc: PETSc.PC | None = None):
         """Destroy the PETSc objects. Collective."""
