@@ -22,6 +22,7 @@ def conduction(V, conductivity=1.0):
     """Forms of steady heat conduction without sources."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     zero = fem.Constant(V.mesh, default_scalar_type(0))
+    conductivity = fem.Constant(V.mesh, default_scalar_type(conductivity))
     return conductivity * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, zero * v * ufl.dx
 
 

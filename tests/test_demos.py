@@ -128,6 +128,7 @@ def is_drawn(file):
     return (pixels.min(axis=1) < 250).mean() > 0.01 and len(colours) > 30
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.slow if demo.slow else ()) for n, demo in DEMOS.items()],

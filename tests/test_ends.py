@@ -50,6 +50,7 @@ def blocks(name, ratio):
     ]
 
 
+@pytest.mark.ranks(name=["P1-P2"])
 @pytest.mark.parametrize("ends", [*combinations_with_replacement(ENDS, 2)], ids="-".join)
 @pytest.mark.parametrize("name", NAMES)
 def test_ends(name, ends):
@@ -67,6 +68,7 @@ def test_ends(name, ends):
         check(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed, exact)
 
 
+@pytest.mark.ranks(name=["P1-P2"])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("name", NAMES)
 def test_clamp(name, swap):
@@ -77,6 +79,7 @@ def test_clamp(name, swap):
         check(bodies, ties, TIED, prescribed(end, LEFT), stretching)
 
 
+@pytest.mark.ranks
 def test_all_of_one_side_is_prescribed():
     """As Γ0 it ties; as Γ1, the side to be constrained, it can't, and the message says so."""
     bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
@@ -86,12 +89,14 @@ def test_all_of_one_side_is_prescribed():
         problem(bodies, ties, TIED, fixed, bending)
 
 
+@pytest.mark.ranks(ratio=[(1, 5)])
 @pytest.mark.parametrize("ratio", ((1, 5), (3, 2), (3, 3), (5, 1)))
 def test_all_of_a_small_side_is_prescribed(ratio):
     bodies, fixed = blocks("P2", ratio), [(0, TOP, (0, 1))]
     check(bodies, [tie(bodies, *TIED[::-1])], TIED, fixed, bending)
 
 
+@pytest.mark.ranks(components=[(0, 1)])
 @pytest.mark.parametrize("components", ((0,), (1,), (0, 1)))
 @pytest.mark.parametrize("swap", (False, True))
 def test_free_interior(swap, components):

@@ -18,12 +18,14 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError, Tie, TiedProblem
 
+pytestmark = pytest.mark.ranks  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
 
 
 # Facets
 
 
+@pytest.mark.ranks(side=[1])
 @pytest.mark.parametrize("nothing", (NOTHING, [], np.empty((0, 1))))
 @pytest.mark.parametrize("side", (0, 1))
 def test_no_facets_on_any_rank(side, nothing):
@@ -151,6 +153,7 @@ SPACES = {
 }
 
 
+@pytest.mark.ranks(2, side=[1], kind=["DG", "mixed", "component"])
 @pytest.mark.parametrize("side", (0, 1))
 @pytest.mark.parametrize("kind", SPACES)
 def test_spaces_that_are_not_lagrange(kind, side):
@@ -281,6 +284,7 @@ def loaded(L, V):
     return L + (v[0] + 2 * v[1]) * ufl.dx
 
 
+@pytest.mark.ranks(k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 @pytest.mark.parametrize("n", ((3, 5), (8, 6)))
 def test_free_bodies(n, k):

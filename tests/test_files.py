@@ -27,6 +27,8 @@ E, NU, PULL = 2.0, 0.3, 0.7
 READ_VTX = """
 import json, sys
 import adios2, numpy
+
+pytestmark = pytest.mark.ranks
 with adios2.FileReader(sys.argv[1]) as file:
     read = lambda name: numpy.vstack(
         [file.read(name, block_id=i) for i in range(len(file.all_blocks_info(name)[0]))]

@@ -46,6 +46,7 @@ def solve(bodies, swap, load, held):
     return p
 
 
+@pytest.mark.ranks(span=[(0.13, 1.4)])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("element", (("triangle", 1), ("triangle", 2), ("quadrilateral", 2)))
 @pytest.mark.parametrize("span", SPANS)
@@ -70,6 +71,7 @@ def test_patch(span, element, swap):
     assert traction_error(p, p.ties[0], bodies, stretching) <= 2e-9
 
 
+@pytest.mark.ranks(2, span=[(-0.3, 1.3)])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("element", (("triangle", 1), ("quadrilateral", 2)))
 @pytest.mark.parametrize("span", SPANS)

@@ -13,6 +13,7 @@ import pytest
 comm = MPI.COMM_WORLD
 
 
+@pytest.mark.ranks(2, name=["P1-P2"])
 @pytest.mark.parametrize("name", demo.ELEMENTS)
 def test_patch(name):
     """Both tests, every shape, size ratio and side: to round-off."""

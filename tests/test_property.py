@@ -6,12 +6,15 @@
 """Random scenes: the patch test holds, or an exception comes that the documentation names."""
 
 import numpy as np
+import pytest
 from assembly import comm, displacement_error, linear, problem, rectangle, tie
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError
 from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+pytestmark = pytest.mark.ranks
 
 ELEMENTS = st.sampled_from((("triangle", 1), ("triangle", 2), ("quadrilateral", 1)))
 EXAMPLES = 60 if comm.size == 1 else 8

@@ -23,6 +23,7 @@ from hypergap_dolfinx import Tie
 comm = MPI.COMM_WORLD
 
 
+@pytest.mark.ranks(2, name=["P1-P2"])
 @pytest.mark.parametrize("kind", patch_test_3d.KINDS)
 @pytest.mark.parametrize("name", patch_test_3d.DEGREES)
 def test_patch(name, kind):
@@ -111,6 +112,7 @@ def difference(us, references):
     return np.abs(a - b).max() / np.abs(b).max()
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("degree", (1, 2))
 def test_same_on_any_number_of_ranks(degree):
     us, references = (

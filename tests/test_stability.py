@@ -34,6 +34,7 @@ def test_patch(dim, degree):
             assert fused >= max(errors) / 10, (axis, value, errors, fused)
 
 
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_units(degree):
     """All results are the same in other units."""
