@@ -199,10 +199,10 @@ def pytest_terminal_summary(terminalreporter, config):
     if not file or world.rank > 0 or hasattr(config, "workerinput"):
         return
     counts = {key: len(terminalreporter.stats.get(key, ())) for key in OUTCOMES}
-    where = f"{world.size} rank{'s' * parallel}"
+    where = f"{world.size} rank{'s' * parallel}  {os.environ.get('OPENBLAS_CORETYPE', '')}"
     said = ", ".join(f"{n:4} {key}" for key, n in counts.items() if n or key == "passed")
     with open(file, "a") as out:
-        out.write(f"{where:8} {said}\n")
+        out.write(f"{where:20} {said}\n")
 
 
 def pytest_internalerror(excrepr):

@@ -256,7 +256,7 @@ def test_facets_of_strange_kinds(facets):
 @pytest.mark.serial
 def test_workspace(monkeypatch):
     """MUMPS runs out of workspace, gets more, and all is well."""
-    from hypergap_dolfinx import saddle
+    from hypergap_dolfinx.solve import saddle
 
     bodies = [
         rectangle((n, 12), (0, i), (1, i + 1), degree=2, E=E)
