@@ -26,6 +26,8 @@ from _pytest.terminal import TerminalReporter
 
 import dolfinx.jit
 
+pytest.register_assert_rewrite("assembly", "helpers")  # for the values in what fails
+
 TIMEOUT, TIMEOUT_SLOW = 300, 1800
 """Seconds after which a phase of a test has hung."""
 OUTCOMES = ("passed", "failed", "error", "skipped", "xfailed", "deselected")

@@ -54,7 +54,7 @@ def held(body, tag, value=(0.0, 0.0)):
     return fem.dirichletbc(np.array(value, dtype=default_scalar_type), dofs, body.V)
 
 
-@pytest.mark.ranks(number=[np.inf])
+@pytest.mark.ranks(2, number=[np.inf])
 @pytest.mark.parametrize("number", (np.nan, np.inf, -np.inf))
 @pytest.mark.parametrize("body", (0, 1))
 def test_stiffness_that_is_no_number(body, number):
@@ -66,7 +66,7 @@ def test_stiffness_that_is_no_number(body, number):
     raises(ValueError, f"^the stiffness of body {body} has NaN or infinite", p.solve)
 
 
-@pytest.mark.ranks(number=[np.inf], body=[1])
+@pytest.mark.ranks(2, number=[np.inf], body=[1])
 @pytest.mark.parametrize("number", (np.nan, np.inf))
 @pytest.mark.parametrize("body", (0, 1))
 def test_load_that_is_no_number(body, number):
@@ -78,7 +78,7 @@ def test_load_that_is_no_number(body, number):
     raises(ValueError, f"^the load of body {body} has NaN or infinite", p.solve)
 
 
-@pytest.mark.ranks(number=[np.inf])
+@pytest.mark.ranks(2, number=[np.inf])
 @pytest.mark.parametrize("number", (np.nan, np.inf))
 def test_prescribed_displacement_that_is_no_number(number):
     bodies = blocks()
@@ -141,7 +141,7 @@ def test_contradiction(other, swap):
     raises(InterfaceError, r"^the prescribed displacements contradict tie 0 at \[", p.solve)
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_no_contradiction():
     bodies = blocks()
     bcs = [held(body, LEFT, (0.1, -0.1)) for body in bodies]
@@ -150,7 +150,7 @@ def test_no_contradiction():
     assert all(np.allclose(u.x.array.reshape(-1, 2), (0.1, -0.1), atol=1e-12) for u in us)
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_contradiction_in_a_later_step():
     bodies = blocks()
     values = [fem.Constant(b.mesh, default_scalar_type((0, 0))) for b in bodies]
@@ -184,7 +184,7 @@ def test_bodies_without_ties(num):
     raises(SolveError, f"singular: {3 * (num - 1)} rigid motion", p.solve)
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_a_scalar_that_nothing_holds():
     mesh = rectangle((2, 2), (0, 0), (1, 1)).mesh
     V = fem.functionspace(mesh, ("Lagrange", 1))
@@ -197,7 +197,7 @@ def test_a_scalar_that_nothing_holds():
     TiedProblem([a], [zero * v * ufl.dx]).solve()
 
 
-@pytest.mark.ranks(pair=[((0, TOP), (1, TOP))])
+@pytest.mark.ranks(2, pair=[((0, TOP), (1, TOP))])
 @pytest.mark.parametrize(
     "pair, match",
     (
@@ -212,14 +212,14 @@ def test_wrong_sides(pair, match):
     raises(InterfaceError, match, lambda: tie(bodies, *pair))
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_inside_out():
     """Both bodies lie below the interface."""
     bodies = [rectangle((n, 1), (0, 0), (1, 1)) for n in (2, 3)]
     raises(InterfaceError, "their outward normals agree", lambda: tie(bodies, (0, TOP), (1, TOP)))
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_far_apart():
     bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 50)]
     raises(InterfaceError, "don't face each other: no part of Γ1", lambda: tie(bodies, *TIED))
@@ -245,7 +245,7 @@ def test_families(kind):
     raises(InterfaceError, "the space of Γ1 .* is not a continuous Lagrange", lambda: Tie(*sides))
 
 
-@pytest.mark.ranks(facets=[3.5])
+@pytest.mark.ranks(2, facets=[3.5])
 @pytest.mark.parametrize("facets", ([[0, 1]], 3.5, "TOP", None))
 def test_facets_of_strange_kinds(facets):
     bodies = blocks()
@@ -333,7 +333,7 @@ def test_curved_cells_turned_over_at_their_edge(shift):
         checks.check_cells(mesh, "it")
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_things_of_the_wrong_kind():
     bodies = blocks()
     a, L = forms(bodies)

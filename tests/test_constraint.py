@@ -102,7 +102,7 @@ def loads(V, facets, t):
     return b.array[: V.dofmap.index_map.size_local]
 
 
-@pytest.mark.ranks(k=[(2, 1)])
+@pytest.mark.ranks(2, k=[(2, 1)])
 @pytest.mark.parametrize("k", ((1, 1), (2, 2), (3, 3), (2, 1), (1, 2), (3, 2)))
 def test_tractions_of_degree_k_less_one_are_carried(k):
     """Bᵀλ is ∫λφ on Γ1 and −∫λφ on Γ0: why the patch test passes."""
@@ -250,7 +250,7 @@ def test_pull_back_of_polynomials(k):
     assert not own or (np.count_nonzero(R1[np.isclose(alpha, 1)], axis=1) == 1).all()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_expand_repeats_each_component():
     """B ⊗ I."""
     tie = Tie(*two_blocks((3, 5)))
@@ -268,7 +268,7 @@ def test_swapped_sides():
         assert residual(tie, *fields(tie, polynomial(1))) <= 1e-13
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_own_system():
     """B holds without a TiedProblem: the user's matrices are PETSc's AIJ."""
     tie = Tie(*two_blocks((3, 5)))

@@ -103,7 +103,7 @@ def test_t_junction(name, cells, cut):
             check_ties(bodies, pairs, swaps, fixed, degree)
 
 
-@pytest.mark.ranks(cells=[(3, 2)])
+@pytest.mark.ranks(2, cells=[(3, 2)])
 @pytest.mark.parametrize("cells", ((1, 2), (1, 1), (1, 5), (3, 2)))
 @pytest.mark.parametrize("name", NAMES)
 def test_chain_of_ten(name, cells):
@@ -190,7 +190,7 @@ def test_layers(swaps):
         )
 
 
-@pytest.mark.ranks(name=["P1"])
+@pytest.mark.ranks(2, name=["P1"])
 @pytest.mark.parametrize("name", ("P1", "Q2"))
 @pytest.mark.parametrize("swaps", sides(4)[::3])
 def test_multigrid(name, swaps):

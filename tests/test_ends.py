@@ -50,13 +50,13 @@ def blocks(name, ratio):
     ]
 
 
-@pytest.mark.ranks(name=["P1-P2"])
+@pytest.mark.ranks(2, name=["P1-P2"])
 @pytest.mark.parametrize("ends", [*combinations_with_replacement(ENDS, 2)], ids="-".join)
 @pytest.mark.parametrize("name", NAMES)
 def test_ends(name, ends):
     """Non-zero displacements are prescribed, those of the patch test."""
     ratios = ((1, 1), (2, 3), (5, 1), (1, 5)) if comm.size == 1 else ((2, 3),)
-    for ratio, swap in product(ratios, (False, True)):
+    for ratio in ratios:
         if ratio == (1, 1) and "1" in name and not {"free", "clamp0", "clamp1"} & {*ends}:
             continue  # both sides of every node are prescribed: nothing is tied
         bodies = blocks(name, ratio)
@@ -65,7 +65,8 @@ def test_ends(name, ends):
         if not any(len(components) == 2 for _, _, components in fixed):
             fixed += [(0, BOTTOM, (1,))]
         exact = bending if name in ("P2", "Q3") else linear
-        check(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, fixed, exact)
+        for sides in (TIED, TIED[::-1]):
+            check(bodies, [tie(bodies, *sides)], TIED, fixed, exact)
 
 
 @pytest.mark.ranks(name=["P1-P2"])

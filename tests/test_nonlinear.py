@@ -72,7 +72,7 @@ def sheared(x):
     return np.array([0.3 + 0.1 * x[0] ** 2 + 0.2 * x[1], 0.1 * x[0]])
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("options", ({}, {"interior": "free"}, {"close_gap": True, "gap": 0.05}))
 def test_linear_forms(options):
     """One step gives what TiedProblem gives, with prescribed displacements on Γ0 and Γ1 too."""

@@ -219,7 +219,7 @@ def _vertex_nodes(mesh, vertices):
     return entities_to_geometry(mesh, 0, vertices.astype(np.int32)).ravel()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_numbers_of_loops():
     plate, tags = meshes.perforated_plate(comm, 0.2, (-0.3, 0.0))
     solid, solid_tags = meshes.block(
@@ -233,7 +233,7 @@ def test_numbers_of_loops():
         Tie(*sides)
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_wrong_side():
     near, _ = bars()
     mesh, ft = meshes.block(comm, (1, 3, 3), lambda x: x - np.array((1, 0, 0)), cell="tetrahedron")
@@ -242,7 +242,7 @@ def test_wrong_side():
         Tie(near, (V, ft.find(meshes.RIGHT)))
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_far_apart():
     sides = [bars()[0], bars(mapping=lambda x: x + np.array((9.0, 0, 0)))[1]]
     with raises(InterfaceError, "don't face each other"):
@@ -366,7 +366,7 @@ def test_a_session_of_the_users():
         gmsh.finalize()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_no_session_is_left():
     Tie(*bars())
     assert not gmsh.isInitialized()

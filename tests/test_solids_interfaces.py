@@ -120,7 +120,7 @@ def cube_in_cube(n, h):
     )
 
 
-@pytest.mark.ranks(degree=[(1, 2)], swap=[True])
+@pytest.mark.ranks(2, degree=[(1, 2)], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", ((1, 1), (2, 2), (1, 2)))
 def test_cube_inclusion(degree, swap):
@@ -200,7 +200,7 @@ def test_ball_in_shell(E_ball, swap):
 # Plates with a hole: two boundary loops
 
 
-@pytest.mark.ranks(degree=[1])
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_plate_with_square_hole(degree):
     bodies = []

@@ -414,7 +414,7 @@ def test_multigrid_is_for_definite_stiffness(reaction, match):
             problem.solve()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("pc", ("gamg", "ilu", "no such"))
 def test_options_that_dont_fit(pc):
     """What PETSc says of them comes in one line, with what does fit."""
@@ -467,7 +467,7 @@ def test_the_default(monkeypatch):
     assert alone.solver.getPC().getType() == "lu"
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_the_default_falls_back(monkeypatch):
     """A much stiffer Γ1 would take hundreds of iterations."""
     monkeypatch.setattr(solvers, "LARGE", 100)
