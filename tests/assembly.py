@@ -22,6 +22,9 @@ from hypergap_dolfinx import Tie, TiedProblem
 
 comm = MPI.COMM_WORLD
 E, NU = 1.0, 0.3
+SOLVED = 1e-10
+"""Relative error of a solution that is exact but for round-off: ε times the condition, which is up
+to 1e5 for the scaled saddle matrices of these meshes, and a margin for other BLAS libraries."""
 
 
 def linear(x):
@@ -232,6 +235,6 @@ def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, traction=True) 
     print(error, errors)
     if rank:
         assert is_regular(p)
-    assert error <= 1e-12
-    assert max(errors, default=0) <= 1e-11
+    assert error <= SOLVED
+    assert max(errors, default=0) <= 10 * SOLVED  # derivatives of the displacements
     return p

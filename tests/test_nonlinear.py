@@ -89,9 +89,9 @@ def test_linear_forms(options):
         L.append(ufl.inner(fem.Constant(W.mesh, (0.0, 0.0)), v) * ufl.dx)
     reference = TiedProblem(a, L, bcs=bcs, ties=[tie])
     for u, v in zip(us, reference.solve(), strict=True):
-        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-13
+        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
     difference = problem.multipliers(tie) - reference.multipliers(tie)
-    assert np.abs(difference).max(initial=0) <= 1e-11 * np.abs(reference.x.array).max()
+    assert np.abs(difference).max(initial=0) <= 1e-10 * np.abs(reference.x.array).max()
 
 
 @pytest.mark.ranks(degree=[1])
