@@ -341,4 +341,5 @@ def test_sides_prescribed_all_around(n, degree, swap):
         held = [ft.find(other) for other in np.unique(ft.values) if other != tag]
         bodies.append((mesh, ft.find(tag), np.unique(np.concatenate(held))))
     l2, error, *_ = tied(bodies, bending if degree == 2 else linear, (degree,) * 2, swap=swap)
-    assert l2 <= 1e-12 and error <= 1e-11
+    # 5e-13 of the displacement has been seen; other BLAS libraries may make some times as much
+    assert l2 <= 2e-11 and error <= 1e-10

@@ -122,7 +122,7 @@ def test_residual_of_the_saddle_system():
     a, L, bcs, ties = pile(2, degree=2)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
     problem.solve()
-    assert residual(problem) <= 1e-12
+    assert residual(problem) <= 1e-11  # the iteration ends at 1e-13, of another norm
 
 
 def iterations(solver, contrasts, **options):
