@@ -21,14 +21,14 @@ import ufl
 from dolfinx import fem, io
 from hypergap_dolfinx import Tie, TiedProblem, files
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 E, NU, PULL = 2.0, 0.3, 0.7
 
 READ_VTX = """
 import json, sys
 import adios2, numpy
-
-pytestmark = pytest.mark.ranks
 with adios2.FileReader(sys.argv[1]) as file:
     read = lambda name: numpy.vstack(
         [file.read(name, block_id=i) for i in range(len(file.all_blocks_info(name)[0]))]
