@@ -74,6 +74,7 @@ def sheared(x):
     return np.array([0.3 + 0.1 * x[0] ** 2 + 0.2 * x[1], 0.1 * x[0]])
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("options", ({}, {"interior": "free"}, {"close_gap": True, "gap": 0.05}))
 def test_linear_forms(options):
     """One step gives what TiedProblem gives, with prescribed displacements on Γ0 and Γ1 too."""
@@ -90,11 +91,12 @@ def test_linear_forms(options):
         L.append(ufl.inner(fem.Constant(W.mesh, (0.0, 0.0)), v) * ufl.dx)
     reference = TiedProblem(a, L, bcs=bcs, ties=[tie])
     for u, v in zip(us, reference.solve(), strict=True):
-        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-13
+        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
     difference = problem.multipliers(tie) - reference.multipliers(tie)
-    assert np.abs(difference).max(initial=0) <= 1e-11 * np.abs(reference.x.array).max()
+    assert np.abs(difference).max(initial=0) <= 1e-10 * np.abs(reference.x.array).max()
 
 
+@pytest.mark.ranks(degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_quadratic_convergence(degree):
     V, fts, tie = two_blocks(degree)
@@ -125,6 +127,7 @@ def test_large_rotation_is_rigid():
     assert max(np.abs(f.x.array).max(initial=0) for f in tie.gap(*us)) <= 1e-9
 
 
+@pytest.mark.ranks
 def test_failure_is_an_error():
     V, fts, tie = two_blocks()
     options = {"snes_max_it": 1}
@@ -144,6 +147,7 @@ def test_numbers_of_forms():
         NonlinearTiedProblem([F], [u, u], ties=[tie])
 
 
+@pytest.mark.ranks
 def test_is_freed():
     """No circle through PETSc keeps the problem and its matrices alive."""
     V, fts, tie = two_blocks(1)
@@ -154,6 +158,7 @@ def test_is_freed():
     assert alive() is None
 
 
+@pytest.mark.ranks(2, E=[1e9])
 @pytest.mark.parametrize("E", (1e-12, 1e9))
 def test_units(E):
     """Small stiffness isn't hidden by prescribed displacements: the same in any unit."""
@@ -162,7 +167,8 @@ def test_units(E):
         V, fts, tie = two_blocks()
 
         def density(u, modulus=modulus):
-            return modulus * energy(u)
+            # One kernel for all values
+            return fem.Constant(u.function_space.mesh, modulus) * energy(u)
 
         places = (lambda x: 0 * x[:2], lambda x: 0.1 + 0 * x[:2])
         problem, _ = problem_of(V, fts, tie, density, places)
