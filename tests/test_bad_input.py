@@ -151,6 +151,21 @@ def test_no_contradiction():
 
 
 @pytest.mark.ranks(2)
+@pytest.mark.parametrize("far, refused", ((5e5, False), (1e-6, True)))
+def test_round_off_of_large_values_is_no_contradiction(far, refused):
+    """What is prescribed elsewhere says how exact the values beside each other can be."""
+    bodies = blocks()
+    bcs = [held(bodies[0], LEFT), held(bodies[1], LEFT, (1e-10, 0.0))]
+    bcs.append(held(bodies[0], RIGHT, (far, 0.0)))
+    a, L = forms(bodies)
+    p = TiedProblem([1e-6 * a[0], a[1]], L, bcs=bcs, ties=[tie(bodies, *TIED)])
+    if refused:
+        raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
+    else:
+        p.solve()
+
+
+@pytest.mark.ranks(2)
 def test_contradiction_in_a_later_step():
     bodies = blocks()
     values = [fem.Constant(b.mesh, default_scalar_type((0, 0))) for b in bodies]

@@ -50,6 +50,7 @@ def cell(bcs=True, pairs=AROUND, **options):
     return TiedProblem([body.a], [L], bcs=bcs, ties=ties, **options)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("solver, tolerance", (("direct", 1e-12), ("iterative", 1e-9)))
 def test_an_elastic_cell(solver, tolerance):
     """One corner holds it: the ties hold the rotation, and carry what pulls the faces apart."""
@@ -72,6 +73,7 @@ def num_free(problem):
     return free_motions(V, problem._K, problem._constraints)
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("pairs", (AROUND, AROUND[:1], AROUND[1:]))
 def test_a_cell_that_nothing_holds(pairs):
     """It can move as a whole, but not rotate: not even with one pair of faces tied."""
@@ -80,6 +82,7 @@ def test_a_cell_that_nothing_holds(pairs):
         cell(bcs=False, pairs=pairs).solve()
 
 
+@pytest.mark.ranks(2, n=[(3, 7)])
 @pytest.mark.parametrize("n", ((3, 7), (7, 3), (40, 3), (6, 30), (12, 12)))
 def test_rings(n):
     """Polygons that don't fit each other, or leave a narrow gap: still no rotation is held."""
@@ -95,6 +98,7 @@ def test_rings(n):
     assert num_free(TiedProblem(a, [None, None], ties=[Tie(*sides)])) == 3
 
 
+@pytest.mark.ranks(2)
 def test_near_and_far_ties():
     """Two blocks with a crooked interface rotate as one; a third, far above, beside itself."""
 
