@@ -19,7 +19,8 @@ RUN { printf 'path-exclude=%s\n' '/usr/share/doc/*' '*.a' && \
     } > /etc/dpkg/dpkg.cfg.d/small \
     && apt-get update \
     && DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends \
-        python3-dolfinx python3-gmsh python3-hypothesis python3-pytest python3-pyvista xvfb \
+        python3-dolfinx python3-gmsh python3-hypothesis python3-pytest python3-pytest-xdist \
+        python3-pyvista xvfb \
     && apt-get clean \
     && rm -rf /var/lib/apt/lists/* /var/cache/debconf/*-old /var/log/* \
     && useradd --create-home fenics \
@@ -39,9 +40,11 @@ ENV HOME=/home/fenics \
     PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe \
     PYTEST_ADDOPTS="-p no:cacheprovider" \
     PYTHONDONTWRITEBYTECODE=1 \
-    PYTHONPATH=/hypergap
+    PYTHONPATH=/hypergap \
+    TESTS_RAN=/tmp/tests-ran.txt
 
 WORKDIR /hypergap
 COPY . .
 USER fenics
-CMD ["sh", "-c", "python3 -m pytest && mpirun -n 2 python3 -m pytest"]
+CMD ["sh", "-c", "python3 -m pytest -n auto --maxprocesses 4 --dist worksteal && \
+    mpirun -n 2 python3 -m pytest && echo && echo Tests that ran: && cat $TESTS_RAN"]

@@ -26,16 +26,18 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help env demo test test-all lint types test-serial test-mpi-2 test-mpi-3 test-mpi-4 clean
+.PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
+	test-mpi-4 test-blas clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
 	@echo "make test      set up, check style and types, run all tests but the slow ones on"
 	@echo "               1, 2 and 3 ranks (PYTEST_ARGS=...)"
-	@echo "make test-all  the same with the slow ones"
+	@echo "make test-all  the same with the slow ones, and the serial ones with BLAS for other processors"
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
-	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4."
+	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4;"
+	@echo "of test-all: test-blas."
 	@echo "PYTHON=... names the Python (>= 3.12) to set up with, MPIRUN=... the mpirun to test with."
 
 env: $(VENV)/installed
@@ -56,10 +58,26 @@ $(VENV)/installed: pyproject.toml
 demo: env
 	$(BIN)/python demos/pressurised_cylinder.py $(DEMO_ARGS)
 
-test: lint types test-serial test-mpi-2 test-mpi-3 test-mpi-4
+parts := lint types test-serial test-mpi-2 test-mpi-3 test-mpi-4
+
+# Each run of pytest adds a line
+export TESTS_RAN := $(CURDIR)/build/tests-ran.txt
+define tell
+@echo
+@echo "Tests that ran:"
+@cat $(TESTS_RAN)
+endef
+
+test: forget $(parts)
+	$(tell)
 
 test-all: PYTEST_ARGS += -m ''
-test-all: test
+test-all: forget $(parts) test-blas
+	$(tell)
+
+forget:
+	@mkdir -p $(dir $(TESTS_RAN))
+	@rm -f $(TESTS_RAN)
 
 lint: env
 	$(BIN)/ruff check .
@@ -69,10 +87,17 @@ types: env
 	$(BIN)/mypy
 
 # One thread a rank: the meshes are small, and ranks times threads would be more than the cores
-test-serial test-mpi-2 test-mpi-3 test-mpi-4: export OMP_NUM_THREADS := 1
+test-serial test-mpi-2 test-mpi-3 test-mpi-4 test-blas: export OMP_NUM_THREADS := 1
+
+# A worker a core; more than four would wait for one another's kernels
+workers = $(if $(shell $(BIN)/python -c 'import xdist; print(1)' 2>/dev/null), \
+	-n auto --maxprocesses 4 --dist worksteal)
 
 test-serial: env
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(workers) $(PYTEST_ARGS)
+
+test-blas: env
+	.ci/blas $(BIN)/python -m pytest $(workers) $(PYTEST_ARGS) -m 'not slow'
 
 test-mpi-2 test-mpi-3: test-mpi-%: env
 	$(MPIRUN) $(mpi_options) -n $* $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 
-MANY = 20  # parts beyond which a mesh counts as one: each has its own rigid motions in memory
+MANY = 20
+"""Parts beyond which a mesh counts as one: each has its own rigid motions in memory, up to 120
+numbers for each displacement."""
 
 
 def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:

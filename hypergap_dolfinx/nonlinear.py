@@ -16,12 +16,9 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solve import saddle
+from hypergap_dolfinx.solve import solvers
 from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
-
-_DIRECT = {k: v for k, v in saddle.DIRECT.items() if not k.startswith("ksp_")}
-_DIRECT["ksp_type"] = "preonly"  # Newton's next step refines
 
 
 class NonlinearTiedProblem(TiedSystem):
@@ -29,6 +26,19 @@ class NonlinearTiedProblem(TiedSystem):
 
     Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
     displacements and hold whatever rotation the bodies make together.
+
+    What is costly in a step can be kept for later ones, and for later calls of :meth:`solve`, by
+    PETSc's own options. The Jacobian, and so its factors: Newton's steps are cheap then, but
+    there are more of them, and load steps are to be small::
+
+        petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
+
+    Only the factors: ``solver="bodies"`` and ``"iterative"`` take as many of Newton's steps as
+    before then, with more iterations in each::
+
+        petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
+
+    Here −2 means once and never again, n > 0 in each n-th step. To begin anew, make a new problem.
 
     Example:
         As in :class:`TiedProblem`'s example, with a conductivity of 1 + u²:
@@ -52,6 +62,7 @@ class NonlinearTiedProblem(TiedSystem):
         bcs: Sequence[fem.DirichletBC] = (),
         ties: Sequence[Tie] = (),
         J: Sequence[ufl.Form] | None = None,
+        solver: str | None = None,
         petsc_options_prefix: str = "hypergap_",
         petsc_options: dict | None = None,
         form_compiler_options: dict | None = None,
@@ -65,15 +76,15 @@ class NonlinearTiedProblem(TiedSystem):
             bcs: Dirichlet conditions of any of the bodies.
             ties: The ties between them.
             J: Jacobian form of each body; F's derivative if not given.
+            solver: Of Newton's steps, as for :class:`TiedProblem`; ``"direct"`` if not given.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
-            petsc_options: Options of the SNES. Steps are solved with MUMPS's LU unless they name
-                a ``ksp_type`` or ``pc_type``.
+            petsc_options: Options of the SNES, and of the solver as for :class:`TiedProblem`.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
         Raises:
             ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
-                a space that belongs to no body.
+                a space that belongs to no body; a solver that isn't possible.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         if J is None:
@@ -97,14 +108,21 @@ class NonlinearTiedProblem(TiedSystem):
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
-        self._solver = PETSc.SNES().create(self._A.comm)
+        self._solver = solvers.create(
+            self._system, solver, petsc_options_prefix, petsc_options, newton=True
+        )
+        self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
-        self._solver.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
-        self._solver.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
-        self._set_options(petsc_options_prefix, petsc_options, _DIRECT)
+        self._snes.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
+        self._snes.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
+        self._snes.setOptionsPrefix(petsc_options_prefix)
+        self._snes.setKSP(self._solver.as_ksp(f"{petsc_options_prefix}step_"))
+        with self._solver.options.in_use():
+            self._snes.setFromOptions()
 
     def _release(self) -> list:
-        return [*super()._release(), *self.__dict__.pop("_now", [])]
+        snes = self.__dict__.pop("_snes", None)
+        return [*filter(None, [snes]), *super()._release(), *self.__dict__.pop("_now", [])]
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
@@ -159,24 +177,27 @@ class NonlinearTiedProblem(TiedSystem):
             self.assemble_matrix()
             self._scales_fixed = True  # a residual that is compared with others keeps its units
             self._check_motions()
-        with self._options_set():
-            self._solver.solve(None, self._x)
+        with self._solver.options.in_use():
+            self._snes.solve(None, self._x)
         self._check_solved()
         self._assign(self._x)
         self._solved = True
         return self._u
 
     def _check_solved(self):
-        reason = self._solver.getConvergedReason()
+        reason = self._snes.getConvergedReason()
         if reason > 0:
             return
+        failure = None
         if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            saddle.check_solved(self._solver.getKSP())
+            failure = self._solver.failure()
+        if failure:
+            raise SolveError(failure)
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
-            f"Newton's iteration failed after {self._solver.getIterationNumber()} steps: SNES "
+            f"Newton's iteration failed after {self._snes.getIterationNumber()} steps: SNES "
             f"reason {reason} ({names.get(reason, 'unknown')}), residual "
-            f"{self._solver.getFunctionNorm():.1e}; smaller load steps may help."
+            f"{self._snes.getFunctionNorm():.1e}; smaller load steps may help."
         )
 
     @property
@@ -192,4 +213,4 @@ class NonlinearTiedProblem(TiedSystem):
     @property
     def solver(self) -> PETSc.SNES:
         """The SNES."""
-        return self._solver
+        return self._snes

@@ -16,8 +16,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solve import checks, saddle, solvers
-from hypergap_dolfinx.solve.system import UNFIT, TiedSystem
+from hypergap_dolfinx.solve import checks, solvers
+from hypergap_dolfinx.solve.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 
@@ -99,7 +99,7 @@ class TiedProblem(TiedSystem):
 
         Raises:
             ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
-                belongs to no body.
+                belongs to no body; a solver that isn't possible.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         if isinstance(a, ufl.Form) or isinstance(L, ufl.Form):
@@ -129,28 +129,7 @@ class TiedProblem(TiedSystem):
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
         super().__init__([compiled(form) for form in a], bcs or (), Joined(ties), solutions)
-        self._solver = PETSc.KSP().create(self._A.comm)
-        self._solver.setOperators(self._A)
-        self._substitute: solvers.BodywiseSystem | solvers.ProjectedSystem | None = None
-        self._state: int | None = None  # of A, as the substitute knows it
-        self._discarded: list[PETSc.KSP] = []
-        self._fall_back = False
-        if solver is None:
-            known = bool({"ksp_type", "pc_type"} & set(petsc_options or {}))
-            solver = "direct" if known else solvers.default(self._K, self._constraints, spaces)
-            self._fall_back = solver != "direct"
-        elif solver not in solvers.SOLVERS:
-            raise ValueError(f"solver is one of {', '.join(solvers.SOLVERS)}, not {solver!r}.")
-        elif solver != "direct":
-            reason = solvers.why_not(solver, self._constraints, spaces)
-            if reason:
-                raise ValueError(f'solver="{solver}" is not possible: {reason}; take "direct".')
-        self._method = solver
-        self._prefix = petsc_options_prefix
-        self._dim = spaces[0].mesh.topology.dim
-        defaults = solvers.options(solver, self._dim)
-        direct = solver == "direct"
-        self._set_options(petsc_options_prefix, petsc_options, defaults, replace=direct)
+        self._solver = solvers.create(self._system, solver, petsc_options_prefix, petsc_options)
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""
@@ -202,66 +181,14 @@ class TiedProblem(TiedSystem):
         """
         self._check_motions()
         self._solved = False
-        with self._options_set():
-            if self._method == "direct":
-                saddle.solve(self._solver, self._b, self._x)
-            else:
-                self._solve_substitute()
-        if self._method != "direct":
-            self._check_or_solve_directly()
-        saddle.check_solved(self._solver, solvers.ADVICE[self._method])
+        self._solver.update()
+        self._solver.solve(self._b, self._x)
+        failure = self._solver.failure()
+        if failure:
+            raise SolveError(failure)
         self._assign(self._x)
         self._solved = True
         return self._u
-
-    def _check_or_solve_directly(self):
-        """Whether the iteration solved the system it stands for; the default has a way out."""
-        converged = self._solver.getConvergedReason() > 0
-        error = saddle.backward_error(self._A, self._x, self._b) if converged else np.inf
-        if error <= saddle.BACKWARD:
-            return
-        if self._fall_back:
-            self._solve_directly()
-        elif converged:
-            raise SolveError(
-                f'the linear solve with solver="{self._method}" ended, but misses the system by '
-                f'{error:.0e} of its terms; take solver="direct".'
-            )
-
-    @property
-    def _unfit(self) -> str:
-        return UNFIT if self._method == "direct" else ""  # no MatNest otherwise
-
-    def _solve_directly(self):
-        """Where the default did not converge: Γ1 is much stiffer than Γ0."""
-        self._method, self._fall_back = "direct", False
-        self._discarded.append(self._solver)  # the user may have it
-        self._solver = PETSc.KSP().create(self._A.comm)
-        self._solver.setOperators(self._A)
-        self._set_options(self._prefix, None, solvers.options("direct", self._dim))
-        if self._substitute is not None:
-            self._substitute.destroy()
-            self._substitute = None
-        with self._options_set():
-            saddle.solve(self._solver, self._b, self._x)
-
-    def _solve_substitute(self):
-        state = self._A.stateGet()
-        if self._substitute is not None and state != self._state:
-            if not self._substitute.update(self._solver):
-                self._substitute.destroy()
-                self._substitute = None
-        if self._substitute is None:
-            self._substitute = solvers.create_system(
-                self._method,
-                self._K,
-                self._constraints,
-                [u.function_space for u in self._u],
-                self._prefix,
-            )
-            self._substitute.attach(self._solver)
-        self._state = state
-        self._substitute.solve(self._solver, self._b, self._x)
 
     @property
     def a(self) -> list[fem.Form]:
@@ -276,11 +203,9 @@ class TiedProblem(TiedSystem):
     @property
     def solver(self) -> PETSc.KSP:
         """The KSP."""
-        return self._solver
+        return self._solver.ksp
 
     @property
     def iterations(self) -> int:
         """Number of iterations of the last solve."""
-        if self._substitute is not None:
-            return self._substitute.iterations
-        return self._solver.getIterationNumber()
+        return self._solver.iterations

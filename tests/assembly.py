@@ -22,6 +22,9 @@ from hypergap_dolfinx import Tie, TiedProblem
 
 comm = MPI.COMM_WORLD
 E, NU = 1.0, 0.3
+SOLVED = 1e-11
+"""Relative error of a solution that is exact but for round-off: ε times the condition, which is up
+to 8e4 for the scaled saddle matrices of these meshes, is 2e-11; what is seen is 4e-13 at most."""
 
 
 def linear(x):
@@ -32,6 +35,11 @@ def linear(x):
 def bending(x):
     """The displacement of pure bending in plane strain."""
     return x[0] * x[1], -(x[0] ** 2 + NU / (1 - NU) * x[1] ** 2) / 2
+
+
+def quadratic(x):
+    """Both of these: exact if and only if each of them is."""
+    return tuple(sum(parts) for parts in zip(linear(x), bending(x), strict=True))
 
 
 def stretching(x):
@@ -52,7 +60,8 @@ class Body:
     def stress(self, u):
         eps = ufl.sym(ufl.grad(u))
         lame = self.nu / (1 - 2 * self.nu)
-        return self.E / (1 + self.nu) * (eps + lame * ufl.tr(eps) * ufl.Identity(2))
+        E = fem.Constant(self.mesh, default_scalar_type(self.E))  # one kernel for all values
+        return E / (1 + self.nu) * (eps + lame * ufl.tr(eps) * ufl.Identity(2))
 
     @property
     def a(self):
@@ -171,10 +180,10 @@ def dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
     return np.concatenate(comm.allgather(rows))
 
 
-def inertia(problem: TiedProblem) -> tuple[int, int, int]:
-    """Numbers of negative and zero eigenvalues of the saddle matrix, and of multipliers.
+def scaled(problem: TiedProblem) -> tuple[npt.NDArray[np.float64], int]:
+    """All of the saddle matrix, bodies first, then multipliers, and the size of K.
 
-    The matrix is scaled to a unit diagonal of K and unit rows of B, so that zero means zero.
+    It has a unit diagonal of K and unit rows of B, so that zero means zero.
     """
     rows = [part.getIndices() for part in problem.A.getNestISs()[0]]  # of this rank
     num_fields = len(problem.u) + sum(tie.free_interior for tie in problem.ties)
@@ -192,8 +201,30 @@ def inertia(problem: TiedProblem) -> tuple[int, int, int]:
     size[size == 0] = 1
     A[n:] /= size[:, None]
     A[:, n:] /= size
+    return A, n
+
+
+def inertia(problem: TiedProblem) -> tuple[int, int, int]:
+    """Numbers of negative and zero eigenvalues of the saddle matrix, and of multipliers."""
+    A, n = scaled(problem)
     values = np.linalg.eigvalsh(A)
-    return int((values < -1e-9).sum()), int((np.abs(values) <= 1e-9).sum()), len(ties)
+    return int((values < -1e-9).sum()), int((np.abs(values) <= 1e-9).sum()), len(A) - n
+
+
+def is_regular(problem: TiedProblem) -> bool:
+    """Whether B has full rank and K is definite where Bu = 0.
+
+    This is what :func:`inertia` says with as many negative eigenvalues as multipliers and none that
+    is zero, in a tenth of the time. A solution alone may hide it.
+    """
+    A, n = scaled(problem)
+    K, B = A[:n, :n], A[n:, :n]
+    if np.linalg.svd(B, compute_uv=False).min(initial=1) <= 1e-9:
+        return False
+    try:
+        return np.linalg.cholesky(K + B.T @ B).diagonal().min() ** 2 > 1e-9
+    except np.linalg.LinAlgError:
+        return False
 
 
 def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, traction=True) -> TiedProblem:
@@ -204,10 +235,9 @@ def check(bodies, ties, tied, fixed, exact=linear, *, rank=True, traction=True) 
     errors = [traction_error(p, t, bodies, exact) for t in ties] if traction else []
     print(error, errors)
     if rank:
-        negative, zero, multipliers = inertia(p)
-        assert (negative, zero) == (multipliers, 0)
-    assert error <= 1e-12
-    assert max(errors, default=0) <= 1e-11
+        assert is_regular(p)
+    assert error <= SOLVED
+    assert max(errors, default=0) <= 10 * SOLVED  # derivatives of the displacements
     return p
 
 

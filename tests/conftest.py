@@ -7,6 +7,9 @@
 
 The ranks meet after each phase of a test (set-up, call, tear-down), agree on its outcome, and rank
 0 reports what happened on all of them. A rank that the others wait for in vain ends the whole run.
+
+On more than one rank only those tests run that can notice it: marked with ``ranks``; with
+``ranks(2)`` if two ranks show it all; with ``ranks(degree=[1, 2])`` for these parameters alone.
 """
 
 import faulthandler
@@ -21,8 +24,13 @@ from mpi4py import MPI
 import pytest
 from _pytest.terminal import TerminalReporter
 
+import dolfinx.jit
+
+pytest.register_assert_rewrite("assembly", "helpers")  # for the values in what fails
+
 TIMEOUT, TIMEOUT_SLOW = 300, 1800
 """Seconds after which a phase of a test has hung."""
+OUTCOMES = ("passed", "failed", "error", "skipped", "xfailed", "deselected")
 PATIENCE = 60
 """Seconds that a rank on which a test failed waits for the others."""
 
@@ -34,6 +42,12 @@ else:
     # The same examples on every rank and in every run
     settings.register_profile("ranks", derandomize=True, database=None, deadline=None)
     settings.load_profile("ranks")
+
+# To compile takes longer than what is compiled. Processes that need the same form wait for one
+# another (pytest-xdist)
+dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS.update(
+    cffi_extra_compile_args=(["-O0", "-g0"], "tests"), timeout=(TIMEOUT, "tests")
+)
 
 # A communicator of their own: the ranks' meeting is never taken for a collective of the test
 world = MPI.COMM_WORLD.Dup()
@@ -91,10 +105,21 @@ def pytest_report_header():
     return f"MPI: {world.size} rank{'s' * parallel}, {MPI.Get_library_version().splitlines()[0]}"
 
 
+def notices(item):
+    """Whether a test can notice the number of ranks."""
+    if not parallel:
+        return True
+    marker = item.get_closest_marker("ranks")
+    if marker is None or item.get_closest_marker("serial"):
+        return False
+    parameters = item.callspec.params if hasattr(item, "callspec") else {}
+    wanted = all(parameters[name] in values for name, values in marker.kwargs.items())
+    return wanted and world.size <= max(marker.args, default=world.size)
+
+
 def pytest_collection_modifyitems(config, items):
-    if parallel:
-        config.hook.pytest_deselected(items=[i for i in items if i.get_closest_marker("serial")])
-        items[:] = [i for i in items if not i.get_closest_marker("serial")]
+    config.hook.pytest_deselected(items=[item for item in items if not notices(item)])
+    items[:] = [item for item in items if notices(item)]
 
 
 def pytest_collectreport(report):
@@ -104,6 +129,8 @@ def pytest_collectreport(report):
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish(session):
+    gc.collect()
+    gc.freeze()  # modules and tests stay: to look through them after each test takes .2 s
     names = [item.nodeid for item in session.items]
     every_names, errors = zip(*world.allgather((names, "\n".join(collect_errors))))
     if any(error != errors[0] for error in errors) or any(n != names for n in every_names):
@@ -166,6 +193,18 @@ def pytest_runtest_makereport(item, call):
     elif report.failed:
         report.sections += [said for said in ranks_that_say(texts) if said[1] != text]
     return report
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """A line for the end of ``make test``: how many tests ran here."""
+    file = os.environ.get("TESTS_RAN")
+    if not file or world.rank > 0 or hasattr(config, "workerinput"):
+        return
+    counts = {key: len(terminalreporter.stats.get(key, ())) for key in OUTCOMES}
+    where = f"{world.size} rank{'s' * parallel}  {os.environ.get('OPENBLAS_CORETYPE', '')}"
+    said = ", ".join(f"{n:4} {key}" for key, n in counts.items() if n or key == "passed")
+    with open(file, "a") as out:
+        out.write(f"{where:20} {said}\n")
 
 
 def pytest_internalerror(excrepr):

@@ -46,6 +46,7 @@ def largest_stress(p, bodies):
 PAIR = [(0, OUTER), (1, INNER)]
 
 
+@pytest.mark.ranks(cells=[(12, 20)], degree=[2])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2, 3))
 @pytest.mark.parametrize("cells", ((12, 20), (13, 48), (20, 20)))
@@ -80,6 +81,7 @@ def test_without(degree, expected):
     assert expected / 3 < stress < 3 * expected
 
 
+@pytest.mark.ranks(adjust=[True])
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
 @pytest.mark.parametrize("adjust", (True, False))
 def test_free_rings_are_told(adjust, solver):
@@ -90,6 +92,7 @@ def test_free_rings_are_told(adjust, solver):
         p.solve()
 
 
+@pytest.mark.ranks(gap=[0.5], degree=[1])
 @pytest.mark.parametrize("gap", (0.5, 0.1, -0.1, -0.5))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_initial_gap(degree, gap):
@@ -108,6 +111,7 @@ def test_initial_gap(degree, gap):
         check(bodies, ties, tied, [(0, BOTTOM, (0, 1))])
 
 
+@pytest.mark.ranks
 def test_nodes_at_kinks_stay():
     """A kink that both sides have a node at stays where it is."""
 
@@ -126,6 +130,7 @@ def test_nodes_at_kinks_stay():
     check(bodies, ties, tied, [(0, LEFT, (0, 1)), (0, RIGHT, (0, 1))])
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("adjust, zero_modes", ((True, 6), (False, 3)))
 def test_nested_shells(adjust, zero_modes):
     """Closed shells, free: six zero modes, three of which are lost without adjusting."""

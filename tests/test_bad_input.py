@@ -54,6 +54,7 @@ def held(body, tag, value=(0.0, 0.0)):
     return fem.dirichletbc(np.array(value, dtype=default_scalar_type), dofs, body.V)
 
 
+@pytest.mark.ranks(2, number=[np.inf])
 @pytest.mark.parametrize("number", (np.nan, np.inf, -np.inf))
 @pytest.mark.parametrize("body", (0, 1))
 def test_stiffness_that_is_no_number(body, number):
@@ -65,6 +66,7 @@ def test_stiffness_that_is_no_number(body, number):
     raises(ValueError, f"^the stiffness of body {body} has NaN or infinite", p.solve)
 
 
+@pytest.mark.ranks(2, number=[np.inf], body=[1])
 @pytest.mark.parametrize("number", (np.nan, np.inf))
 @pytest.mark.parametrize("body", (0, 1))
 def test_load_that_is_no_number(body, number):
@@ -76,6 +78,7 @@ def test_load_that_is_no_number(body, number):
     raises(ValueError, f"^the load of body {body} has NaN or infinite", p.solve)
 
 
+@pytest.mark.ranks(2, number=[np.inf])
 @pytest.mark.parametrize("number", (np.nan, np.inf))
 def test_prescribed_displacement_that_is_no_number(number):
     bodies = blocks()
@@ -85,6 +88,7 @@ def test_prescribed_displacement_that_is_no_number(number):
     raises(ValueError, "^the load of body 0 has NaN or infinite", p.solve)
 
 
+@pytest.mark.ranks(cell=["triangle"])
 @pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
 @pytest.mark.parametrize("body", (0, 1))
 def test_cells_without_volume(body, cell):
@@ -100,6 +104,7 @@ def test_cells_without_volume(body, cell):
     )
 
 
+@pytest.mark.ranks(move=[(0.6, 0.0)])
 @pytest.mark.parametrize("move", ((0.6, 0.0), (0.0, 0.6), (0.45, 0.45)))
 def test_cells_turned_over_in_part(move):
     bodies = blocks()
@@ -123,6 +128,7 @@ def test_mirrored_cells_are_none_of_these():
     TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=[tie(bodies, *TIED)]).solve()
 
 
+@pytest.mark.ranks(other=[(0.2, 0.2)])
 @pytest.mark.parametrize("other", ((0.1, 0.0), (0.0, -0.1), (0.2, 0.2)))
 @pytest.mark.parametrize("swap", (False, True))
 def test_contradiction(other, swap):
@@ -135,6 +141,7 @@ def test_contradiction(other, swap):
     raises(InterfaceError, r"^the prescribed displacements contradict tie 0 at \[", p.solve)
 
 
+@pytest.mark.ranks(2)
 def test_no_contradiction():
     bodies = blocks()
     bcs = [held(body, LEFT, (0.1, -0.1)) for body in bodies]
@@ -143,6 +150,22 @@ def test_no_contradiction():
     assert all(np.allclose(u.x.array.reshape(-1, 2), (0.1, -0.1), atol=1e-12) for u in us)
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("far, refused", ((5e5, False), (1e-6, True)))
+def test_round_off_of_large_values_is_no_contradiction(far, refused):
+    """What is prescribed elsewhere says how exact the values beside each other can be."""
+    bodies = blocks()
+    bcs = [held(bodies[0], LEFT), held(bodies[1], LEFT, (1e-10, 0.0))]
+    bcs.append(held(bodies[0], RIGHT, (far, 0.0)))
+    a, L = forms(bodies)
+    p = TiedProblem([1e-6 * a[0], a[1]], L, bcs=bcs, ties=[tie(bodies, *TIED)])
+    if refused:
+        raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
+    else:
+        p.solve()
+
+
+@pytest.mark.ranks(2)
 def test_contradiction_in_a_later_step():
     bodies = blocks()
     values = [fem.Constant(b.mesh, default_scalar_type((0, 0))) for b in bodies]
@@ -157,6 +180,7 @@ def test_contradiction_in_a_later_step():
     raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("fixed, count", (((), 3), (((0, BOTTOM, (1,)),), 1)))
 @pytest.mark.parametrize("swap", (False, True))
 def test_an_assembly_that_can_still_move(fixed, count, swap):
@@ -166,6 +190,7 @@ def test_an_assembly_that_can_still_move(fixed, count, swap):
         raises(SolveError, f"singular: {count} rigid motion", p.solve)
 
 
+@pytest.mark.ranks(num=[3])
 @pytest.mark.parametrize("num", (2, 3))
 def test_bodies_without_ties(num):
     """Each of the others has its three."""
@@ -174,6 +199,7 @@ def test_bodies_without_ties(num):
     raises(SolveError, f"singular: {3 * (num - 1)} rigid motion", p.solve)
 
 
+@pytest.mark.ranks(2)
 def test_a_scalar_that_nothing_holds():
     mesh = rectangle((2, 2), (0, 0), (1, 1)).mesh
     V = fem.functionspace(mesh, ("Lagrange", 1))
@@ -186,6 +212,7 @@ def test_a_scalar_that_nothing_holds():
     TiedProblem([a], [zero * v * ufl.dx]).solve()
 
 
+@pytest.mark.ranks(2, pair=[((0, TOP), (1, TOP))])
 @pytest.mark.parametrize(
     "pair, match",
     (
@@ -200,17 +227,20 @@ def test_wrong_sides(pair, match):
     raises(InterfaceError, match, lambda: tie(bodies, *pair))
 
 
+@pytest.mark.ranks(2)
 def test_inside_out():
     """Both bodies lie below the interface."""
     bodies = [rectangle((n, 1), (0, 0), (1, 1)) for n in (2, 3)]
     raises(InterfaceError, "their outward normals agree", lambda: tie(bodies, (0, TOP), (1, TOP)))
 
 
+@pytest.mark.ranks(2)
 def test_far_apart():
     bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 50)]
     raises(InterfaceError, "don't face each other: no part of Γ1", lambda: tie(bodies, *TIED))
 
 
+@pytest.mark.ranks(2)
 def test_complex_numbers(monkeypatch):
     class Complex:
         ScalarType = np.complex128
@@ -220,6 +250,7 @@ def test_complex_numbers(monkeypatch):
     raises(RuntimeError, "PETSc's scalars are complex", lambda: tie(bodies, *TIED))
 
 
+@pytest.mark.ranks(2, kind=["DG"])
 @pytest.mark.parametrize("kind", ("DG", "Bubble"))
 def test_families(kind):
     bodies = blocks(cell="triangle")
@@ -229,6 +260,7 @@ def test_families(kind):
     raises(InterfaceError, "the space of Γ1 .* is not a continuous Lagrange", lambda: Tie(*sides))
 
 
+@pytest.mark.ranks(2, facets=[3.5])
 @pytest.mark.parametrize("facets", ([[0, 1]], 3.5, "TOP", None))
 def test_facets_of_strange_kinds(facets):
     bodies = blocks()
@@ -294,6 +326,7 @@ def test_workspace(monkeypatch):
     assert linear((1, 0)) == (0.3, 0.5) and MPI.COMM_WORLD.size == 1
 
 
+@pytest.mark.ranks(2, shift=[0.2])
 @pytest.mark.parametrize("shift", np.linspace(0.02, 0.2, 10))
 def test_curved_cells_turned_over_at_their_edge(shift):
     """A node of a cubic edge pushed along it: det J < 0 at a fine lattice's points is found."""
@@ -315,6 +348,7 @@ def test_curved_cells_turned_over_at_their_edge(shift):
         checks.check_cells(mesh, "it")
 
 
+@pytest.mark.ranks(2)
 def test_things_of_the_wrong_kind():
     bodies = blocks()
     a, L = forms(bodies)

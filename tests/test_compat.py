@@ -15,6 +15,8 @@ import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Tie, compat
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

@@ -58,6 +58,7 @@ def polynomial(degree):
     return f
 
 
+@pytest.mark.ranks(k=[(1, 2)])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("k", DEGREES)
 def test_constants_meet_it_everywhere(k, mode):
@@ -68,7 +69,7 @@ def test_constants_meet_it_everywhere(k, mode):
         two_rings((8, 5), k, angle=2 * np.pi),
     ):
         tie = Tie(*sides, interior=mode)
-        assert residual(tie, *fields(tie, constant)) <= 1e-13
+        assert residual(tie, *fields(tie, constant)) <= 1e-12
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -78,7 +79,7 @@ def test_polynomials_meet_it_on_a_flat_interface(n, k, mode):
     """Linear fields always; up to the lower of both degrees."""
     tie = Tie(*two_blocks(n, k, mapping=skew), interior=mode)
     for degree in range(1, min(k) + 1):
-        assert residual(tie, *fields(tie, polynomial(degree))) <= 1e-13
+        assert residual(tie, *fields(tie, polynomial(degree))) <= 1e-12
 
 
 def test_other_fields_do_not_meet_it():
@@ -101,6 +102,7 @@ def loads(V, facets, t):
     return b.array[: V.dofmap.index_map.size_local]
 
 
+@pytest.mark.ranks(2, k=[(2, 1)])
 @pytest.mark.parametrize("k", ((1, 1), (2, 2), (3, 3), (2, 1), (1, 2), (3, 2)))
 def test_tractions_of_degree_k_less_one_are_carried(k):
     """Bᵀλ is ∫λφ on Γ1 and −∫λφ on Γ0: why the patch test passes."""
@@ -122,7 +124,7 @@ def test_tractions_of_degree_k_less_one_are_carried(k):
             B.multTranspose(multipliers, force)
             exact = sign * loads(V, facets, t)
             scale = comm.allreduce(np.abs(exact).max(initial=0)) + 1e-300
-            np.testing.assert_allclose(force.array, exact, rtol=0, atol=1e-13 * scale)
+            np.testing.assert_allclose(force.array, exact, rtol=0, atol=1e-12 * scale)
 
 
 def gathered(u):
@@ -150,6 +152,7 @@ def nodal_alpha(domain):
     return gathered(alpha)
 
 
+@pytest.mark.ranks(2, k=[2])
 @pytest.mark.parametrize("k", (1, 2, 3))
 @pytest.mark.parametrize("interface", ("flat", "ring"))
 def test_free_interior_minimises_eq_22(interface, k):
@@ -197,6 +200,7 @@ def test_gap_matrix_is_a_gram_matrix(k):
 # Shapes
 
 
+@pytest.mark.ranks(k=[(3, 2)])
 @pytest.mark.parametrize("shape", ((), (2,)))
 @pytest.mark.parametrize("k", DEGREES)
 def test_rows_and_columns(k, shape):
@@ -214,6 +218,7 @@ def test_rows_and_columns(k, shape):
     assert [B.getSize() for B in free.blocks()] == [(rows + inside, m) for m in expected]
 
 
+@pytest.mark.ranks
 def test_rows_where_the_sides_overlap_in_part():
     """Dofs of Γ1's facets that Γ0 doesn't reach have none."""
     for spans, rows in ((((0, 1), (0, 2)), 4), (((0, 2), (0, 1)), 6), (((0.5, 2), (0, 1)), 4)):
@@ -222,6 +227,7 @@ def test_rows_where_the_sides_overlap_in_part():
         assert tie.constraint.R_A.getSize()[1] == rows
 
 
+@pytest.mark.ranks(k=[(1, 3)])
 @pytest.mark.parametrize("k", DEGREES)
 def test_pull_back_of_polynomials(k):
     """R₀u₀ + R₁u₁ are the field's values at Σ's nodes, and interior nodes get (1 − α)u₀ + αu₁."""
@@ -244,6 +250,7 @@ def test_pull_back_of_polynomials(k):
     assert not own or (np.count_nonzero(R1[np.isclose(alpha, 1)], axis=1) == 1).all()
 
 
+@pytest.mark.ranks(2)
 def test_expand_repeats_each_component():
     """B ⊗ I."""
     tie = Tie(*two_blocks((3, 5)))
@@ -258,9 +265,10 @@ def test_swapped_sides():
     sides = two_blocks((3, 5), (2, 1), mapping=skew)
     for pair in (sides, sides[::-1]):
         tie = Tie(*pair)
-        assert residual(tie, *fields(tie, polynomial(1))) <= 1e-13
+        assert residual(tie, *fields(tie, polynomial(1))) <= 1e-12
 
 
+@pytest.mark.ranks(2)
 def test_own_system():
     """B holds without a TiedProblem: the user's matrices are PETSc's AIJ."""
     tie = Tie(*two_blocks((3, 5)))
@@ -288,6 +296,7 @@ def prescribed(V, components, where):
     ]
 
 
+@pytest.mark.ranks(k=[(2, 2)])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("k", DEGREES)
 def test_tractions_are_carried_where_ends_are_prescribed(k, mode):
@@ -318,6 +327,7 @@ def test_tractions_are_carried_where_ends_are_prescribed(k, mode):
     blocks.destroy()
 
 
+@pytest.mark.ranks
 def test_columns_of_prescribed_dofs():
     """They move to the right-hand side: gone from what is solved, kept for what is known."""
     sides = two_blocks((3, 5))
@@ -334,6 +344,7 @@ def test_columns_of_prescribed_dofs():
     blocks.destroy()
 
 
+@pytest.mark.ranks
 def test_nothing_prescribed():
     """No E: all multipliers remain."""
     sides = two_blocks((3, 5))

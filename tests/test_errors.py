@@ -18,12 +18,14 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError, Tie, TiedProblem
 
+pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
 
 
 # Facets
 
 
+@pytest.mark.ranks(side=[1])
 @pytest.mark.parametrize("nothing", (NOTHING, [], np.empty((0, 1))))
 @pytest.mark.parametrize("side", (0, 1))
 def test_no_facets_on_any_rank(side, nothing):
@@ -43,6 +45,7 @@ def rank_with_facets(facets):
     return max(r for r, n in enumerate(comm.allgather(len(facets))) if n)
 
 
+@pytest.mark.ranks
 def test_facets_out_of_range():
     (V, facets), other = two_blocks()
     num = V.mesh.topology.index_map(1).size_local + V.mesh.topology.index_map(1).num_ghosts
@@ -54,6 +57,7 @@ def test_facets_out_of_range():
             Tie(other, (V, wrong))
 
 
+@pytest.mark.ranks
 def test_duplicate_facets():
     (V, facets), other = two_blocks()
     r = rank_with_facets(facets)
@@ -62,6 +66,7 @@ def test_duplicate_facets():
         Tie((V, wrong), other)
 
 
+@pytest.mark.ranks
 def test_interior_facets():
     (V, facets), other = two_blocks()
     topology = V.mesh.topology
@@ -88,6 +93,7 @@ def test_lists_of_facets():
     assert len(tie.surfaces[0].facets) == 3
 
 
+@pytest.mark.ranks
 def test_branching_facets():
     """Two squares that touch at a corner, with both their edges there."""
     x = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (2, 2)], dtype=float)
@@ -151,6 +157,7 @@ SPACES = {
 }
 
 
+@pytest.mark.ranks(2, side=[1], kind=["DG", "mixed", "component"])
 @pytest.mark.parametrize("side", (0, 1))
 @pytest.mark.parametrize("kind", SPACES)
 def test_spaces_that_are_not_lagrange(kind, side):
@@ -172,6 +179,7 @@ def test_different_value_shapes():
         Tie(scalar[0], vector[1])
 
 
+@pytest.mark.ranks
 def test_different_communicators():
     """The same ranks in another order are not the same."""
     if comm.size == 1:
@@ -217,6 +225,7 @@ def test_hexahedra():
 # Interfaces
 
 
+@pytest.mark.ranks
 def test_surfaces_that_lie_elsewhere():
     sides = two_blocks(spans=((0, 2), (7, 9)))
     with raises(InterfaceError, "^Γ0 and Γ1 don't face each other: .* 5 away.* check the tags"):
@@ -229,6 +238,7 @@ def test_the_same_surface_twice():
         Tie(side, side)
 
 
+@pytest.mark.ranks
 def test_surfaces_that_fold_over():
     """Γ1 turns back on itself where Γ0 is straight: dΣ changes its sign."""
 
@@ -281,6 +291,7 @@ def loaded(L, V):
     return L + (v[0] + 2 * v[1]) * ufl.dx
 
 
+@pytest.mark.ranks(k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 @pytest.mark.parametrize("n", ((3, 5), (8, 6)))
 def test_free_bodies(n, k):
@@ -307,6 +318,7 @@ def test_tie_given_twice():
         TiedProblem(a, L, ties=[tie, tie])
 
 
+@pytest.mark.ranks
 def test_solver_that_does_not_converge():
     sides, a, L, tie = arguments()
     options = {"ksp_type": "gmres", "ksp_max_it": 2, "pc_type": "none", "ksp_rtol": 1e-14}
@@ -342,6 +354,7 @@ def test_boundary_condition_on_a_foreign_space():
         TiedProblem(a, L, bcs=bcs, ties=[tie])
 
 
+@pytest.mark.ranks
 def test_prescribed_side_1():
     """All of a long Γ1 is held while Γ0 can move: no multiplier is left to tie it."""
     sides = two_blocks((20, 40))

@@ -50,6 +50,7 @@ def bulk(x):
     return np.array((0.3 * x[0] - 0.2 * x[1] + 1, 0.1 * x[0] + 0.4 * x[1]))
 
 
+@pytest.mark.ranks(k=[(1, 2)])
 @pytest.mark.parametrize("mode", ("interpolated", "free"))
 @pytest.mark.parametrize("k", DEGREES)
 def test_rigid_opening(k, mode):
@@ -77,6 +78,7 @@ def test_gap_is_positive_where_the_surfaces_part():
         np.testing.assert_allclose(gap, 1, atol=1e-12)
 
 
+@pytest.mark.ranks
 def test_linear_jump():
     """Of an opening that grows along the interface, ∂u/∂α is the jump (k = 2: α times it)."""
     tie = Tie(*two_blocks((3, 5), (2, 2)))
@@ -85,6 +87,7 @@ def test_linear_jump():
     np.testing.assert_allclose(slip, 0, atol=1e-12)
 
 
+@pytest.mark.ranks(k=[2], g=[2], angle=[2 * np.pi])
 @pytest.mark.parametrize("angle", (np.pi / 2, 2 * np.pi))
 @pytest.mark.parametrize("g", (1, 2))
 @pytest.mark.parametrize("k", (1, 2, 3))
@@ -149,6 +152,7 @@ def test_sliding_ring_converges(k):
     assert np.log2(slips[1] / slips[2]) >= k - 0.1
 
 
+@pytest.mark.ranks(2, k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 def test_scalar_jump(k):
     """One value in place of two."""
@@ -183,6 +187,7 @@ def patch_problem(sides, tie):
     return TiedProblem(a, L, bcs=bcs, ties=[tie])
 
 
+@pytest.mark.ranks(k=[(1, 2)], swap=[True])
 @pytest.mark.parametrize("mode", ("interpolated", "free"))
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("k", ((1, 1), (2, 2), (3, 3), (1, 2)))
@@ -208,6 +213,7 @@ def test_traction_of_a_patch_test(k, swap, mode):
 # GapQuadrature
 
 
+@pytest.mark.ranks(2, k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 def test_quadrature_of_polynomials(k):
     """∫ x² over the interface, of values, vectors and functions."""

@@ -35,6 +35,7 @@ def test_components(num_edges):
         assert len(np.unique(np.stack((found, expected)), axis=1).T) == count
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("degree", (1, 2))
 def test_parts(degree):
     """Stripes of a square, each of them on several ranks."""

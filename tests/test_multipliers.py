@@ -72,6 +72,7 @@ def rows_of(p) -> np.ndarray:
     return B / np.linalg.norm(B, axis=1, keepdims=True)
 
 
+@pytest.mark.ranks(2, held=["below"], name=["P2"])
 @pytest.mark.parametrize("held", ("outside", "below"))
 @pytest.mark.parametrize("name", ELEMENTS)
 @pytest.mark.parametrize("scene", SCENES)
@@ -83,7 +84,7 @@ def test_no_row_follows_from_the_others(scene, name, held):
     if held == "outside":
         every = product(range(len(bodies)), (LEFT, RIGHT, BOTTOM, TOP))
         fixed = [(i, tag, (0, 1)) for i, tag in every if (i, tag) not in tied]
-    for step in (1, 2, 3) if comm.size == 1 else (2,):
+    for step in (1, 2, 3) if (comm.size, name) == (1, "Q1") else (2,):
         swaps = [i % step == 0 for i in range(len(pairs))]
         if scene == "bricks":  # the plate is on the same side of all of its ties
             swaps[:6] = [step == 1] * 6

@@ -10,6 +10,7 @@ import weakref
 from itertools import pairwise
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
+from hypergap_dolfinx.solve import solvers
 
 comm = MPI.COMM_WORLD
 
@@ -72,6 +74,7 @@ def sheared(x):
     return np.array([0.3 + 0.1 * x[0] ** 2 + 0.2 * x[1], 0.1 * x[0]])
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("options", ({}, {"interior": "free"}, {"close_gap": True, "gap": 0.05}))
 def test_linear_forms(options):
     """One step gives what TiedProblem gives, with prescribed displacements on Γ0 and Γ1 too."""
@@ -88,11 +91,12 @@ def test_linear_forms(options):
         L.append(ufl.inner(fem.Constant(W.mesh, (0.0, 0.0)), v) * ufl.dx)
     reference = TiedProblem(a, L, bcs=bcs, ties=[tie])
     for u, v in zip(us, reference.solve(), strict=True):
-        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-13
+        assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
     difference = problem.multipliers(tie) - reference.multipliers(tie)
-    assert np.abs(difference).max(initial=0) <= 1e-11 * np.abs(reference.x.array).max()
+    assert np.abs(difference).max(initial=0) <= 1e-10 * np.abs(reference.x.array).max()
 
 
+@pytest.mark.ranks(degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_quadratic_convergence(degree):
     V, fts, tie = two_blocks(degree)
@@ -123,6 +127,7 @@ def test_large_rotation_is_rigid():
     assert max(np.abs(f.x.array).max(initial=0) for f in tie.gap(*us)) <= 1e-9
 
 
+@pytest.mark.ranks
 def test_failure_is_an_error():
     V, fts, tie = two_blocks()
     options = {"snes_max_it": 1}
@@ -142,6 +147,7 @@ def test_numbers_of_forms():
         NonlinearTiedProblem([F], [u, u], ties=[tie])
 
 
+@pytest.mark.ranks
 def test_is_freed():
     """No circle through PETSc keeps the problem and its matrices alive."""
     V, fts, tie = two_blocks(1)
@@ -152,6 +158,7 @@ def test_is_freed():
     assert alive() is None
 
 
+@pytest.mark.ranks(2, E=[1e9])
 @pytest.mark.parametrize("E", (1e-12, 1e9))
 def test_units(E):
     """Small stiffness isn't hidden by prescribed displacements: the same in any unit."""
@@ -160,10 +167,98 @@ def test_units(E):
         V, fts, tie = two_blocks()
 
         def density(u, modulus=modulus):
-            return modulus * energy(u)
+            # One kernel for all values
+            return fem.Constant(u.function_space.mesh, modulus) * energy(u)
 
         places = (lambda x: 0 * x[:2], lambda x: 0.1 + 0 * x[:2])
         problem, _ = problem_of(V, fts, tie, density, places)
         results.append([u.x.array.copy() for u in problem.solve()])
     for u, v in zip(*results, strict=True):
         np.testing.assert_allclose(u, v, atol=1e-8)
+
+
+def load_steps(solver=None, steps=(0.02, 0.04, 0.06), **options):
+    """Displacements, numbers of Newton's steps, and how often J was assembled and factorised."""
+    V, fts, tie = two_blocks()
+    options = {"snes_rtol": 1e-10, **options}
+    problem, bcs = problem_of(
+        V, fts, tie, energy, (fixed, None), solver=solver, petsc_options=options
+    )
+    PETSc.Log.begin()
+    events = [PETSc.Log.Event(name) for name in ("SNESJacobianEval", "MatLUFactorNum")]
+    before = [comm.allreduce(event.getPerfInfo()["count"], MPI.MAX) for event in events]
+    newton = []
+    for step in steps:
+        bcs[0].function.interpolate(lambda x, step=step: step * sheared(x))
+        us = problem.solve()
+        newton.append(problem.solver.getIterationNumber())
+    counts = [comm.allreduce(event.getPerfInfo()["count"], MPI.MAX) for event in events]
+    return us, newton, *(after - b for after, b in zip(counts, before, strict=True))
+
+
+def assert_same(us, reference):
+    for u, v in zip(us, reference, strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-10)
+
+
+@pytest.mark.parametrize("solver", solvers.SOLVERS)
+def test_solvers_agree(solver):
+    reference, newton, *_ = load_steps(steps=(0.3,))
+    us, its, *_ = load_steps(solver, steps=(0.3,))
+    assert its == newton
+    assert_same(us, reference)
+
+
+def test_a_solver_of_the_users():
+    """A type that is named replaces all options of the default, as for TiedProblem."""
+    V, fts, tie = two_blocks()
+    options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    problem, _ = problem_of(V, fts, tie, energy, (fixed, sheared), petsc_options=options)
+    us = problem.solve()
+    assert problem.solver.getKSP().getType() == "gmres"
+    reference, _ = problem_of(V, fts, tie, energy, (fixed, sheared))
+    assert_same(us, reference.solve())
+    assert reference.solver.getKSP().getType() == "preonly"
+
+
+@pytest.mark.parametrize("solver, factors", (("direct", 1), ("bodies", 3), ("iterative", 2)))
+def test_a_factorisation_that_is_kept(solver, factors):
+    """The docstring's examples: what is factorised once does for all load steps."""
+    reference, newton, assembled, factorised = load_steps(solver)
+    assert assembled == sum(newton) and factorised >= assembled
+    kept = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
+    us, its, assembled, factorised = load_steps(solver, **kept)
+    assert (assembled, factorised) == (1, factors) and sum(its) > sum(newton)
+    assert_same(us, reference)
+    kept = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
+    us, its, assembled, factorised = load_steps(solver, **kept)
+    assert (assembled, factorised) == (sum(its), factors)
+    if solver != "direct":  # the others iterate on the system of now
+        assert its == newton
+    assert_same(us, reference)
+
+
+def test_a_factorisation_for_some_steps():
+    _, newton, assembled, factorised = load_steps("bodies", snes_lag_jacobian=2)
+    assert assembled == 2 * 3 and sum(newton) == 3 * 3 and factorised < 3 * sum(newton)
+
+
+@pytest.mark.parametrize("reaction, match", ((-30.0, "symmetric and positive"), (-1e4, "diagonal")))
+def test_a_solver_that_fails(reaction, match):
+    """Its own words and advice, not SNES's, and not the first time alone."""
+    V, fts, tie = two_blocks()
+
+    def density(u):
+        return small_strain_energy(u) + reaction * ufl.inner(u, u)
+
+    problem, _ = problem_of(V, fts, tie, density, (fixed, sheared), solver="iterative")
+    for _ in range(2):
+        with pytest.raises(SolveError, match=f'{match}.* take solver="direct"'):
+            problem.solve()
+
+
+def test_a_solver_that_is_not_possible():
+    V, fts, tie = two_blocks(interior="free")
+    for solver, match in (("bodies", "free interior nodes"), ("cholesky", "solver is one of")):
+        with pytest.raises(ValueError, match=match):
+            problem_of(V, fts, tie, energy, (fixed, sheared), solver=solver)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from assembly import (
     NU,
+    SOLVED,
     displacement_error,
     rectangle,
     smooth_errors,
@@ -55,6 +56,7 @@ def solve(bodies, swap, load, held):
     return p
 
 
+@pytest.mark.ranks(span=[(0.13, 1.4)], swap=[False])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("element", (("triangle", 1), ("triangle", 2), ("quadrilateral", 2)))
 @pytest.mark.parametrize("span", SPANS)
@@ -73,14 +75,15 @@ def test_patch(span, element, swap):
 
     bodies = bodies_of(span, element)
     p = solve(bodies, swap, load, held)
-    assert displacement_error(p, stretching) <= 1e-12
-    assert traction_error(p, p.ties[0], bodies, stretching) <= 1e-10
+    assert displacement_error(p, stretching) <= SOLVED
+    assert traction_error(p, p.ties[0], bodies, stretching) <= 10 * SOLVED
 
 
 # How much of Γ1's last facet Σ covers: above 30 % its dofs have multipliers of their own
 CUTS = (1e-12, 1e-8, 1.01e-7, 1e-6, 1e-4, 1e-2, 0.1, 0.29, 0.31, 0.5, 0.9)
 
 
+@pytest.mark.ranks(2, swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize(
     "element", (("triangle", 1), ("triangle", 2), ("quadrilateral", 2), ("quadrilateral", 3))
@@ -136,6 +139,7 @@ def test_cut_facets_of_a_smooth_field(element, swap):
         assert error <= (0.1, 4e-3, 2e-4)[degree - 1]
 
 
+@pytest.mark.ranks(2, span=[(-0.3, 1.3)])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("element", (("triangle", 1), ("quadrilateral", 2)))
 @pytest.mark.parametrize("span", SPANS)

@@ -49,6 +49,7 @@ def wall(cell, degree, num=10, plate_cells=7):
     return bodies, on_plate, between
 
 
+@pytest.mark.ranks(swap_between=[False])
 @pytest.mark.parametrize("swap_between", (False, True))
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("name", ("Q1", "P2"))
@@ -75,6 +76,7 @@ def test_bricks_on_a_plate(name, swap, swap_between):
         assert (negative, zero) == (multipliers, 0)
 
 
+@pytest.mark.ranks(2)
 def test_bricks_that_nothing_else_holds():
     """The same patch as everywhere: of bricks with loads instead of prescribed displacements."""
     for name, tied_to_each_other in product(("Q1", "P2"), (False, True)):
@@ -97,6 +99,7 @@ def tags(body: Body, tag: int, num: int):
     return [part for part in parts if comm.allreduce(len(part))]
 
 
+@pytest.mark.ranks(cells=[(10, 7)])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("cells", ((10, 4), (10, 7), (40, 7)))
 @pytest.mark.parametrize("name", ("Q1", "P2"))
@@ -119,7 +122,7 @@ def test_one_interface_as_many_ties(name, cells, swap):
         return np.array([*smooth_errors(p), smooth_traction_error(p, ties, bodies)])
 
     one = solve([whole])
-    for num in (5, 10, 20) if comm.size == 1 else (5,):
+    for num in (5, 10, 20) if (comm.size, name) == (1, "Q1") else (10,):
         for facets in (
             [(part, whole[1]) for part in tags(bodies[0], TOP, num)],
             [(whole[0], part) for part in tags(bodies[1], BOTTOM, num)],
@@ -134,6 +137,7 @@ FOUR += [((1, TOP), (3, BOTTOM))]
 THREE = [((0, RIGHT), (1, LEFT)), ((0, TOP), (2, BOTTOM)), ((1, TOP), (2, BOTTOM))]
 
 
+@pytest.mark.ranks(2, cells=[(2, 3, 4, 5)])
 @pytest.mark.parametrize("cells", ((2, 3, 4, 5), (4, 6, 3, 5)))
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_four_blocks(name, cells):
@@ -155,6 +159,7 @@ def test_four_blocks(name, cells):
         assert error <= (0.1, 5e-3, 2e-4)[degree - 1]
 
 
+@pytest.mark.ranks(cut=[0.37])
 @pytest.mark.parametrize("cut", (0.5, 0.37))
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_t_junction(name, cut):
@@ -166,7 +171,7 @@ def test_t_junction(name, cut):
     ]
     tied = [side for pair in THREE for side in pair]
     reference = alone(bodies, tied)
-    for swaps in product((0, 1), repeat=3) if comm.size == 1 else ((0, 0, 1),):
+    for swaps in ((0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)) if comm.size == 1 else ((0, 0, 1),):
         ties = [tie(bodies, *(p[::-1] if s else p)) for p, s in zip(THREE, swaps, strict=True)]
         p = smooth_problem(bodies, ties, tied)
         ratios = smooth_errors(p) / reference

@@ -18,6 +18,8 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

@@ -15,6 +15,8 @@ import pytest
 
 from hypergap_dolfinx import progress
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

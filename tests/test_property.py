@@ -8,6 +8,7 @@
 from itertools import pairwise, permutations
 
 import numpy as np
+import pytest
 from assembly import (
     comm,
     displacement_error,
@@ -23,6 +24,8 @@ from hypothesis import strategies as st
 
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError
 from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+pytestmark = pytest.mark.ranks
 
 ELEMENTS = st.sampled_from((("triangle", 1), ("triangle", 2), ("quadrilateral", 1)))
 EXAMPLES = 60 if comm.size == 1 else 8

@@ -39,6 +39,7 @@ def rings(n, g, k=(2, 2)):
     return sides
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("straight", (0, 1))
 def test_straight_against_curved(straight, caplog):
     g = [2, 2]
@@ -70,6 +71,7 @@ def test_curved_elsewhere(caplog):
     assert not warnings(caplog, *sides)
 
 
+@pytest.mark.ranks(2, g=[(2, 1)])
 @pytest.mark.parametrize("g", ((2, 1), (1, 2), (2, 2)))
 def test_straight_against_curved_in_space(g, caplog):
     pytest.importorskip("gmsh")
@@ -101,6 +103,7 @@ def crossed(n0, n1, layers, k=1):
     return sides
 
 
+@pytest.mark.ranks(swap=[1])
 @pytest.mark.parametrize("swap", (1, -1))
 def test_long_crossed_facets(swap, caplog):
     """Ten times narrower one way, whichever side is Γ1."""
@@ -145,6 +148,7 @@ def plates(outline, h=(3, 4), shift=0.0):
     return sides
 
 
+@pytest.mark.ranks(2, outline=[0.93], swap=[1])
 @pytest.mark.parametrize("swap", (1, -1))
 @pytest.mark.parametrize("outline", (0.93, 1.08, 1.01))
 def test_outlines_apart(outline, swap, caplog):

@@ -17,6 +17,8 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem, compat
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

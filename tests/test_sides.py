@@ -20,6 +20,7 @@ from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 from meshes import BOTTOM, END, INNER, OUTER, START, TOP
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize(
     "cells, degrees, stiffness, swapped, why",
     (
@@ -46,6 +47,7 @@ def test_between(cells, degrees, stiffness, swapped, why, caplog):
         assert why in caplog.text
 
 
+@pytest.mark.ranks(cell=["triangle"])
 @pytest.mark.parametrize("thin", (0, 1))
 @pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
 def test_between_a_thin_layer_and_a_block(cell, thin, caplog):
@@ -105,6 +107,7 @@ def press(delta, degree, swap, n=8):
     return np.array([*radial, pressure])
 
 
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_interference_fit(degree, swap):
@@ -121,6 +124,7 @@ def test_interference_fit(degree, swap):
     assert np.abs(rates - 1).max() < 0.05
 
 
+@pytest.mark.ranks
 def test_close_gap_needs_displacements():
     bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 1)]
     V = [fem.functionspace(body.mesh, ("Lagrange", 1)) for body in bodies]

@@ -62,6 +62,7 @@ def tied(bodies, exact, degree, *, swap=False, E=(1.0, 1.0)):
         V = fem.functionspace(mesh, ("Lagrange", k, (3,)))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         x, n = ufl.SpatialCoordinate(mesh), ufl.FacetNormal(mesh)
+        modulus = fem.Constant(mesh, default_scalar_type(modulus))  # one kernel for all values
         mesh.topology.create_connectivity(2, 3)
         loaded = exterior_facet_indices(mesh.topology)
         loaded = loaded[~np.isin(loaded, np.concatenate((facets, held)))]
@@ -93,6 +94,7 @@ def errors(us, exacts, E):
     totals = np.zeros(4)
     for u, e, modulus in zip(us, exacts, E, strict=True):
         u_exact = ufl.as_vector(e(ufl.SpatialCoordinate(u.function_space.mesh)))
+        modulus = fem.Constant(u.function_space.mesh, default_scalar_type(modulus))
         dx = ufl.dx(metadata={"quadrature_degree": 6})
         pairs = ((u, u_exact), (stress(u, modulus), stress(u_exact, modulus)))
         for i, (f, g) in enumerate(pairs):
@@ -118,6 +120,7 @@ def cube_in_cube(n, h):
     )
 
 
+@pytest.mark.ranks(2, degree=[(1, 2)], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", ((1, 1), (2, 2), (1, 2)))
 def test_cube_inclusion(degree, swap):
@@ -197,6 +200,7 @@ def test_ball_in_shell(E_ball, swap):
 # Plates with a hole: two boundary loops
 
 
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_plate_with_square_hole(degree):
     bodies = []
@@ -231,6 +235,7 @@ def test_plate_with_round_hole():
 # Several patches that don't touch
 
 
+@pytest.mark.ranks
 def test_two_patches():
     """Blocks that are tied in two strips, with a gap between the strips that nothing crosses."""
     bodies = []
@@ -292,6 +297,7 @@ def test_units_of_length(scale):
     assert max(l2, s) < 1e-11
 
 
+@pytest.mark.ranks
 def test_scalar():
     """A linear temperature."""
     spaces, forms, loads, bcs, sides = [], [], [], [], []
@@ -321,6 +327,7 @@ def test_scalar():
         assert np.abs(u.x.array - g.x.array).max() < 1e-12
 
 
+@pytest.mark.ranks(n=[(4, 3)], degree=[1])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 @pytest.mark.parametrize("n", ((4, 3), (3, 4), (7, 3)))
@@ -334,4 +341,5 @@ def test_sides_prescribed_all_around(n, degree, swap):
         held = [ft.find(other) for other in np.unique(ft.values) if other != tag]
         bodies.append((mesh, ft.find(tag), np.unique(np.concatenate(held))))
     l2, error, *_ = tied(bodies, bending if degree == 2 else linear, (degree,) * 2, swap=swap)
-    assert l2 <= 1e-12 and error <= 1e-11
+    # 5e-13 of the displacement has been seen; other BLAS libraries may make some times as much
+    assert l2 <= 2e-11 and error <= 1e-10

@@ -23,9 +23,7 @@ def test_patch(dim, degree):
     for axis, value, scene, bounds in demo.patch_rows(quick=True):
         if bounds[dim - 2] is None or axis == FINER:
             continue
-        if max(scene.get("cells", (1,))) > (100 if comm.size > 1 else 1000):
-            continue
-        if comm.size > 1 and dim == 3 and axis not in ("contrast", "gap / h"):
+        if max(scene.get("cells", (1,))) > 1000:
             continue
         common = {"dim": dim, "degree": degree}
         errors = [demo.patch(scene | common | {"swap": swap})[0] for swap in (False, True)]
@@ -34,6 +32,7 @@ def test_patch(dim, degree):
             assert fused >= max(errors) / 10, (axis, value, errors, fused)
 
 
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_units(degree):
     """All results are the same in other units."""

@@ -52,6 +52,7 @@ def inner_points(dim):
     )
 
 
+@pytest.mark.ranks(k=[2], g=[2], shape=[()])
 @pytest.mark.parametrize("shape", ((), (2,)))
 @pytest.mark.parametrize("g", (1, 2, 3))
 @pytest.mark.parametrize("k", (1, 2, 3))
@@ -88,6 +89,7 @@ def test_trace_of_a_polynomial(cell, k, g, degree):
         close(np.einsum("pa,pa->p", tabulate(surface.element, Xs), values), polynomial(x.T), 1e-13)
 
 
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("cell", CELLS)
 def test_normals_point_outwards(cell):
     dim = 3 if cell == "tetrahedron" else 2
@@ -122,6 +124,7 @@ def test_normals_of_rings():
         close(surface.normals, sign * radial, 1e-13)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("cell", CELLS)
 def test_the_same_arrays_on_every_rank(cell):
     """And the same as one rank alone has, sorted by place; dofs have numbers of their own."""
@@ -145,6 +148,7 @@ def test_the_same_arrays_on_every_rank(cell):
     ].dofs.max()
 
 
+@pytest.mark.ranks
 def test_facets_that_several_ranks_know_count_once():
     """The facets of ghost cells may be given by all who know them, or by their owners alone."""
     links = (2,) if compat.VERSION >= (0, 11) else ()  # at most two cells at a facet
@@ -163,6 +167,7 @@ def test_facets_that_several_ranks_know_count_once():
         np.testing.assert_array_equal(surface.dofs, surfaces[0].dofs)
 
 
+@pytest.mark.ranks
 def test_facets_on_some_ranks_only():
     """Ranks that own nothing of the interface."""
     mesh, ft = meshes.block(comm, (4, 16))

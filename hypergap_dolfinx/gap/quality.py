@@ -31,6 +31,8 @@ Between whole numbers, so that round-off doesn't decide about meshes of equal ce
 OFF = 1e-3
 """Distance between the sides' outlines, in lengths of their edges, that is taken for none."""
 
+WHOLE = 0.99
+"""Part of a facet's length from which it counts as not cut."""
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
 
@@ -132,6 +134,9 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     E = v[:, 1:] - v[:, :1]
     area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
     some = area > 0
+    if n == 2:  # where the sides overlap in part, the ends of Γ_i are cut facets
+        own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
+        some &= area > WHOLE * domain.surfaces[i].size[own]
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))

@@ -103,6 +103,15 @@ class ConstraintBlocks:
         return self._bodies
 
     @property
+    def moved(self) -> list[list[int]]:
+        """The bodies besides Γ1's that each interface moves: Γ0's, and others at cross points."""
+        num = len(self._spaces)
+        return [
+            [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
+            for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
+        ]
+
+    @property
     def prescribed(self) -> list[npt.NDArray[np.bool_]]:
         """Which owned dofs (unrolled) of each body are prescribed."""
         return self._held
@@ -226,7 +235,7 @@ class ConstraintBlocks:
 
         Free interior nodes have multipliers of their own, which always remain.
         """
-        tie, own = self._ties[t], self._of_tie[t]
+        tie, own = self._ties[t], self._of_tie.get(t)
         comm, block_size = tie.sigma.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
@@ -235,10 +244,10 @@ class ConstraintBlocks:
         here = (start <= row) & (row < end)
         interior = np.setdiff1d(np.arange(start, end), row) if tie.free_interior else row[:0]
         offset = np.append(0, np.cumsum(comm.allgather(len(interior))))
-        if len(choice.interfaces[own]) == 1 and (group == own).all() and choice.complete[t]:
+        if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
             return {own: None}
         found: dict[int, PETSc.Mat | None] = {}
-        for g in sorted({own, *group.tolist()}):
+        for g in sorted({*group.tolist(), *([] if own is None else [own])}):
             mine = here & (group == g)
             rank = choice.columns[g].rank
             num = int((rank == comm.rank).sum())

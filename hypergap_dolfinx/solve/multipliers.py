@@ -30,7 +30,7 @@ Three rules lead there:
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +70,7 @@ class Choice:
     """What became of the multipliers of all ties; the same on every rank."""
 
     interfaces: list[list[int]]
-    """The ties of each interface."""
+    """The ties of each interface that has a multiplier."""
     columns: list[Columns]
     """The multipliers that exist, of each interface."""
     entries: list[tuple[npt.NDArray, npt.NDArray, npt.NDArray, npt.NDArray]]
@@ -321,8 +321,13 @@ class _Assembly:
         every, block_size = self._every, self._held.shape[1]
         columns = np.concatenate(self._columns)
         interface, rank, m, component, own = columns.T
+        # An interface may have nothing left: neighbours hold its place, or all is prescribed
+        left = np.isin(np.arange(len(self._groups)), interface)
+        left |= [any(every.ties[t].free_interior for t in group) for group in self._groups]
+        groups = [group for group, keep in zip(self._groups, left, strict=True) if keep]
+        interface = (np.cumsum(left) - 1)[interface]
         order = np.lexsort((np.arange(len(columns)), component, m, rank, interface))
-        starts = np.searchsorted(interface[order], np.arange(len(self._groups) + 1))
+        starts = np.searchsorted(interface[order], np.arange(len(groups) + 1))
         number = np.empty(len(order), dtype=np.intp)
         number[order] = np.arange(len(order)) - starts[interface[order]]
         m, component, column, value = (
@@ -336,8 +341,8 @@ class _Assembly:
         lost_row = (lost[:, 0] - every.starts[lost_tie]) * block_size + lost[:, 1]
         each = range(len(every.ties))
         return Choice(
-            self._groups,
-            [Columns(rank[part], own[part]) for part in np.split(order, starts[1:-1])],
+            groups,
+            [Columns(rank[order[a:b]], own[order[a:b]]) for a, b in pairwise(starts)],
             [
                 (row[mine], interface[column[mine]], number[column[mine]], value[mine])
                 for mine in (tie == t for t in each)

@@ -28,13 +28,19 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.matrices import mean_diagonal, nonzero_columns
+from hypergap_dolfinx.solve.modes import common_modes
 from hypergap_dolfinx.solve.saddle import check_solved
-from hypergap_dolfinx.solve.substructures import create_solver, mean_diagonal, nonzero_columns
+from hypergap_dolfinx.solve.solver import Substitute
+from hypergap_dolfinx.solve.substructures import create_solver
 
 FEW = 0.1
-"""Forces of the ties, over the loads, for which the solver is called again."""
+"""Forces of the ties, over the loads, for which the solver is called again. A block pulled by
+another that is 1, 1e3 or 1e6 times as stiff has 5e-2, 5e-5 and 5e-8, a softer one 1."""
 ROUND_OFF = 1e-15
-"""Forces, over those of single nodes' displacements, that can't be told from none."""
+"""Forces, over those of single nodes' displacements, that can't be told from none: the round-off of
+their sums."""
 CONTRAST = 1e4
 """Largest ratio in D of Γ1 to Γ0 beside it. Where Γ0 is coarser it can't give way to all gaps: S is
 as ill-conditioned as this, and beyond it Π gets lost in round-off."""
@@ -64,15 +70,13 @@ def _merge(nest: PETSc.Mat) -> PETSc.Mat:
     return nest.convert("aij", PETSc.Mat())
 
 
-class ProjectedSystem:
+class ProjectedSystem(Substitute):
     """The projected system for a KSP, and the way back to displacements and multipliers."""
 
     def __init__(
         self,
         K: Sequence[PETSc.Mat],
-        B: Sequence[Sequence[PETSc.Mat | None]],
-        bodies: Sequence[tuple[int, int]],
-        own: Sequence[npt.NDArray],
+        constraints: ConstraintBlocks,
         spaces: Sequence[fem.FunctionSpace],
         prefix: str,
     ):
@@ -80,19 +84,17 @@ class ProjectedSystem:
 
         Args:
             K: Stiffness of each body.
-            B: For each tie, its block on each body, or None.
-            bodies: Γ0's and Γ1's body of each tie.
-            own: Global dofs of Γ1 under this rank's multipliers of each tie.
+            constraints: The ties' blocks.
             spaces: Space of each body.
             prefix: Of the solvers' options.
         """
         comm, num = K[0].comm, range(len(K))
-        self.iterations = 0
+        B = constraints.free
         self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
         self._u, self._r = self._K.createVecs()
         self._diagonal = self._K.createVecRight()
         self._B = self._join(K, B) if B else None
-        self._sides = self._find_sides(K, B, bodies, own)
+        self._sides = self._find_sides(K, B, constraints.bodies, constraints.own)
         self._solver = create_solver(f"{prefix}interface_", comm)
         self._of_values: list = []  # what is made anew when K changes
         if self._B is not None:
@@ -110,12 +112,13 @@ class ProjectedSystem:
         self._rigid: PETSc.NullSpace | None = None
         self._block_size = K[0].getBlockSize()
         if self._block_size > 1:
-            places = [V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local] for V in spaces]
-            coordinates = self.matrix.createVecRight()
-            coordinates.setBlockSize(self._block_size)
-            coordinates.array[:] = np.vstack(places)[:, : self._block_size].ravel()
-            self._rigid = PETSc.NullSpace().createRigidBody(coordinates)
-            coordinates.destroy()
+            modes = np.vstack(common_modes(spaces))
+            vectors = [self.matrix.createVecRight() for _ in modes.T]
+            for vector, mode in zip(vectors, modes.T, strict=True):
+                vector.array[:] = mode
+            self._rigid = PETSc.NullSpace().create(vectors=vectors, comm=comm)
+            for vector in vectors:
+                vector.destroy()
 
     @staticmethod
     def _join(K: Sequence[PETSc.Mat], B: Sequence[Sequence[PETSc.Mat | None]]) -> PETSc.Mat:
@@ -260,10 +263,6 @@ class ProjectedSystem:
         ends = np.cumsum([part.getLocalSize() for part in parts])
         for part, values in zip(parts, np.split(x.array_r, ends[:-1]), strict=True):
             part.array[:] = values
-
-    def attach(self, ksp: PETSc.KSP):
-        """Give a KSP what it is to solve. Collective."""
-        self.update(ksp)
 
     def update(self, ksp: PETSc.KSP) -> bool:
         """Take the stiffness as it is now; it always can. Collective."""

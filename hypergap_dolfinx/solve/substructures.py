@@ -18,17 +18,15 @@ iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ
 """
 
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
-
-FLOATING = 1e-11  # energy of a rigid mode (in mean diagonals of K) that counts as none
+from hypergap_dolfinx.solve.matrices import column_sums, mean_diagonal
+from hypergap_dolfinx.solve.modes import NOTHING
 
 
 def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:
@@ -51,82 +49,6 @@ def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[
     return order
 
 
-def column_sums(B: PETSc.Mat) -> PETSc.Vec:
-    """Sums of the absolute values in each column. Collective."""
-    sums = B.createVecRight()
-    sums.set(0.0)
-    _, columns, values = B.getValuesCSR()
-    sums.setValues(columns, np.abs(values), addv=PETSc.InsertMode.ADD)
-    sums.assemble()
-    return sums
-
-
-def nonzero_columns(B: PETSc.Mat) -> npt.NDArray[np.intp]:
-    """Which of this rank's columns aren't empty, numbered from 0. Collective."""
-    sums = column_sums(B)
-    found = np.flatnonzero(sums.array_r)
-    sums.destroy()
-    return found
-
-
-def motions(
-    V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
-) -> npt.NDArray[np.float64]:
-    """Rigid displacements of a body, constants of other fields. Collective.
-
-    Args:
-        V: Its space.
-        centre: Of the rotations; the mean of the dofs' places if not given.
-
-    Returns:
-        This rank's owned rows, ``(num_dofs, num_modes)``.
-    """
-    dofmap, n, comm = V.dofmap, V.mesh.geometry.dim, V.mesh.comm
-    num, block_size = dofmap.index_map.size_local, dofmap.index_map_bs
-    modes = [np.tile(unit, (num, 1)) for unit in np.eye(block_size)]
-    if V.value_shape == (n,):
-        x = V.tabulate_dof_coordinates()[:num, :n]
-        if centre is None:
-            centre = comm.allreduce(x.sum(axis=0)) / dofmap.index_map.size_global
-        x = x - centre
-        for i, j in combinations(range(n), 2):
-            mode = np.zeros((num, n))
-            mode[:, i], mode[:, j] = x[:, j], -x[:, i]
-            modes.append(mode)
-    return np.stack([mode.ravel() for mode in modes], axis=1)
-
-
-def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Orthonormal columns that span those of R, with rows on all ranks. Collective."""
-    R = R / np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))
-    values, vectors = np.linalg.eigh(comm.allreduce(R.T @ R))
-    keep = values > 1e-10
-    return R @ (vectors[:, keep] / np.sqrt(values[keep]))
-
-
-def rigid_modes(
-    V: fem.FunctionSpace,
-    prescribed: npt.NDArray[np.bool_],
-    part: npt.NDArray[np.int32],
-    num_parts: int,
-) -> npt.NDArray[np.float64]:
-    """A basis of the :func:`motions` of a body's parts, 0 where it is prescribed. Collective.
-
-    Args:
-        V: Its space.
-        prescribed: Which owned dofs (unrolled) are prescribed.
-        part: The part of each node, from :func:`hypergap_dolfinx.graph.parts`.
-        num_parts: Number of parts.
-
-    Returns:
-        Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
-    """
-    part = np.repeat(part, V.dofmap.index_map_bs)[:, None]
-    modes = np.where(prescribed[:, None], 0, motions(V))
-    modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
-    return orthonormal(V.mesh.comm, modes)
-
-
 class Body:
     """A body's part in a step: its solver, with Γ1's own dofs held if it has any."""
 
@@ -142,7 +64,7 @@ class Body:
 
         Args:
             K: Stiffness.
-            modes: Its :func:`rigid_modes`.
+            modes: Its :func:`~hypergap_dolfinx.solve.modes.rigid_modes`.
             prefix: Of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
             loaded: B₀ of the ties whose Γ0 the body has.
@@ -198,7 +120,7 @@ class Body:
             image[:] = self._r.array_r
         stiffness = mean_diagonal(K)
         energy, vectors = np.linalg.eigh(comm.allreduce(Q.T @ KQ) / stiffness)
-        floating = Q @ vectors[:, energy < FLOATING]
+        floating = Q @ vectors[:, energy < NOTHING]
         if not floating.shape[1] or not self._loaded:
             return
         sums = sum(column_sums(B).array_r for B in self._loaded)
@@ -256,20 +178,6 @@ class Body:
         return u.array_r, multipliers
 
 
-def mean_diagonal(K: PETSc.Mat) -> float:
-    """Mean of the diagonal. Collective."""
-    diagonal = K.getDiagonal()
-    mean = diagonal.sum() / diagonal.getSize()
-    diagonal.destroy()
-    return mean
-
-
-def _vector(K: PETSc.Mat, values) -> PETSc.Vec:
-    x = K.createVecRight()
-    x.array[:] = values
-    return x
-
-
 def square_part(B: PETSc.Mat, own: npt.NDArray) -> PETSc.Mat:
     """Columns of B₁ under its rows' multipliers. Collective."""
     rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, B.comm)
@@ -295,7 +203,7 @@ class Substructures:
         self,
         K: Sequence[PETSc.Mat],
         B: Sequence[Sequence[PETSc.Mat | None]],
-        bodies: Sequence[tuple[int, int]],
+        sides: Sequence[tuple[Sequence[int], int]],
         own: Sequence[npt.NDArray[np.int32]],
         order: Sequence[int],
         modes: Sequence[npt.NDArray[np.float64]],
@@ -305,19 +213,19 @@ class Substructures:
         Args:
             K: Stiffness of each body.
             B: For each tie, its block on each body, or None.
-            bodies: Γ0's and Γ1's body of each tie.
+            sides: The bodies that each interface moves besides Γ1's, and Γ1's.
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
             order: Of the bodies, see :func:`order_of_bodies`.
-            modes: The bodies' :func:`rigid_modes`.
+            modes: The bodies' :func:`~hypergap_dolfinx.solve.modes.rigid_modes`.
         """
-        self._K, self._B, self._bodies, self._own = K, B, bodies, own
+        self._K, self._B, self._sides, self._own = K, B, sides, own
         self._order, self._modes = order, modes
         sizes = [k.getLocalSize()[0] for k in K]
         sizes += [len(columns) for columns in own]
         ends = np.cumsum([0, *sizes])
         self._parts = [slice(*pair) for pair in pairwise(ends)]
         self._solvers: list[Body] = []
-        self._loads: dict[int, tuple[PETSc.Vec, PETSc.Vec]] = {}
+        self._loads: dict[tuple[int, int], tuple[PETSc.Vec, PETSc.Vec]] = {}
 
     def setUp(self, pc: PETSc.PC):
         """Take the bodies' stiffness as it is now. Collective."""
@@ -326,13 +234,14 @@ class Substructures:
             for i, K in enumerate(self._K):
                 held = {
                     t: (self._B[t][i], self._own[t])
-                    for t, (_, i1) in enumerate(self._bodies)
+                    for t, (_, i1) in enumerate(self._sides)
                     if i1 == i
                 }
-                loaded = [self._B[t][i] for t, (i0, _) in enumerate(self._bodies) if i0 == i]
+                loaded = [self._B[t][i] for t, (moved, _) in enumerate(self._sides) if i in moved]
                 self._solvers.append(Body(K, self._modes[i], prefix, held, loaded))
-            for t, (i0, _) in enumerate(self._bodies):
-                self._loads[t] = self._B[t][i0].createVecs()  # type: ignore[union-attr]
+            for t, (moved, _) in enumerate(self._sides):
+                for i in moved:
+                    self._loads[t, i] = self._B[t][i].createVecs()  # type: ignore[union-attr]
         for body in self._solvers:
             body.set_up()
 
@@ -342,16 +251,16 @@ class Substructures:
         r = [x.array_r[part] for part in self._parts]
         result = y.array
         for i in self._order:
-            ties = [t for t, (_, i1) in enumerate(self._bodies) if i1 == i]
+            ties = [t for t, (_, i1) in enumerate(self._sides) if i1 == i]
             u, multipliers = self._solvers[i].solve(r[i], [r[num_bodies + t] for t in ties])
             result[self._parts[i]] = u
             for t, value in zip(ties, multipliers, strict=True):
                 result[self._parts[num_bodies + t]] = value
-                i0 = self._bodies[t][0]
-                load, multiplier = self._loads[t]
-                multiplier.array[:] = value
-                self._B[t][i0].multTranspose(multiplier, load)  # type: ignore[union-attr]
-                r[i0] = r[i0] - load.array_r
+                for j in self._sides[t][0]:
+                    load, multiplier = self._loads[t, j]
+                    multiplier.array[:] = value
+                    self._B[t][j].multTranspose(multiplier, load)  # type: ignore[union-attr]
+                    r[j] = r[j] - load.array_r
 
     def destroy(self, pc: PETSc.PC | None = None):
         """Destroy the PETSc objects. Collective."""

@@ -5,8 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The saddle system of tied bodies: what linear and nonlinear problems share."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import chain
 
 from petsc4py import PETSc
@@ -22,17 +21,13 @@ from hypergap_dolfinx.solve import checks, saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.interface import Interface, Pieces
 from hypergap_dolfinx.solve.motions import free_motions
-
-UNKNOWN_TYPE = 86  # PETSc's code for a type of KSP or PC that it doesn't have
-UNFIT = (
-    ' The matrix is a MatNest with a block of zeros; pc_type "lu" (MUMPS) and "fieldsplit" take it.'
-)
+from hypergap_dolfinx.solve.solver import Solver, System
 
 
 class TiedSystem(disposal.Owner):
-    """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a PETSc solver for it."""
+    """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a solver for it."""
 
-    _solver: PETSc.KSP | PETSc.SNES
+    _solver: Solver
 
     def __init__(
         self,
@@ -93,30 +88,13 @@ class TiedSystem(disposal.Owner):
             [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
         )
         self._x = self._b.duplicate()
-
-    def _set_options(self, prefix: str, options: dict | None, default: dict, replace: bool = True):
-        """Set the solver's options, over the defaults or (``replace``) a type of KSP or PC instead.
-
-        The command line overrules the defaults.
-        """
-        if not prefix:
-            raise ValueError("the PETSc options prefix cannot be empty.")
-        self._solver.setOptionsPrefix(prefix)
-        self._A.setOptionsPrefix(f"{prefix}A_")
-        options = dict(options or {})
-        if not (replace and {"ksp_type", "pc_type"} & set(options)):
-            given = PETSc.Options().getAll()
-            free = {key: v for key, v in default.items() if prefix + key not in given}
-            options = {**free, **options}
-        self._options = {prefix + key: value for key, value in options.items()}
-        with self._options_set():
-            self._solver.setFromOptions()
+        self._system = System(self._A, self._K, self._constraints, spaces)
 
     def _check_motions(self):
         """Raise if the assembly can still move, which a solver may not notice. Once; collective."""
         if self._motions_known:
             return
-        free = free_motions([u.function_space for u in self._u], self._K, self._constraints)
+        free = free_motions(self._system.spaces, self._K, self._constraints)
         if free:
             raise SolveError(
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
@@ -125,36 +103,10 @@ class TiedSystem(disposal.Owner):
             )
         self._motions_known = True
 
-    @property
-    def _unfit(self) -> str:
-        """What is said of options that PETSc can't solve with."""
-        return UNFIT
-
-    @contextmanager
-    def _options_set(self) -> Iterator[None]:
-        """Keep the solver's options in PETSc's database: MUMPS reads its own when it is called."""
-        database = PETSc.Options()
-        before = database.getAll()
-        for key, value in self._options.items():
-            database[key] = value
-        try:
-            yield
-        except PETSc.Error as error:
-            reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
-            raise SolveError(
-                f"PETSc can't solve with these options: {reason} (code {error.ierr})."
-                + self._unfit * (error.ierr != UNKNOWN_TYPE)
-            ) from error
-        finally:
-            for key in self._options:
-                del database[key]
-                if key in before:
-                    database[key] = before[key]
-
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
-        single = ("_substitute", "_solver", "_A", "_b", "_x", "_constraints", "_pieces")
-        several = ("_discarded", "_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
+        single = ("_solver", "_A", "_b", "_x", "_constraints", "_pieces")
+        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
         objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)
         return [obj for obj in objects if obj is not None]

@@ -1,0 +1,82 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Sizes of matrices, and where they have entries."""
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+
+def row_length(A: PETSc.Mat) -> float:
+    """Root mean square of the lengths of a matrix's rows. Collective."""
+    return A.norm() / (A.getSize()[0] or 1) ** 0.5
+
+
+def mean_diagonal(K: PETSc.Mat) -> float:
+    """Mean of the diagonal. Collective."""
+    diagonal = K.getDiagonal()
+    mean = diagonal.sum() / diagonal.getSize()
+    diagonal.destroy()
+    return mean
+
+
+def column_sums(B: PETSc.Mat) -> PETSc.Vec:
+    """Sums of the absolute values in each column. Collective."""
+    sums = B.createVecRight()
+    sums.set(0.0)
+    _, columns, values = B.getValuesCSR()
+    sums.setValues(columns, np.abs(values), addv=PETSc.InsertMode.ADD)
+    sums.assemble()
+    return sums
+
+
+def nonzero_columns(
+    B: PETSc.Mat, rows: npt.NDArray[np.bool_] | None = None
+) -> npt.NDArray[np.intp]:
+    """Which of this rank's columns aren't empty, numbered from 0. Collective.
+
+    Args:
+        B: The matrix.
+        rows: Which of this rank's rows to look at; all if not given.
+    """
+    magnitudes, y, sums = absolute(B), B.createVecLeft(), B.createVecRight()
+    y.array[:] = 1.0 if rows is None else rows
+    magnitudes.multTranspose(y, sums)
+    found = np.flatnonzero(sums.array_r)
+    for obj in (magnitudes, y, sums):
+        obj.destroy()
+    return found
+
+
+def absolute(B: PETSc.Mat) -> PETSc.Mat:
+    """A copy with the values' magnitudes. Collective."""
+    result = B.copy()
+    rows, columns, values = B.getValuesCSR()
+    result.setValuesCSR(rows, columns, np.abs(values))
+    result.assemble()
+    return result
+
+
+def product(A: PETSc.Mat, columns: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A times this rank's rows of some columns. Collective.
+
+    Args:
+        A: The matrix.
+        columns: ``(num_columns_of_A, num_columns)``.
+
+    Returns:
+        This rank's rows, ``(num_rows, num_columns)``.
+    """
+    x, y = A.createVecs()
+    result = np.empty((A.getLocalSize()[0], columns.shape[1]))
+    for k, column in enumerate(columns.T):
+        x.array[:] = column
+        A.mult(x, y)
+        result[:, k] = y.array_r
+    x.destroy()
+    y.destroy()
+    return result
