@@ -9,6 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import pytest
 
 import meshes
 import ufl
@@ -16,6 +17,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import Tie, TiedProblem
 
+pytestmark = pytest.mark.ranks(2)
 comm = MPI.COMM_WORLD
 
 
