@@ -63,3 +63,27 @@ def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
     part = components(sum(found), i, j)[label[: nodes.size_local]]
     num_parts = comm.allreduce(part.max(initial=0), MPI.MAX) + 1
     return (part, num_parts) if num_parts <= MANY else (np.zeros_like(part), 1)
+
+
+class PartsOf:
+    """The connected parts that sides of ties are on; each space is looked at once."""
+
+    def __init__(self):
+        """None looked at yet."""
+        self._known: dict[int, tuple[fem.FunctionSpace, npt.NDArray[np.int32], int]] = {}
+
+    def __call__(self, V: fem.FunctionSpace, dofs: npt.NDArray[np.int64]) -> frozenset[int]:
+        """The :func:`parts` that dofs are in. Collective.
+
+        Args:
+            V: A Lagrange space.
+            dofs: Global dofs (blocks), the same on every rank.
+        """
+        if id(V) not in self._known:
+            self._known[id(V)] = V, *parts(V)  # V is kept: another could have its id
+        _, part, num_parts = self._known[id(V)]
+        if num_parts == 1:
+            return frozenset({0})
+        start, end = V.dofmap.index_map.local_range
+        mine = np.unique(part[dofs[(dofs >= start) & (dofs < end)] - start])
+        return frozenset(np.concatenate(V.mesh.comm.allgather(mine)).tolist())

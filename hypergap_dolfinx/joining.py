@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.gap.multipliers import Multipliers, smooth_pieces
-from hypergap_dolfinx.graph import components
+from hypergap_dolfinx.graph import PartsOf, components
 from hypergap_dolfinx.tie import Tie
 
 NEAR = 0.5
@@ -85,26 +85,38 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     alike = defaultdict(list)
     for t, tie in enumerate(ties):
         V0, V1 = tie.spaces
-        if not tie.free_interior and V0 is not V1:
+        if not tie.free_interior:
             alike[id(V0), id(V1), tie.closes_gap].append(t)
-    pairs = []
+    pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
             continue
         same = [t for t in same if _is_near(ties[t])]
+        sides = [_parts(ties[t], parts_of) for t in same] if len(same) > 1 else []
         surfaces = [ties[t].surfaces[1] for t in same]
         pieces = smooth_pieces(surfaces) if same else []
         # A dof of Γ1 on a smooth piece, that two ties have
+        num = 1 + max((int(piece.max()) for piece in pieces), default=0)
         keys = [
-            {(int(d), int(p)) for row, p in zip(surface.dofs, piece) for d in row}
+            np.unique(surface.dofs * num + piece[:, None])
             for surface, piece in zip(surfaces, pieces, strict=True)
         ]
         pairs += [
-            (same[i], same[j]) for i, j in combinations(range(len(same)), 2) if keys[i] & keys[j]
+            (same[i], same[j])
+            for i, j in combinations(range(len(same)), 2)
+            if sides[i] == sides[j] and len(np.intersect1d(keys[i], keys[j]))
         ]
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     label = components(len(ties), i, j)
     return [np.flatnonzero(label == k).tolist() for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:
+    """The parts of the bodies' meshes that a tie ties: bodies that aren't connected. Collective."""
+    return [
+        parts_of(V, np.unique(surface.dofs))
+        for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
+    ]
 
 
 def _is_near(tie: Tie) -> bool:

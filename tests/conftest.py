@@ -203,6 +203,7 @@ def pytest_terminal_summary(terminalreporter, config):
     counts = {key: len(terminalreporter.stats.get(key, ())) for key in OUTCOMES}
     where = f"{world.size} rank{'s' * parallel}  {os.environ.get('OPENBLAS_CORETYPE', '')}"
     said = ", ".join(f"{n:4} {key}" for key, n in counts.items() if n or key == "passed")
+    os.makedirs(os.path.dirname(file), exist_ok=True)
     with open(file, "a") as out:
         out.write(f"{where:20} {said}\n")
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.constraint import triplets
 from hypergap_dolfinx.gap.multipliers import Multipliers
+from hypergap_dolfinx.graph import PartsOf
 from hypergap_dolfinx.solve.interface import Interface
 
 Pair = tuple[int, int]
@@ -66,6 +67,8 @@ class Every:
         self.dof = np.concatenate([m.dofs for m in self.lists])
         self.patch = np.concatenate([m.patch for m in self.lists])
         self.touched = [_touched(tie) for tie in ties]
+        self._parts_of = PartsOf()
+        self._bodies: dict[tuple[int, int], tuple[int, frozenset[int]]] = {}
 
     def __len__(self) -> int:
         """How many there are."""
@@ -75,6 +78,23 @@ class Every:
         """A multiplier's tie's list, and its number there."""
         t = self.tie[m]
         return self.lists[t], int(m - self.starts[t])
+
+    def body(self, t: int, side: int) -> tuple[int, frozenset[int]]:
+        """What a tie has on a side: a body, and the parts of its mesh. Collective when it is new.
+
+        Parts of one mesh that aren't connected are bodies of their own here.
+        """
+        if (t, side) not in self._bodies:
+            dofs = self.touched[t][side]
+            found = self._parts_of(self.ties[t].spaces[side], dofs)
+            self._bodies[t, side] = self.bodies[t][side], found
+        return self._bodies[t, side]
+
+    @cached_property
+    def tied(self) -> set[frozenset]:
+        """Pairs of such bodies that ties tie to each other. Collective."""
+        each = range(len(self.ties))
+        return {frozenset((self.body(t, 0), self.body(t, 1))) for t in each}
 
     def x(self, numbers) -> npt.NDArray[np.float64]:
         """Where the dofs under some multipliers lie, ``(num, n)``."""

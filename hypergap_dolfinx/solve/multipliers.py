@@ -115,7 +115,6 @@ class _Smooth:
 def _merge(every: Every, users) -> npt.NDArray[np.int32]:
     """Rule 1: the number of the class that each multiplier is in."""
     ties, bodies = every.ties, every.bodies
-    tied = {frozenset(pair) for pair in bodies}
     smooth = _Smooth(every)
 
     def may(a: int, b: int, side: int) -> bool:
@@ -125,8 +124,10 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
             return False
         if ties[s].free_interior or ties[t].free_interior:
             return False
-        opposite = bodies[s][1 - side], bodies[t][1 - side]
-        return opposite[0] == opposite[1] or frozenset(opposite) in tied
+        if every.body(s, side) != every.body(t, side):
+            return False
+        opposite = every.body(s, 1 - side), every.body(t, 1 - side)
+        return opposite[0] == opposite[1] or frozenset(opposite) in every.tied
 
     pairs = [
         (a, b)
@@ -144,8 +145,9 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
         for i, a in enumerate(same):
             near = np.abs(x[i + 1 :] - x[i]).max(axis=1) <= SAME_PLACE * size
             for b in np.array(same[i + 1 :], dtype=int)[near]:
-                apart = bodies[every.tie[a]][1] != bodies[every.tie[b]][1]
-                if apart and may(a, b, 0) and smooth.on_side0(a) & smooth.on_side0(b):
+                if every.dof[a] == every.dof[b] and bodies[every.tie[a]] == bodies[every.tie[b]]:
+                    continue
+                if may(a, b, 0) and smooth.on_side0(a) & smooth.on_side0(b):
                     pairs.append((a, int(b)))
     first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     return components(len(every), first, second)
@@ -153,7 +155,6 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
 
 def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool_]:
     """Which multipliers another interface competes with for their dofs, ``(num,)``."""
-    bodies = every.bodies
     crossed = np.zeros(len(every), dtype=bool)
     for same in every.places.values():
         for a, b in combinations(same, 2):
@@ -162,14 +163,15 @@ def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool
         mine = [every.tie[k] for k in members[label[m]]]
         # What ties the bodies that meet here ends here, and gives way
         ending = {
-            frozenset((bodies[s][side], bodies[t][side]))
+            frozenset((every.body(s, side), every.body(t, side)))
             for s, t in combinations(mine, 2)
             for side in (0, 1)
         }
-        for s, side in others:
+        for s, side in sorted(others):
             if s in mine and side == 1:
                 continue
-            crossed[m] |= s in mine or frozenset(bodies[s]) not in ending
+            between = frozenset((every.body(s, 0), every.body(s, 1))) if ending else None
+            crossed[m] |= s in mine or between not in ending
     return crossed
 
 
