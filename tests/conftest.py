@@ -94,6 +94,9 @@ def ranks_that_say(texts):
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config):
+    import helpers  # not before the options of the JIT compiler are set
+
+    helpers.thorough = not config.option.markexpr
     config.watchdog = Watchdog()
     if world.rank > 0:  # rank 0 speaks for all
         config.pluginmanager.unregister(name="terminalreporter")

@@ -20,6 +20,12 @@ from hypergap_dolfinx import Tie
 from hypergap_dolfinx.gap.surface import Surface
 
 comm = MPI.COMM_WORLD
+thorough = False  # whether slow tests run too, set in conftest
+
+
+def sweep(cases, step):
+    """All cases of a sweep with ``make test-all``, each step-th with ``make test``."""
+    return list(cases)[:: 1 if thorough else step]
 
 
 def close(actual, desired, tolerance=2e-13):

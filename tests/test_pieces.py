@@ -26,6 +26,7 @@ from assembly import (
     smooth_traction_error,
     tie,
 )
+from helpers import sweep
 
 import basix.ufl
 import dolfinx
@@ -127,7 +128,7 @@ def test_one_interface_as_many_ties(name, cells, swap):
         return np.array([*smooth_errors(p), smooth_traction_error(p, ties, bodies)])
 
     one = solve([whole])
-    for num in (5, 10, 20) if (comm.size, name) == (1, "Q1") else (10,):
+    for num in sweep((10, 5, 20), 3):
         for facets in (
             [(part, whole[1]) for part in tags(bodies[0], TOP, num)],
             [(whole[0], part) for part in tags(bodies[1], BOTTOM, num)],

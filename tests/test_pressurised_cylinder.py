@@ -12,6 +12,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+import helpers
 import numpy as np
 import pressurised_cylinder as demo
 import pytest
@@ -39,7 +40,9 @@ def rate(rows, name):
 @pytest.mark.parametrize("cell", ("quadrilateral", "triangle"))
 @pytest.mark.parametrize("degree", (1, 2, 3))
 def test_errors_and_rates(degree, cell, swap):
-    rows = sweep(degree, cell, swap)
+    # Degree 3 reaches its rates early, and round-off soon
+    levels = (2, 3, 4) if degree < 3 or helpers.thorough else (2, 3)
+    rows = sweep(degree, cell, swap, levels)
     print([rate(rows, name) for name in ("l2", "stress", "traction", "gap")])
     for name, expected in zip(("l2", "stress"), RATES[degree], strict=True):
         assert rate(rows, name) >= expected
