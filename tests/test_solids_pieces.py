@@ -93,7 +93,7 @@ def tags(body, tag, num):
     return [facets[(at == pair).all(axis=1)] for pair in product(range(num), repeat=2)]
 
 
-@pytest.mark.ranks(swap=[False])
+@pytest.mark.ranks(2, swap=[False], degree=[1])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_one_interface_as_sixteen_ties(degree, swap):

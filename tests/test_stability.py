@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import stability as demo
+from helpers import sweep
 
 comm = MPI.COMM_WORLD
 FINER = "thin layer, finer"  # Γ0 thin and finer than Γ1: its own conditioning, see the demo
@@ -20,7 +21,7 @@ FINER = "thin layer, finer"  # Γ0 thin and finer than Γ1: its own conditioning
 @pytest.mark.parametrize("dim, degree", ((2, 1), (2, 2), (3, 1)))
 def test_patch(dim, degree):
     """The ends of each axis, as far as they are quick."""
-    for axis, value, scene, bounds in demo.patch_rows(quick=True):
+    for axis, value, scene, bounds in sweep(demo.patch_rows(quick=True), 2):
         if bounds[dim - 2] is None or axis == FINER:
             continue
         if max(scene.get("cells", (1,))) > 1000:
