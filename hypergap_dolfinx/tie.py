@@ -26,6 +26,7 @@ from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
+ALIKE = 1.1  # ratio of the sides' distances between nodes up to which stiffness decides
 THIN = 0.01  # thickness of cells, over their length, of a layer that is Γ1 even if it is finer
 
 
@@ -178,7 +179,7 @@ class Tie(disposal.Owner):
         ratio = size[0] / size[1]
         if thin[0] != thin[1]:
             swapped, why = thin[0], "thin"
-        elif 1 / 1.1 < ratio < 1.1:
+        elif 1 / ALIKE < ratio < ALIKE:
             swapped = stiffness is not None and stiffness[0] < stiffness[1]
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:

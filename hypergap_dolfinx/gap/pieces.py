@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.strip import triangulate
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import NOISE, Surface
 from hypergap_dolfinx.gap.triangulation import loops, neighbours
 
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
@@ -123,7 +123,7 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         d = np.linalg.norm(x1[c : c + 256, None] - x0, axis=2)
         nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
     size = np.ptp(x0, axis=0).max()
-    shared = distance < COINCIDE * size + 64 * np.finfo(float).eps * np.abs(x0).max()
+    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
     first = int(distance.argmin())
     start = int(nearest[first])
     loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)

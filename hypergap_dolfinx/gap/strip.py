@@ -19,14 +19,11 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.surface import NOISE, Surface
+from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
 END = 1e-7  # ends this close (in facet lengths) are no partial overlap; files have 8 digits
 DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
-KINK = np.pi / 3  # a turn that is a corner whatever is beside it
-STANDS_OUT = 4  # a turn more than this many times those beside it is a corner
-TURN = 1e-8  # a turn (in radians) that is none: coordinates of files have 8 digits
 SAME_TURN = 1e-3  # relative difference of the turns of both surfaces that have one kink
 COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface (less than 2³⁰ cells)
 SAMPLES = 64  # places at which two chains are compared in direction

@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 from hypergap_dolfinx.graph import components
 
-KINK = np.pi / 3  # a turn that is an edge of the body whatever is beside it
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
 
 
@@ -72,8 +71,8 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     opposite = opposite - (a + b)[:, None]
     t = surface.x[b] - surface.x[a]
     t /= np.linalg.norm(t, axis=1, keepdims=True)
-    noise = 64 * np.finfo(float).eps * np.abs(surface.x).max() / surface.size.min()
-    candidate = np.flatnonzero(turn > 1e-8 + noise)
+    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
+    candidate = np.flatnonzero(turn > TURN + noise)
     ends = np.concatenate((a, b))
     order = np.argsort(ends, kind="stable")
     offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
@@ -88,7 +87,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         e, other = e[apart], other[apart]
         parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
         np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > KINK) | (turn > np.maximum(4 * beside, 1e-8 + noise))
+    kink = (turn > KINK) | (turn > np.maximum(STANDS_OUT * beside, TURN + noise))
     return f[kink], k[kink]
 
 

@@ -22,6 +22,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT
+from hypergap_dolfinx.solve.every import SAME_PLACE
 from hypergap_dolfinx.solve.interface import Interface
 
 CHUNK = 100_000  # cells at a time
@@ -29,8 +30,6 @@ FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts 
 TURNED = 1e-10
 """How negative det J may be at a cell's corner, over its diameter to the power n: corners of 180°
 are flat up to the digits that files have."""
-SAME_PLACE = 1e-6
-"""Distance, in the shortest facet's lengths, below which nodes of both sides are at one place."""
 CONTRADICT = 1e-6
 """Difference of values prescribed on both sides, over the largest of them, that contradicts: what
 both meshes interpolate from one function differs by 1e-16, or by 1e-7 in single precision."""

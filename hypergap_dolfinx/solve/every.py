@@ -19,6 +19,9 @@ from hypergap_dolfinx.gap.multipliers import Multipliers
 from hypergap_dolfinx.graph import PartsOf
 from hypergap_dolfinx.solve.interface import Interface
 
+SAME_PLACE = 1e-6
+"""Distance, in the shortest facet's lengths, below which dofs of two bodies are at one place."""
+
 Pair = tuple[int, int]
 """Two bodies, or a body and a dof (block) of it."""
 

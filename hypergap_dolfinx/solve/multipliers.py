@@ -37,13 +37,12 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.multipliers import smooth_pieces
 from hypergap_dolfinx.graph import components
-from hypergap_dolfinx.solve.every import Every, Pair, prescribed_dofs
+from hypergap_dolfinx.solve.every import SAME_PLACE, Every, Pair, prescribed_dofs
 from hypergap_dolfinx.solve.interface import Interface
 from hypergap_dolfinx.solve.replacements import Replacement, pieces, replacements
 
 COVERED = 0.3
 """Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
-SAME_PLACE = 1e-6  # distance, in facets' lengths, below which dofs of two bodies are at one place
 
 
 def interfaces(ties: Sequence[Interface], bodies: Sequence[Pair]) -> list[list[int]]:

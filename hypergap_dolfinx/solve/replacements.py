@@ -24,6 +24,7 @@ from hypergap_dolfinx.solve.interface import Interface
 FEW = 32  # multipliers of a piece; with more, Γ1 must not be prescribed all over
 INDEPENDENT = 0.3
 """Sine of the angle between a row and those taken before it, from which it is taken."""
+NARROW = 1e-6  # extent of a piece's places in a direction, over the largest, that is none
 CONSISTENT = 0.03
 """The same of rows that a patch test needs: without them λ is less than it must be."""
 
@@ -86,7 +87,7 @@ def _polynomials(x: npt.NDArray, degree: int) -> list[tuple[npt.NDArray, float]]
     """Values of λ to try at places: polynomials of degree k − 1, and linear ones."""
     x = x - x.mean(axis=0)
     _, size, axes = np.linalg.svd(x)
-    along = (x @ axes.T).T[: len(size)][size > 1e-6 * size.max(initial=0)]
+    along = (x @ axes.T).T[: len(size)][size > NARROW * size.max(initial=0)]
     along = along / np.abs(along).max(axis=1, keepdims=True)
     exponents = np.indices((max(degree, 2),) * len(along)).reshape(len(along), -1)
     total = exponents.sum(axis=0) if len(along) else np.zeros(1, dtype=int)
