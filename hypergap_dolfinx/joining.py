@@ -18,12 +18,19 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.gap.multipliers import Multipliers, smooth_pieces
+from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT, Surface
 from hypergap_dolfinx.graph import PartsOf, components
 from hypergap_dolfinx.tie import Tie
 
 NEAR = 0.5
 """Distance of surfaces, in lengths of their longest facet, up to which they can be pieces of one
 interface; what is tied across a distance (periodic faces) has no common Σ around a corner."""
+
+
+class _Whole(Tie):
+    """A tie over the facets of several; the user has been told of what is doubtful about these."""
+
+    _tells = False
 
 
 class Joined:
@@ -34,22 +41,34 @@ class Joined:
 
         Args:
             ties: The ties.
+
+        Raises:
+            ValueError: Something that isn't a tie.
         """
+        wrong = next((tie for tie in ties if not isinstance(tie, Tie)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"ties has a {type(wrong).__name__}: make each with Tie(side0, side1) first."
+            )
         self.ties = list(ties)
         self.interfaces: list[Tie] = []
         """What stands for the ties: themselves, or one for several; the first one's place."""
         self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
         """By a tie's number: its interface's number, and the multiplier there of each its own."""
+        self.names: list[str] = []
+        """What messages call each interface, by the numbers of its ties."""
         for group in _groups(self.ties):
-            whole = _union([self.ties[t] for t in group]) if len(group) > 1 else None
+            whole, places = _union([self.ties[t] for t in group])
             if whole is None:
                 for t in group:
                     self._of[t] = len(self.interfaces), None
                     self.interfaces.append(self.ties[t])
+                    self.names.append(f"tie {t}")
                 continue
-            for t in group:
-                self._of[t] = len(self.interfaces), _places(self.ties[t], whole)
+            for t, at in zip(group, places, strict=True):
+                self._of[t] = len(self.interfaces), at
             self.interfaces.append(whole)
+            self.names.append(f"ties {', '.join(map(str, group[:-1]))} and {group[-1]}")
 
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
@@ -86,7 +105,7 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for t, tie in enumerate(ties):
         V0, V1 = tie.spaces
         if not tie.free_interior:
-            alike[id(V0), id(V1), tie.closes_gap].append(t)
+            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -124,29 +143,62 @@ def _is_near(tie: Tie) -> bool:
     return bool(tie.domain.distance() <= NEAR * length)
 
 
-def _union(ties: Sequence[Tie]) -> Tie | None:
-    """One tie over all facets, or None if their Σ can't be made. Collective."""
+def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]:
+    """One tie over all facets, and the rows of its multipliers at those of each. Collective.
+
+    Returns:
+        The tie and, for each piece, the rows of its multipliers. None if there is only one piece,
+        if a common Σ can't be made, or if the meshes have moved since the pieces were made: these
+        still tie what was there then.
+    """
+    if len(ties) == 1:
+        return None, []
     sides = []
     for i in (0, 1):
         facets = np.unique(np.concatenate([tie.facets[i] for tie in ties])).astype(np.int32)
         sides.append((ties[0].spaces[i], facets))
+    adjusts = all(tie.adjusts for tie in ties)
     try:
-        return Tie(*sides, close_gap=ties[0].closes_gap)
+        whole = _Whole(*sides, close_gap=ties[0].closes_gap, adjust=adjusts)
     except (InterfaceError, InvertedCellError):  # the same on all ranks
-        return None
+        return None, []
+    places = [_places(tie, whole) for tie in ties]
+    comm = whole.sigma.comm
+    failed = any(at is None for at in places)
+    failed |= not adjusts and any(_has_moved(tie, whole) for tie in ties)
+    if comm.allreduce(failed):
+        whole.destroy()
+        return None, []
+    return whole, [at for at in places if at is not None]
 
 
-def _places(tie: Tie, whole: Tie) -> npt.NDArray[np.intp]:
-    """This rank's rows of the whole's multipliers at those of a piece."""
-    own, all_ = (Multipliers.of(t.constraint, t.domain) for t in (tie, whole))
-    known = {row.tobytes(): f for f, row in enumerate(np.sort(all_.surface.dofs, axis=1))}
-    facet = [known[row.tobytes()] for row in np.sort(own.surface.dofs, axis=1)]
-    at = np.empty(len(own.dofs), dtype=np.intp)
-    for f, (mine, dofs) in enumerate(zip(own.on_facets, own.surface.dofs, strict=True)):
-        order = {int(d): m for d, m in zip(all_.surface.dofs[facet[f]], all_.on_facets[facet[f]])}
-        for m, dof in zip(mine, dofs, strict=True):
+def _has_moved(tie: Tie, whole: Tie) -> bool:
+    """Whether facets are elsewhere than when a tie was made."""
+    for mine, now in zip(tie.surfaces, whole.surfaces, strict=True):
+        a, b = mine.nodes, now.nodes[_facets_of_whole(mine, now)]
+        if np.abs(a - b).max() > STRAIGHT * mine.size.max() + NOISE * np.abs(a).max():
+            return True
+    return False
+
+
+def _facets_of_whole(mine: Surface, whole: Surface) -> list[int]:
+    """Number in the whole of each facet of a piece; facets are told by their dofs."""
+    known = {row.tobytes(): f for f, row in enumerate(np.sort(whole.dofs, axis=1))}
+    return [known[row.tobytes()] for row in np.sort(mine.dofs, axis=1)]
+
+
+def _places(tie: Tie, whole: Tie) -> npt.NDArray[np.intp] | None:
+    """This rank's rows of the whole's multipliers at those of a piece; None if some are missing."""
+    own, every = (Multipliers.of(t.constraint, t.domain) for t in (tie, whole))
+    at = np.full(len(own.dofs), -1, dtype=np.intp)
+    facets = _facets_of_whole(own.surface, every.surface)
+    for f, mine, dofs in zip(facets, own.on_facets, own.surface.dofs, strict=True):
+        there = dict(zip(every.surface.dofs[f].tolist(), every.on_facets[f].tolist(), strict=True))
+        for m, dof in zip(mine.tolist(), dofs.tolist(), strict=True):
             if m >= 0:
-                at[m] = order[int(dof)]
+                at[m] = there[dof]
+    if (at < 0).any():
+        return None
     start, end = tie.constraint.R_A.getOwnershipRangeColumn()
     here = np.flatnonzero((start <= tie.constraint.rows) & (tie.constraint.rows < end))
     here = here[np.argsort(tie.constraint.rows[here])]

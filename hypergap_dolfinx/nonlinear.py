@@ -34,7 +34,7 @@ class NonlinearTiedProblem(TiedSystem):
         petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
 
     Only the factors: ``solver="bodies"`` and ``"iterative"`` take as many of Newton's steps as
-    before then, with more iterations in each::
+    before then, with more iterations in each (``"direct"`` takes as many as with one Jacobian)::
 
         petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
 
@@ -87,6 +87,10 @@ class NonlinearTiedProblem(TiedSystem):
                 a space that belongs to no body; a solver that isn't possible.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
+        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+            raise ValueError("F and u are lists, with one form and one function for each body.")
+        ties = [ties] if isinstance(ties, Tie) else ties
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
         if J is None:
             J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
         if not len(F) == len(u) == len(J) or not F:

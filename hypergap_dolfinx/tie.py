@@ -61,6 +61,8 @@ class Tie(disposal.Owner):
         7
     """
 
+    _tells = True  # whether doubts about the interface are logged
+
     def __init__(
         self,
         side0: tuple[fem.FunctionSpace, npt.ArrayLike],
@@ -138,7 +140,8 @@ class Tie(disposal.Owner):
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
         self._domain = create_gap_domain(comm, *surfaces)
-        for doubt in quality.doubts(self._domain, (side0, side1)):
+        self._adjusts = adjust
+        for doubt in quality.doubts(self._domain, (side0, side1)) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
         if adjust:
@@ -241,6 +244,11 @@ class Tie(disposal.Owner):
     def free_interior(self) -> bool:
         """Whether Σ's interior nodes are unknowns."""
         return self._interior == "free"
+
+    @property
+    def adjusts(self) -> bool:
+        """Whether Γ1's nodes were moved."""
+        return self._adjusts
 
     @property
     def closes_gap(self) -> bool:

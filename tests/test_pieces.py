@@ -24,7 +24,7 @@ from assembly import (
     smooth_traction_error,
     tie,
 )
-from helpers import sweep
+from helpers import elasticity, sweep, two_rings
 
 import basix.ufl
 import dolfinx
@@ -243,3 +243,59 @@ def test_bricks_of_one_mesh(swap, tied_to_each_other):
     p = TiedProblem([body.a], [load], bcs=[fem.dirichletbc(value, dofs)], ties=ties)
     p.solve()
     assert displacement_error(p) <= SOLVED
+
+
+def test_pieces_that_adjust():
+    """One interface, one adjustment: rigid rotations are exact through all of its pieces."""
+    for num in (1, 2):
+        sides = two_rings((8, 12))
+        parts = []
+        for V, facets in sides:
+            x = dolfinx.mesh.compute_midpoints(V.mesh, 1, facets)
+            first = np.arctan2(x[:, 1], x[:, 0]) < np.pi / 4
+            parts.append([facets] if num == 1 else [facets[first], facets[~first]])
+        ties = [
+            Tie(*((V, f) for (V, _), f in zip(sides, pair, strict=True)), adjust=True)
+            for pair in zip(*parts, strict=True)
+        ]
+        V0 = sides[0][0]
+        value = fem.Function(V0)
+        value.interpolate(lambda x: np.array((-x[1], x[0])))
+        every = fem.locate_dofs_geometrical(V0, lambda x: x[0] > -1)
+        forms = [elasticity(V) for V, _ in sides]
+        p = TiedProblem(*zip(*forms, strict=True), bcs=[fem.dirichletbc(value, every)], ties=ties)
+        _, u1 = p.solve()
+        exact = fem.Function(u1.function_space)
+        exact.interpolate(lambda x: np.array((-x[1], x[0])))
+        assert np.abs(u1.x.array - exact.x.array).max() <= SOLVED
+
+
+def test_pieces_of_a_mesh_that_moved():
+    """Ties hold what was there when they were made, in pieces as in one."""
+    found = []
+    for num in (1, 2):
+        bodies = [rectangle((4, 2), (0, i), (1, i + 1)) for i in range(2)]
+        parts = [tags(bodies[i], tag, num) for i, tag in enumerate((TOP, BOTTOM))]
+        ties = [
+            Tie(*((body.V, f) for body, f in zip(bodies, pair, strict=True)))
+            for pair in zip(*parts, strict=True)
+        ]
+        for body in bodies:
+            body.mesh.geometry.x[:, 1] += 0.6 * body.mesh.geometry.x[:, 0] ** 2
+        p = problem(bodies, ties, [(0, TOP), (1, BOTTOM)], [(0, BOTTOM, (0, 1))])
+        p.solve()
+        assert len(p._pieces.interfaces) == num
+        found.append(np.concatenate([u.x.array for u in p.u]))
+    assert np.abs(found[0] - found[1]).max() <= 0.05
+
+
+def test_messages_name_the_users_ties():
+    bodies = [rectangle((4, 2), (0, i), (1, i + 1)) for i in range(3)]
+    halves = [tags(bodies[i], tag, 2) for i, tag in enumerate((TOP, BOTTOM))]
+    ties = [Tie((bodies[0].V, a), (bodies[1].V, b)) for a, b in zip(*halves, strict=True)]
+    other = rectangle((3, 2), (0, 2), (1, 3))
+    ties.append(tie([bodies[1], other], (0, TOP), (1, BOTTOM)))
+    with pytest.raises(ValueError, match=r"^Γ1 of tie 2 is on a space that is in no form"):
+        problem(bodies, ties, [], [])
+    with pytest.raises(ValueError, match="ties has a tuple: make each with Tie"):
+        problem(bodies, [(bodies[0].V, bodies[1].V)], [], [])

@@ -314,9 +314,12 @@ def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
                 "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
                 "wrong side of its body, or the same surface given twice?"
             )
+    across = any(_overlap(i, j, surface0, surface1, np.inf) for i in chains0 for j in chains1)
     return (
         f"Γ0 and Γ1 don't face each other: no part of Γ1 (around {surface1.x.mean(axis=0)}, "
-        f"{distance:.3g} away) lies opposite Γ0 (around {surface0.x.mean(axis=0)}); check the tags."
+        f"{distance:.3g} away) lies opposite Γ0 (around {surface0.x.mean(axis=0)}); check the tags"
+        + " (faces to be tied across a distance want one tie, not one for each tag)" * across
+        + "."
     )
 
 

@@ -8,6 +8,7 @@
 from collections.abc import Sequence
 from itertools import chain
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -41,6 +42,7 @@ class ConstraintBlocks:
         spaces: Sequence[fem.FunctionSpace],
         bcs: Sequence[Sequence[fem.DirichletBC]],
         ties: Sequence[Interface],
+        names: Sequence[str] | None = None,
     ):
         """Pull the ties back to the bodies. Collective.
 
@@ -48,6 +50,7 @@ class ConstraintBlocks:
             spaces: Function space of each body.
             bcs: Dirichlet conditions of each body.
             ties: The ties.
+            names: What messages call them; by their numbers if not given.
 
         Raises:
             ValueError: A tie on a space that belongs to no body.
@@ -55,6 +58,7 @@ class ConstraintBlocks:
         """
         self._spaces = list(spaces)
         self._ties = list(ties)
+        self._names = names or [f"tie {t}" for t in range(len(self._ties))]
         self._sides = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
         self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
@@ -188,7 +192,7 @@ class ConstraintBlocks:
                 both.append(look_up(comm, held, start, dofs).astype(bool))
                 given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
-            pairs.check(t, both, given, size)
+            pairs.check(self._names[t], both, given, size)
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
@@ -215,8 +219,8 @@ class ConstraintBlocks:
             body = next((i for i, W in enumerate(self._spaces) if W == V), None)
             if body is None:
                 raise ValueError(
-                    f"Γ{side} of tie {t} is on a space that is in no form; make the tie and the "
-                    "forms on the same function spaces."
+                    f"Γ{side} of {self._names[t]} is on a space that is in no form; make the tie "
+                    "and the forms on the same function spaces."
                 )
             found.append(body)
         return found[0], found[1]
@@ -306,12 +310,13 @@ class ConstraintBlocks:
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
-        untied = (size[lost - start] > UNTIED * size.max(initial=0)).sum()
+        largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
+        untied = (size[lost - start] > UNTIED * largest).sum()
         mask.destroy()
         B0.destroy()
         untied = tie.sigma.comm.allreduce(int(untied))
         if untied:
             raise InterfaceError(
-                f"{untied} displacements of Γ1 of tie {t} are prescribed on whole facets while "
-                "Γ0 can move there, so nothing would tie it; swap the sides of the tie."
+                f"{untied} displacements of Γ1 of {self._names[t]} are prescribed on whole facets "
+                "while Γ0 can move there, so nothing would tie it; swap the sides of the tie."
             )

@@ -195,11 +195,11 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, t: int, prescribed, values, size: float):
+    def check(self, name: str, prescribed, values, size: float):
         """Raise where both sides are prescribed, and differently.
 
         Args:
-            t: Number of the tie.
+            name: What the message calls the tie.
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Of displacements, the largest that either body has prescribed anywhere.
@@ -213,6 +213,6 @@ class Coincidences:
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
-                f"the prescribed displacements contradict tie {t} at {self.x[i]}: {values[0][i]} "
+                f"the prescribed displacements contradict {name} at {self.x[i]}: {values[0][i]} "
                 f"on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on one side only."
             )

@@ -69,6 +69,10 @@ class Pieces(Protocol):
     def interfaces(self) -> Sequence[Interface]:
         """What is solved."""
 
+    @property
+    def names(self) -> Sequence[str]:
+        """What messages call the interfaces."""
+
     def find(self, tie) -> int:
         """Number of the interface that a tie is a piece of."""
 

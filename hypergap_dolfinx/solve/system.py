@@ -74,7 +74,7 @@ class TiedSystem(disposal.Owner):
         spaces = [f.function_space for f in self._u]
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
-        self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces)
+        self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
         checks.check_apart(ties, spaces)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
@@ -156,6 +156,8 @@ class TiedSystem(disposal.Owner):
         Returns:
             This rank's rows, ``(num_multipliers, block_size)``.
         """
+        if "_pieces" not in self.__dict__:
+            raise ValueError("the problem was destroyed.")
         t = self._pieces.find(tie)
         if not self._solved:
             raise ValueError("the problem is not solved yet: call solve() first.")
