@@ -58,7 +58,7 @@ FOUR = [((0, RIGHT), (1, LEFT)), ((2, RIGHT), (3, LEFT)), ((0, TOP), (2, BOTTOM)
 FOUR += [((1, TOP), (3, BOTTOM))]
 
 
-@pytest.mark.ranks(cells=[(2, 3, 4, 5), (1, 1, 1, 1)])
+@pytest.mark.ranks(2, cells=[(2, 3, 4, 5), (1, 1, 1, 1)])
 @pytest.mark.parametrize("cells", ((1, 1, 1, 1), (2, 3, 4, 5), (5, 1, 3, 2), (2, 2, 2, 2)))
 @pytest.mark.parametrize("name", NAMES)
 def test_four_blocks(name, cells):
@@ -88,7 +88,7 @@ def test_four_blocks_between_walls(name):
         check_ties(bodies, FOUR, swaps, fixed, degree)
 
 
-@pytest.mark.ranks(cells=[(2, 3, 4), (3, 1, 2)])
+@pytest.mark.ranks(2, cells=[(2, 3, 4), (3, 1, 2)])
 @pytest.mark.parametrize("cut", (0.5, 0.37))
 @pytest.mark.parametrize("cells", ((1, 1, 1), (2, 3, 4), (3, 1, 2), (5, 4, 1)))
 @pytest.mark.parametrize("name", NAMES)
@@ -125,7 +125,7 @@ def test_chain_of_ten(name, cells):
         check_ties(bodies, pairs, swaps, held, degree)
 
 
-@pytest.mark.ranks(name=["Q1"])
+@pytest.mark.ranks(2, name=["Q1"])
 @pytest.mark.parametrize("name", ("P1", "Q1", "P2"))
 def test_nine_blocks(name):
     """Four cross points; ties whose two ends are at one."""

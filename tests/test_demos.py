@@ -120,6 +120,10 @@ def results(content, name):
     return found
 
 
+LONG = ("error_against_run_time", "hyperelasticity")
+"""Run on one rank alone: what is distributed in them is so in others too."""
+
+
 def is_drawn(file):
     """Whether a picture shows something: neither white nor of one colour."""
     pyvista = pytest.importorskip("pyvista")
@@ -128,7 +132,7 @@ def is_drawn(file):
     return (pixels.min(axis=1) < 250).mean() > 0.01 and len(colours) > 30
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, name=[n for n in DEMOS if n not in LONG])
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.slow if demo.slow else ()) for n, demo in DEMOS.items()],

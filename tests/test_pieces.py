@@ -53,7 +53,7 @@ def wall(cell, degree, num=10, plate_cells=7):
     return bodies, on_plate, between
 
 
-@pytest.mark.ranks(swap_between=[False], swap=[True], name=["Q1"])
+@pytest.mark.ranks(2, swap_between=[False], swap=[True], name=["Q1"])
 @pytest.mark.parametrize("swap_between", (False, True))
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("name", ("Q1", "P2"))

@@ -8,6 +8,7 @@
 import json
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 from mpi4py import MPI
@@ -37,8 +38,14 @@ def rate(rows, name):
 
 
 @pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("cell", ("quadrilateral", "triangle"))
-@pytest.mark.parametrize("degree", (1, 2, 3))
+@pytest.mark.parametrize(
+    ("degree", "cell"),
+    (
+        *product((1, 2), ("quadrilateral", "triangle")),
+        (3, "quadrilateral"),
+        pytest.param(3, "triangle", marks=pytest.mark.slow),
+    ),
+)
 def test_errors_and_rates(degree, cell, swap):
     # Degree 3 reaches its rates early, and round-off soon
     levels = (2, 3, 4) if degree < 3 or helpers.thorough else (2, 3)

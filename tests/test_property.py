@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
-pytestmark = pytest.mark.ranks
+pytestmark = pytest.mark.ranks(2)
 
 ELEMENTS = st.sampled_from((("triangle", 1), ("triangle", 2), ("quadrilateral", 1)))
 EXAMPLES = 60 if comm.size == 1 else 8

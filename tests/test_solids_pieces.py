@@ -117,7 +117,7 @@ def test_one_interface_as_sixteen_ties(degree, swap):
     assert ratios.max() <= 1.1
 
 
-@pytest.mark.ranks(degree=[1])
+@pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_bricks_on_a_plate(degree, swap):
