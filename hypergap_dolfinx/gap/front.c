@@ -1,0 +1,816 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Σ in three dimensions: an advancing front of bistellar flips.
+//
+// The front is a triangulation that starts as one surface (with the side walls) and ends as the
+// other. Each move, the insertion of a vertex, the flip of an edge or the removal of a vertex, puts
+// one tetrahedron on it. So cells fit together and leave no holes, whatever the order of the moves.
+//
+// The order is that of a regular triangulation whose heights change with time, h − t α: between
+// two parallel planes the cells are those of the Delaunay triangulation in space.
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
+
+#define FLAT 1e-9      // D of a cell over its longest edge's square that counts as none
+#define COLLINEAR 1e-12 // the same for A of a triangle
+#define STEPS 64       // triangles that a waiting point may cross when the front has changed
+#define MARGIN 1e-6    // by how much (in the longest edge to the fourth) weights make edges regular
+
+typedef struct {
+  double x[3]; // where it is
+  double y[3]; // where predicates of the order see it: off x by what tells ties apart
+  double n[3]; // normal, from the start to the end
+  double w;    // weight
+} Vertex;
+
+typedef struct {
+  int v[3];      // vertices, counterclockwise seen from the end
+  int behind[3]; // triangle behind the edge from v[k] to v[k + 1], −1 at the boundary
+  int head;      // first of the end's vertices that wait here, −1 if none
+  int stamp;     // how often it has changed; −1 if it is no part of the front any more
+} Triangle;
+
+typedef struct {
+  double t;
+  int triangle, move; // move: an edge 0, 1, 2, or −1 − vertex
+  int stamp, stamp_behind;
+} Event;
+
+typedef struct {
+  int *offset, *to, *opposite, *triangle; // directed edges by the vertex where they start
+} Edges;
+
+typedef struct {
+  int n0, n;        // vertices of the start, and all
+  Vertex *vertex;
+  Triangle *triangle;
+  int num_triangles, max_triangles;
+  int *spare, num_spare; // triangles to use again
+  int *home, *next;      // of each vertex: where it waits (−1: nowhere), and who waits next
+  Edges end;             // edges of the surface where the front ends
+  Event *heap;
+  int num_events, max_events;
+  int *cells, num_cells, max_cells;
+  int failed; // no memory
+} Front;
+
+// ---------------------------------------------------------------------------------------------
+// Predicates
+
+static inline double dot(const double *a, const double *b)
+{
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// a · (b × c)
+static inline double triple(const double *a, const double *b, const double *c)
+{
+  return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
+         + a[2] * (b[0] * c[1] - b[1] * c[0]);
+}
+
+static inline void minus(const double *a, const double *b, double *c)
+{
+  for (int i = 0; i < 3; ++i)
+    c[i] = a[i] - b[i];
+}
+
+static inline void unit_sum(const double *a, const double *b, const double *c, const double *d,
+                            double *n)
+{
+  for (int i = 0; i < 3; ++i)
+    n[i] = a[i] + b[i] + c[i] + (d ? d[i] : 0);
+  double length = sqrt(dot(n, n));
+  for (int i = 0; i < 3; ++i)
+    n[i] /= length > 0 ? length : 1;
+}
+
+// D(a,b,c,d) = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, with edges e_k from a and n the mean normal:
+// positive if the cell is not inverted. Relative to the square of the longest e_k.
+static double D(const Front *f, int a, int b, int c, int d, double *scale)
+{
+  const Vertex *v[4] = {f->vertex + a, f->vertex + b, f->vertex + c, f->vertex + d};
+  const int on[4] = {a >= f->n0, b >= f->n0, c >= f->n0, d >= f->n0};
+  double n[3], e[3][3], sum = 0, longest = 0;
+  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
+  for (int k = 0; k < 3; ++k)
+  {
+    minus(v[k + 1]->x, v[0]->x, e[k]);
+    longest = fmax(longest, dot(e[k], e[k]));
+  }
+  for (int k = 0; k < 3; ++k)
+    if (on[k + 1] != on[0])
+      sum += (on[k + 1] - on[0]) * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+  *scale = longest;
+  return sum;
+}
+
+// H(a,b,c,d) = Σ_k dh_k (e_{k+1} × e_{k+2}) · n with h = |y|² − (y · n)² + w: positive if d is above
+// the plane through a, b, c, when each vertex is lifted by its h.
+static double H(const Vertex *a, const Vertex *b, const Vertex *c, const Vertex *d)
+{
+  const Vertex *v[4] = {a, b, c, d};
+  double n[3], e[3][3], sum = 0;
+  unit_sum(a->n, b->n, c->n, d->n, n);
+  for (int k = 0; k < 3; ++k)
+    minus(v[k + 1]->y, v[0]->y, e[k]);
+  for (int k = 0; k < 3; ++k)
+  {
+    double normal = dot(e[k], n), dh = dot(e[k], e[k]) - normal * normal + v[k + 1]->w - v[0]->w;
+    sum += dh * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+  }
+  return sum;
+}
+
+// Whether A(a,b,c) > 0: the triangle is counterclockwise seen along its vertices' mean normal.
+static int ccw(const Front *f, int a, int b, int c)
+{
+  const Vertex *u = f->vertex + a, *v = f->vertex + b, *w = f->vertex + c;
+  double n[3], e[3], g[3];
+  unit_sum(u->n, v->n, w->n, NULL, n);
+  minus(v->y, u->y, e);
+  minus(w->y, u->y, g);
+  return triple(e, g, n) > COLLINEAR * fmax(dot(e, e), dot(g, g));
+}
+
+// A(a,b,c), for the walk
+static double A(const Front *f, int a, int b, int c)
+{
+  const Vertex *u = f->vertex + a, *v = f->vertex + b, *w = f->vertex + c;
+  double n[3], e[3], g[3];
+  unit_sum(u->n, v->n, w->n, NULL, n);
+  minus(v->y, u->y, e);
+  minus(w->y, u->y, g);
+  return triple(e, g, n);
+}
+
+// Time t = H/D at which a cell is due; whether it is a valid one.
+static int due(const Front *f, int a, int b, int c, int d, double *t)
+{
+  double scale, area = D(f, a, b, c, d, &scale);
+  if (!(area > FLAT * scale))
+    return 0;
+  *t = H(f->vertex + a, f->vertex + b, f->vertex + c, f->vertex + d) / area;
+  return isfinite(*t);
+}
+
+// The vertex opposite to the edge from a to b in a surface, −1 if it has no such edge.
+static int opposite(const Edges *edges, int a, int b)
+{
+  for (int i = edges->offset[a]; i < edges->offset[a + 1]; ++i)
+    if (edges->to[i] == b)
+      return edges->opposite[i];
+  return -1;
+}
+
+// Whether the end has an edge, in one direction or the other.
+static int is_edge(const Front *f, int a, int b)
+{
+  return opposite(&f->end, a, b) >= 0 || opposite(&f->end, b, a) >= 0;
+}
+
+// Whether a triangle may be in the front: one of three vertices of the end must be its facet.
+static int allowed(const Front *f, int a, int b, int c)
+{
+  return a < f->n0 || b < f->n0 || c < f->n0 || opposite(&f->end, a, b) == c;
+}
+
+static int is_final(const Front *f, int t)
+{
+  const int *v = f->triangle[t].v;
+  return v[0] >= f->n0 && v[1] >= f->n0 && v[2] >= f->n0;
+}
+
+// ---------------------------------------------------------------------------------------------
+// Events: a heap of four children a node
+
+static void push(Front *f, double t, int triangle, int move)
+{
+  if (f->num_events == f->max_events)
+  {
+    int size = 2 * f->max_events + 64;
+    Event *heap = realloc(f->heap, size * sizeof(Event));
+    if (!heap)
+    {
+      f->failed = 1;
+      return;
+    }
+    f->heap = heap;
+    f->max_events = size;
+  }
+  const Triangle *tri = f->triangle + triangle;
+  Event e = {t, triangle, move, tri->stamp, move < 0 ? 0 : f->triangle[tri->behind[move]].stamp};
+  int i = f->num_events++;
+  for (; i > 0 && f->heap[(i - 1) / 4].t > t; i = (i - 1) / 4)
+    f->heap[i] = f->heap[(i - 1) / 4];
+  f->heap[i] = e;
+}
+
+static Event pop(Front *f)
+{
+  Event first = f->heap[0], last = f->heap[--f->num_events];
+  int i = 0, n = f->num_events;
+  for (;;)
+  {
+    int child = 4 * i + 1, least = child;
+    if (child >= n)
+      break;
+    for (int k = child + 1; k < child + 4 && k < n; ++k)
+      if (f->heap[k].t < f->heap[least].t)
+        least = k;
+    if (f->heap[least].t >= last.t)
+      break;
+    f->heap[i] = f->heap[least];
+    i = least;
+  }
+  f->heap[i] = last;
+  return first;
+}
+
+static int is_stale(const Front *f, const Event *e)
+{
+  const Triangle *tri = f->triangle + e->triangle;
+  if (tri->stamp != e->stamp)
+    return 1;
+  if (e->move < 0)
+    return f->home[-1 - e->move] != e->triangle;
+  return f->triangle[tri->behind[e->move]].stamp != e->stamp_behind;
+}
+
+// ---------------------------------------------------------------------------------------------
+// The front's triangles
+
+static int edge_from(const Triangle *tri, int a)
+{
+  return tri->v[0] == a ? 0 : tri->v[1] == a ? 1 : 2;
+}
+
+// Make t the triangle (a,b,c); what is behind it comes later.
+static void set(Front *f, int t, int a, int b, int c)
+{
+  Triangle *tri = f->triangle + t;
+  tri->v[0] = a, tri->v[1] = b, tri->v[2] = c;
+  tri->behind[0] = tri->behind[1] = tri->behind[2] = -1;
+  tri->head = -1;
+  ++tri->stamp;
+}
+
+// Join t, which has the edge from a to b, to u (−1: none) behind it.
+static void join(Front *f, int t, int u, int a, int b)
+{
+  f->triangle[t].behind[edge_from(f->triangle + t, a)] = u;
+  if (u >= 0)
+    f->triangle[u].behind[edge_from(f->triangle + u, b)] = t;
+}
+
+static int new_triangle(Front *f)
+{
+  if (f->num_spare)
+    return f->spare[--f->num_spare];
+  f->triangle[f->num_triangles].stamp = 0;
+  return f->num_triangles++;
+}
+
+static void add_cell(Front *f, int a, int b, int c, int d)
+{
+  int *cell = f->cells + 4 * f->num_cells++;
+  cell[0] = a, cell[1] = b, cell[2] = c, cell[3] = d;
+}
+
+// Whether the front has an edge between p, a vertex of t, and s: looks at all triangles around p.
+static int in_front(const Front *f, int t, int p, int s)
+{
+  for (int turn = 0; turn < 2; ++turn)
+  {
+    int at = t;
+    for (int steps = 0; steps <= f->num_triangles; ++steps)
+    {
+      const Triangle *tri = f->triangle + at;
+      int k = edge_from(tri, p);
+      if (tri->v[(k + 1) % 3] == s || tri->v[(k + 2) % 3] == s)
+        return 1;
+      at = tri->behind[turn ? k : (k + 2) % 3];
+      if (at == t)
+        return 0;
+      if (at < 0)
+        break;
+    }
+  }
+  return 0;
+}
+
+// ---------------------------------------------------------------------------------------------
+// Points of the end that wait in triangles
+
+static void put(Front *f, int w, int t)
+{
+  f->home[w] = t;
+  f->next[w] = f->triangle[t].head;
+  f->triangle[t].head = w;
+}
+
+// Walk from t over the edge that w is farthest beyond, till it is in a triangle. Where there is
+// none, the one that it is the least outside of.
+static int walk(const Front *f, int t, int w, int steps)
+{
+  int best = t, previous = -1;
+  double least = -INFINITY;
+  for (; steps > 0; --steps)
+  {
+    const Triangle *tri = f->triangle + t;
+    double inside = INFINITY, beyond = 0;
+    int edge = -1;
+    for (int k = 0; k < 3; ++k)
+    {
+      double area = A(f, tri->v[k], tri->v[(k + 1) % 3], w);
+      inside = fmin(inside, area);
+      if (area < beyond && tri->behind[k] >= 0 && tri->behind[k] != previous)
+      {
+        beyond = area;
+        edge = k;
+      }
+    }
+    if (inside > least)
+    {
+      least = inside;
+      best = t;
+    }
+    if (edge < 0 || inside >= 0)
+      break;
+    previous = t;
+    t = tri->behind[edge];
+  }
+  return best;
+}
+
+// Whether w is inside of t, and may be inserted there at time t.
+static int insertable(const Front *f, int triangle, int w, double *t)
+{
+  const int *v = f->triangle[triangle].v;
+  for (int k = 0; k < 3; ++k)
+  {
+    if (v[k] >= f->n0 && !is_edge(f, v[k], w))
+      return 0;
+    if (!allowed(f, v[k], v[(k + 1) % 3], w))
+      return 0;
+  }
+  return due(f, v[0], v[1], v[2], w, t);
+}
+
+static int is_inside(const Front *f, int t, int w)
+{
+  const int *v = f->triangle[t].v;
+  return ccw(f, v[0], v[1], w) && ccw(f, v[1], v[2], w) && ccw(f, v[2], v[0], w);
+}
+
+// The earliest insertion into a triangle. Points that are no longer inside of it move on.
+static void offer_points(Front *f, int triangle)
+{
+  double earliest = INFINITY, t;
+  int first = -1, w = f->triangle[triangle].head;
+  f->triangle[triangle].head = -1;
+  while (w >= 0)
+  {
+    int next = f->next[w], at = triangle, inside = is_inside(f, at, w);
+    if (!inside)
+    {
+      at = walk(f, triangle, w, STEPS);
+      inside = at != triangle && is_inside(f, at, w);
+    }
+    put(f, w, at);
+    if (inside && insertable(f, at, w, &t))
+    {
+      if (at != triangle)
+        push(f, t, at, -1 - w);
+      else if (t < earliest)
+      {
+        earliest = t;
+        first = w;
+      }
+    }
+    w = next;
+  }
+  if (first >= 0)
+    push(f, earliest, triangle, -1 - first);
+}
+
+// ---------------------------------------------------------------------------------------------
+// Moves
+
+// What the edge from q to r of a triangle can do: p is opposite to it, s is beyond.
+// Returns 0: nothing; 1: flip; 2: remove q; 3: remove r.
+static int move_of(const Front *f, int triangle, int k, int *v)
+{
+  const Triangle *tri = f->triangle + triangle;
+  int u = tri->behind[k];
+  if (u < 0)
+    return 0;
+  int q = tri->v[k], r = tri->v[(k + 1) % 3], p = tri->v[(k + 2) % 3];
+  int s = f->triangle[u].v[(edge_from(f->triangle + u, r) + 2) % 3];
+  v[0] = q, v[1] = r, v[2] = p, v[3] = s;
+  int n0 = f->n0;
+  if ((q >= n0 && r >= n0) || (p < n0 && s < n0) || p == s)
+    return 0;
+  int near = ccw(f, p, q, s), far = ccw(f, p, s, r);
+  if (near && far)
+  {
+    if (p >= n0 && s >= n0 && !is_edge(f, p, s))
+      return 0;
+    return allowed(f, p, q, s) && allowed(f, p, s, r);
+  }
+  if (far && q < n0)
+    return allowed(f, p, s, r) ? 2 : 0;
+  if (near && r < n0)
+    return allowed(f, p, q, s) ? 3 : 0;
+  return 0;
+}
+
+static void offer_edge(Front *f, int t, int k)
+{
+  int v[4];
+  double time;
+  if (move_of(f, t, k, v) && due(f, v[0], v[1], v[2], v[3], &time))
+    push(f, time, t, k);
+}
+
+static void insert(Front *f, int t, int w)
+{
+  Triangle old = f->triangle[t];
+  int *v = old.v, new[3] = {t, new_triangle(f), new_triangle(f)};
+  add_cell(f, v[0], v[1], v[2], w);
+  for (int k = 0; k < 3; ++k)
+    set(f, new[k], v[k], v[(k + 1) % 3], w);
+  for (int k = 0; k < 3; ++k)
+  {
+    join(f, new[k], old.behind[k], v[k], v[(k + 1) % 3]);
+    join(f, new[k], new[(k + 1) % 3], v[(k + 1) % 3], w);
+  }
+  f->home[w] = -1;
+  for (int next, i = old.head; i >= 0; i = next)
+  {
+    next = f->next[i];
+    if (i != w)
+      put(f, i, walk(f, t, i, STEPS));
+  }
+  for (int k = 0; k < 3; ++k)
+  {
+    offer_points(f, new[k]);
+    offer_edge(f, new[k], 0);
+    offer_edge(f, new[k], 1);
+  }
+}
+
+// Triangles t = (q,r,p) and u = (r,q,s) become (p,q,s) and (p,s,r).
+static void flip(Front *f, int t, int k, const int *v)
+{
+  int q = v[0], r = v[1], p = v[2], s = v[3], u = f->triangle[t].behind[k];
+  const Triangle *a = f->triangle + t, *b = f->triangle + u;
+  int m = edge_from(b, r), heads[2] = {a->head, b->head};
+  int rp = a->behind[(k + 1) % 3], pq = a->behind[(k + 2) % 3];
+  int qs = b->behind[(m + 1) % 3], sr = b->behind[(m + 2) % 3];
+  add_cell(f, q, r, p, s);
+  set(f, t, p, q, s);
+  set(f, u, p, s, r);
+  join(f, t, pq, p, q);
+  join(f, t, qs, q, s);
+  join(f, t, u, s, p);
+  join(f, u, sr, s, r);
+  join(f, u, rp, r, p);
+  for (int i = 0; i < 2; ++i)
+    for (int next, w = heads[i]; w >= 0; w = next)
+    {
+      next = f->next[w];
+      put(f, w, A(f, p, s, w) > 0 ? u : t);
+    }
+  offer_points(f, t);
+  offer_points(f, u);
+  for (int i = 0; i < 3; ++i)
+    offer_edge(f, t, i);
+  offer_edge(f, u, 1);
+  offer_edge(f, u, 2);
+}
+
+// The three triangles around q become one. The triangle t has the edge from q to r or from r to q.
+// Returns 0 where more than three meet at q.
+static int remove_vertex(Front *f, int t, int q, const int *v)
+{
+  int around[3], corner[3], behind[3], at = t;
+  for (int i = 0; i < 3; ++i)
+  {
+    const Triangle *tri = f->triangle + at;
+    int k = edge_from(tri, q);
+    around[i] = at;
+    corner[i] = tri->v[(k + 1) % 3];
+    behind[i] = tri->behind[(k + 1) % 3];
+    at = tri->behind[(k + 2) % 3];
+    if (at < 0)
+      return 0;
+  }
+  if (at != t)
+    return 0;
+  add_cell(f, v[0], v[1], v[2], v[3]);
+  int heads[3];
+  for (int i = 0; i < 3; ++i)
+    heads[i] = f->triangle[around[i]].head;
+  set(f, t, corner[0], corner[1], corner[2]);
+  for (int i = 0; i < 3; ++i)
+    join(f, t, behind[i], corner[i], corner[(i + 1) % 3]);
+  for (int i = 1; i < 3; ++i)
+  {
+    f->triangle[around[i]].head = -1;
+    ++f->triangle[around[i]].stamp;
+    f->triangle[around[i]].v[0] = -1;
+    f->spare[f->num_spare++] = around[i];
+  }
+  for (int i = 0; i < 3; ++i)
+    for (int next, w = heads[i]; w >= 0; w = next)
+    {
+      next = f->next[w];
+      put(f, w, t);
+    }
+  offer_points(f, t);
+  for (int i = 0; i < 3; ++i)
+    offer_edge(f, t, i);
+  return 1;
+}
+
+static void carry_out(Front *f, const Event *e)
+{
+  int v[4];
+  if (e->move < 0)
+  {
+    insert(f, e->triangle, -1 - e->move);
+    return;
+  }
+  int move = move_of(f, e->triangle, e->move, v);
+  if (move == 1 && !in_front(f, e->triangle, v[2], v[3]))
+    flip(f, e->triangle, e->move, v);
+  else if (move > 1)
+    remove_vertex(f, e->triangle, v[move - 2], v);
+}
+
+// ---------------------------------------------------------------------------------------------
+// From the start to the end
+
+static int sort_edges(Edges *edges, int n, int num, const int *triangles)
+{
+  edges->offset = calloc(n + 2, sizeof(int));
+  edges->to = malloc((3 * num + 1) * sizeof(int));
+  edges->opposite = malloc((3 * num + 1) * sizeof(int));
+  edges->triangle = malloc((3 * num + 1) * sizeof(int));
+  if (!edges->offset || !edges->to || !edges->opposite || !edges->triangle)
+    return 0;
+  for (int i = 0; i < 3 * num; ++i)
+    ++edges->offset[triangles[i] + 2];
+  for (int i = 2; i < n + 2; ++i)
+    edges->offset[i] += edges->offset[i - 1];
+  for (int t = 0; t < num; ++t)
+    for (int k = 0; k < 3; ++k)
+    {
+      int at = edges->offset[triangles[3 * t + k] + 1]++;
+      edges->to[at] = triangles[3 * t + (k + 1) % 3];
+      edges->opposite[at] = triangles[3 * t + (k + 2) % 3];
+      edges->triangle[at] = t;
+    }
+  return 1;
+}
+
+static void free_edges(Edges *edges)
+{
+  free(edges->offset), free(edges->to), free(edges->opposite), free(edges->triangle);
+}
+
+// The start's vertex nearest to w whose normal agrees.
+static int nearest(const Front *f, const Edges *start, int w)
+{
+  double least = INFINITY;
+  int best = 0;
+  for (int i = 0; i < f->n0; ++i)
+  {
+    double e[3];
+    minus(f->vertex[i].y, f->vertex[w].y, e);
+    double square = dot(e, e) * (dot(f->vertex[i].n, f->vertex[w].n) > 0.3 ? 1 : 1e6);
+    if (square < least && start->offset[i] < start->offset[i + 1])
+    {
+      least = square;
+      best = i;
+    }
+  }
+  return start->triangle[start->offset[best]];
+}
+
+// Find the triangle of the front that each vertex of the end waits in. Neighbours are near each
+// other, so each walk begins where one has ended.
+static int locate(Front *f, const Edges *start)
+{
+  int *queue = malloc((f->n + 1) * sizeof(int)), *near = malloc((f->n + 1) * sizeof(int));
+  if (!queue || !near)
+  {
+    free(queue), free(near);
+    return 0;
+  }
+  int first = 0, last = 0;
+  for (int i = 0; i < f->n; ++i)
+    near[i] = -1;
+  for (int i = f->n0; i < f->n; ++i) // those at the upper rim of the walls
+    if (start->offset[i] < start->offset[i + 1])
+    {
+      near[i] = start->triangle[start->offset[i]];
+      queue[last++] = i;
+    }
+  for (int i = f->n0; i < f->n; ++i)
+  {
+    if (near[i] < 0 && first == last && f->end.offset[i] < f->end.offset[i + 1])
+    {
+      near[i] = walk(f, nearest(f, start, i), i, f->num_triangles);
+      put(f, i, near[i]);
+      queue[last++] = i;
+    }
+    while (first < last)
+    {
+      int a = queue[first++];
+      for (int j = f->end.offset[a]; j < f->end.offset[a + 1]; ++j)
+      {
+        int b = f->end.to[j];
+        if (near[b] >= 0)
+          continue;
+        int t = walk(f, near[a], b, f->num_triangles);
+        if (!is_inside(f, t, b))
+        {
+          int other = walk(f, nearest(f, start, b), b, f->num_triangles);
+          t = is_inside(f, other, b) ? other : t;
+        }
+        near[b] = t;
+        put(f, b, t);
+        queue[last++] = b;
+      }
+    }
+  }
+  free(queue), free(near);
+  return 1;
+}
+
+static int num_left(const Front *f)
+{
+  int left = 0;
+  for (int t = 0; t < f->num_triangles; ++t)
+    left += f->triangle[t].v[0] >= 0 && !is_final(f, t);
+  return left;
+}
+
+static void advance(Front *f)
+{
+  int before = -1;
+  // What could not move may be able to when all else has moved
+  while (!f->failed && f->num_cells > before && f->num_cells < f->max_cells && num_left(f))
+  {
+    before = f->num_cells;
+    f->num_events = 0;
+    for (int t = 0; t < f->num_triangles; ++t)
+      if (f->triangle[t].v[0] >= 0)
+        offer_points(f, t);
+    for (int t = 0; t < f->num_triangles; ++t)
+      if (f->triangle[t].v[0] >= 0)
+        for (int k = 0; k < 3; ++k)
+          if (f->triangle[t].behind[k] > t)
+            offer_edge(f, t, k);
+    while (f->num_events && !f->failed && f->num_cells < f->max_cells)
+    {
+      Event e = pop(f);
+      if (!is_stale(f, &e))
+        carry_out(f, &e);
+    }
+  }
+}
+
+// Fill the space between two surfaces.
+//
+// n0, n1      vertices of the start and of the end (numbered behind the start's)
+// vertices    x, y, normal, weight of each
+// start       triangles of the start and of the walls, counterclockwise seen from the end
+// end         the end's, counterclockwise seen from beyond
+// max_cells   space for cells
+// cells, left cells; triangles of the front that are no facets of the end, as many as start and
+//             twice n1 at most
+// counts      number of cells, of triangles left, of vertices left
+int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
+               const int *end, int max_cells, int *cells, int *left, int *counts)
+{
+  int status = NO_MEMORY;
+  Front f = {.n0 = n0, .n = n0 + n1, .cells = cells, .max_cells = max_cells};
+  Edges first = {0};
+  f.max_triangles = num_start + 2 * n1 + 2;
+  f.triangle = malloc(f.max_triangles * sizeof(Triangle));
+  f.spare = malloc(f.max_triangles * sizeof(int));
+  f.home = malloc((f.n + 1) * sizeof(int));
+  f.next = malloc((f.n + 1) * sizeof(int));
+  f.vertex = (Vertex *)vertices;
+  counts[0] = counts[1] = counts[2] = 0;
+  if (!f.triangle || !f.spare || !f.home || !f.next || !sort_edges(&f.end, f.n, num_end, end)
+      || !sort_edges(&first, f.n, num_start, start))
+    goto finish;
+  for (int i = 0; i < f.n; ++i)
+    f.home[i] = f.next[i] = -1;
+  for (int t = 0; t < num_start; ++t)
+  {
+    f.triangle[t].stamp = 0;
+    set(&f, t, start[3 * t], start[3 * t + 1], start[3 * t + 2]);
+  }
+  f.num_triangles = num_start;
+  for (int t = 0; t < num_start; ++t)
+    for (int k = 0; k < 3; ++k)
+    {
+      int a = start[3 * t + k], b = start[3 * t + (k + 1) % 3];
+      for (int i = first.offset[b]; i < first.offset[b + 1]; ++i)
+        if (first.to[i] == a)
+          f.triangle[t].behind[k] = first.triangle[i];
+    }
+  if (!locate(&f, &first))
+    goto finish;
+  advance(&f);
+  if (f.failed)
+    goto finish;
+  status = DONE;
+  counts[0] = f.num_cells;
+  for (int t = 0; t < f.num_triangles; ++t)
+    if (f.triangle[t].v[0] >= 0 && !is_final(&f, t))
+    {
+      memcpy(left + 3 * counts[1]++, f.triangle[t].v, 3 * sizeof(int));
+      status = STUCK;
+    }
+  for (int i = n0; i < f.n; ++i)
+    counts[2] += f.home[i] >= 0;
+finish:
+  free_edges(&f.end), free_edges(&first);
+  free(f.triangle), free(f.spare), free(f.home), free(f.next), free(f.heap);
+  return status;
+}
+
+// Weights that make the edges of a triangulation locally regular: H(q,r,p,s) ≥ MARGIN m⁴.
+// Hildreth's method projects on one constraint after the other.
+//
+// vertices    as of front_fill; their weights are set
+// num, edges  q, r, p, s of each inner edge
+// sweeps      at most; returned is how many were needed, −1 if these were too few
+int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
+{
+  Vertex *vertex = (Vertex *)vertices;
+  // Of each edge: H's derivatives by the four weights, bound, multiplier, tolerance
+  double *g = malloc((7 * (size_t)num + 1) * sizeof(double));
+  if (!g)
+    return -1;
+  for (int i = 0; i < n; ++i)
+    vertex[i].w = 0;
+  for (int i = 0; i < num; ++i)
+  {
+    const Vertex *v[4];
+    double normal[3], e[3][3], longest = 0, *c = g + 7 * i;
+    for (int k = 0; k < 4; ++k)
+      v[k] = vertex + edges[4 * i + k];
+    unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, normal);
+    for (int k = 0; k < 3; ++k)
+    {
+      minus(v[k + 1]->y, v[0]->y, e[k]);
+      longest = fmax(longest, dot(e[k], e[k]));
+    }
+    c[0] = c[5] = 0;
+    for (int k = 0; k < 3; ++k)
+    {
+      c[k + 1] = triple(e[(k + 1) % 3], e[(k + 2) % 3], normal);
+      c[0] -= c[k + 1];
+    }
+    c[6] = MARGIN * longest * longest;
+    c[4] = c[6] - H(v[0], v[1], v[2], v[3]);
+  }
+  int sweep = 0, violated = 1;
+  for (; violated && sweep <= sweeps; ++sweep)
+  {
+    violated = 0;
+    for (int i = 0; i < num; ++i)
+    {
+      double *c = g + 7 * i, value = 0, square = 0;
+      for (int k = 0; k < 4; ++k)
+      {
+        value += c[k] * vertex[edges[4 * i + k]].w;
+        square += c[k] * c[k];
+      }
+      double step = square > 0 ? fmax((c[4] - value) / square, -c[5]) : 0;
+      if (step == 0)
+        continue;
+      violated |= c[4] - value > 0.5 * c[6];
+      c[5] += step;
+      for (int k = 0; k < 4; ++k)
+        vertex[edges[4 * i + k]].w += step * c[k];
+    }
+  }
+  free(g);
+  return violated ? -1 : sweep;
+}

@@ -1,0 +1,180 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.jit import library
+
+Walls = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.integer]]
+"""``walls(shift)``: triangles of the side walls, with Γ1's vertices displaced by ``shift``."""
+
+SHIFT = 0.1  # by how much of an edge's length ties are told apart
+GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
+SWEEPS = 100  # of the projections for the weights, before they are given up
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Two surfaces between which cells are sought; vertices are Γ0's, then Γ1's."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    n0: int
+    """Number of Γ0's vertices."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
+    walls: Walls
+    """Side walls, counterclockwise seen from inside."""
+    loops: tuple[npt.NDArray[np.integer], ...] = ()
+    """Γ1's boundary, if there is one: vertices of each edge, ``(num_edges, 2)``."""
+
+    @property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit normals of the vertices, from Γ0 to Γ1."""
+        total = np.zeros_like(self.x)
+        for facets in self.facets:
+            unit = facet_normals(self.x, facets)
+            for i in range(3):
+                total[:, i] += np.bincount(
+                    facets.ravel(), np.repeat(unit[:, i], 3), minlength=len(total)
+                )
+        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+
+
+def facet_normals(x, facets) -> npt.NDArray[np.float64]:
+    """Unit normals of triangles, ``(num_triangles, 3)``."""
+    normal = np.cross(x[facets[:, 1]] - x[facets[:, 0]], x[facets[:, 2]] - x[facets[:, 0]])
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+
+
+def inner_edges(facets: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+    """Inner edges of a triangulation: their ends q and r, p on their left and s on their right."""
+    a, b, c = (np.roll(facets, -k, axis=1).ravel().astype(np.int64) for k in range(3))
+    n = int(facets.max()) + 1
+    key, back = a * n + b, b * n + a
+    order = np.argsort(key)
+    at = order[np.minimum(np.searchsorted(key[order], back), len(order) - 1)]
+    inner = (key[at] == back) & (a < b)
+    return np.column_stack((a, b, c, c[at]))[inner].astype(np.int32)
+
+
+def fill(problem: Problem, weighted: bool, reverse: bool):
+    """Let the front run.
+
+    Args:
+        problem: The surfaces.
+        weighted: Whether weights make the surfaces' edges locally regular.
+        reverse: Whether it goes from Γ1 to Γ0.
+
+    Returns:
+        Cells ``(num_cells, 4)``, triangles that are left of the front ``(num_left, 3)``, seen from
+        where it was going, and the walls; None if there are no such weights.
+    """
+    module = library()
+    ffi = module.ffi
+    x, n0, n1 = problem.x, problem.n0, len(problem.x) - problem.n0
+    start, end = problem.facets[::-1] if reverse else problem.facets
+    sign = -1 if reverse else 1
+    shift = sign * displacement(problem)
+    walls = problem.walls(shift).reshape(-1, 3)
+    number = np.arange(len(x))  # in the order of the front: where it starts, where it ends
+    if reverse:
+        number = np.concatenate((np.arange(n0) + n1, np.arange(n1)))
+        start, end, walls = start[:, ::-1], end[:, ::-1], walls[:, ::-1]
+    vertices = np.zeros((len(x), 10))
+    size = np.linalg.norm(x[start[:, 0]] - x[start[:, 1]], axis=1).mean()
+    scaled = (x - x.mean(axis=0)) / size
+    vertices[number, :3] = vertices[number, 3:6] = scaled
+    vertices[number[n0:], 3:6] += shift / size
+    vertices[number, 6:9] = sign * problem.normals
+    start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
+    end = np.ascontiguousarray(number[end], dtype=np.int32)
+
+    def pointer(kind, array):
+        return ffi.from_buffer(f"{kind}[]", array, require_writable=True)
+
+    if weighted:
+        num = len(problem.facets[1 if reverse else 0])
+        edges = np.ascontiguousarray(np.vstack((inner_edges(start[:num]), inner_edges(end))))
+        sweeps = module.lib.front_weights(
+            len(x), pointer("double", vertices), len(edges), pointer("int", edges), SWEEPS
+        )
+        if sweeps < 0:
+            return None
+    max_cells = 30 * (len(start) + len(end)) + 100
+    cells = np.empty((max_cells, 4), dtype=np.int32)
+    left = np.empty((len(start) + 2 * len(x), 3), dtype=np.int32)
+    counts = np.zeros(3, dtype=np.int32)
+    sides = (n1, n0) if reverse else (n0, n1)
+    status = module.lib.front_fill(
+        *sides,
+        pointer("double", vertices),
+        len(start),
+        pointer("int", start),
+        len(end),
+        pointer("int", end),
+        max_cells,
+        pointer("int", cells),
+        pointer("int", left),
+        pointer("int", counts),
+    )
+    if status > 1:
+        raise MemoryError("no memory for the cells of the gap domain")
+    back = np.argsort(number)
+    return back[cells[: counts[0]]], back[left[: counts[1]]], walls
+
+
+def displacement(problem: Problem) -> npt.NDArray[np.float64]:
+    """By what Γ1 is displaced for the predicates that order the moves, so that no two are tied.
+
+    A closed surface slides along itself. An open one is stretched, so that its walls lean outwards.
+    """
+    x, normal = problem.x[problem.n0 :], problem.normals[problem.n0 :]
+    edges = [
+        np.linalg.norm(problem.x[f] - problem.x[np.roll(f, 1, axis=1)], axis=2).mean()
+        for f in problem.facets
+    ]
+    shift = np.broadcast_to(GENERIC, x.shape)
+    shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
+    return SHIFT * min(edges) * shift
+
+
+def is_valid(problem: Problem, cells, walls) -> bool:
+    return error(problem, cells, walls) is None
+
+
+def cell_areas(problem: Problem, cells):
+    x, normal = problem.x[cells], problem.normals[cells].sum(axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    alpha = (cells >= problem.n0).astype(float)
+    e = x[:, 1:] - x[:, :1]
+    da = alpha[:, 1:] - alpha[:, :1]
+    N = sum(da[:, k, None] * np.cross(e[:, (k + 1) % 3], e[:, (k + 2) % 3]) for k in range(3))
+    return np.einsum("ci,ci->c", N, normal), (e**2).sum(axis=2).max(axis=1)
+
+
+def error(problem: Problem, cells, walls) -> str | None:
+    D, scale = cell_areas(problem, cells)
+    if not (D > 1e-9 * scale).all():
+        return f"{(D <= 1e-9 * scale).sum()} cells are flat or inverted"
+    n = len(problem.x)
+    faces = np.vstack([cells[:, f] for f in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))])
+    outer = np.vstack((problem.facets[0][:, ::-1], walls[:, ::-1], problem.facets[1]))
+    def key(f):
+        s = np.sort(f, axis=1).astype(np.int64)
+        return (s[:, 0] * n + s[:, 1]) * n + s[:, 2]
+    k, c = np.unique(key(faces), return_counts=True)
+    if c.max() > 2:
+        return "face shared by more than two"
+    b = np.sort(key(outer))
+    if not np.array_equal(k[c == 1], b):
+        return f"boundary differs {len(np.setdiff1d(b,k[c==1]))} missing, {len(np.setdiff1d(k[c==1],b))} too many"
+    return None
