@@ -24,6 +24,8 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
 #define MARGIN 1e-6    // by how much (in the longest edge to the fourth) weights make edges regular
 
+#define RELAX 1.7      // over-relaxation of the projections
+
 typedef struct {
   double x[3]; // where it is
   double y[3]; // where predicates of the order see it: off x by what tells ties apart
@@ -759,7 +761,8 @@ finish:
 //
 // vertices    as of front_fill; their weights are set
 // num, edges  q, r, p, s of each inner edge
-// sweeps      at most; returned is how many were needed, −1 if these were too few
+// sweeps      at most; returned is how many were needed, −1 if these were too few (weights are
+//             then better than none)
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
 {
   Vertex *vertex = (Vertex *)vertices;
@@ -788,7 +791,9 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
       c[0] -= c[k + 1];
     }
     c[6] = MARGIN * longest * longest;
-    c[4] = c[6] - H(v[0], v[1], v[2], v[3]);
+    double height = H(v[0], v[1], v[2], v[3]);
+    // An edge between cocircular points is regular enough
+    c[4] = (height < -FLAT * longest * longest ? c[6] : fmax(0, fmin(c[6], height))) - height;
   }
   int sweep = 0, violated = 1;
   for (; violated && sweep <= sweeps; ++sweep)
@@ -802,7 +807,7 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
         value += c[k] * vertex[edges[4 * i + k]].w;
         square += c[k] * c[k];
       }
-      double step = square > 0 ? fmax((c[4] - value) / square, -c[5]) : 0;
+      double step = square > 0 ? fmax(RELAX * (c[4] - value) / square, -c[5]) : 0;
       if (step == 0)
         continue;
       violated |= c[4] - value > 0.5 * c[6];

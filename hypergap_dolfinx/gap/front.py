@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.jit import library
-
-Walls = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.integer]]
-"""``walls(shift)``: triangles of the side walls, with Γ1's vertices displaced by ``shift``."""
+from hypergap_dolfinx.gap.walls import Rim, Side, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
@@ -31,10 +29,24 @@ class Problem:
     """Number of Γ0's vertices."""
     facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
     """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
-    walls: Walls
-    """Side walls, counterclockwise seen from inside."""
-    loops: tuple[npt.NDArray[np.integer], ...] = ()
-    """Γ1's boundary, if there is one: vertices of each edge, ``(num_edges, 2)``."""
+    rims: list[Rim]
+    """Boundaries that face each other; none of closed surfaces."""
+
+    @classmethod
+    def between(cls, side0: Side, side1: Side) -> "Problem":
+        """The problem of two facing pieces.
+
+        Raises:
+            InterfaceError: Their boundaries don't match.
+        """
+        n0 = len(side0.vertices)
+        facets = side0.triangles, n0 + side1.triangles[:, ::-1]
+        return cls(np.vstack((side0.x, side1.x)), n0, facets, rims(side0, side1))
+
+    def walls(self, shift, weights) -> npt.NDArray[np.intp]:
+        """Side walls, counterclockwise seen from outside, with Γ1 displaced."""
+        empty = np.empty((0, 3), dtype=np.intp)
+        return np.vstack([empty, *(rim.walls(self.n0, shift, weights) for rim in self.rims)])
 
     @property
     def normals(self) -> npt.NDArray[np.float64]:
@@ -82,33 +94,29 @@ def fill(problem: Problem, weighted: bool, reverse: bool):
     ffi = module.ffi
     x, n0, n1 = problem.x, problem.n0, len(problem.x) - problem.n0
     start, end = problem.facets[::-1] if reverse else problem.facets
-    sign = -1 if reverse else 1
-    shift = sign * displacement(problem)
-    walls = problem.walls(shift).reshape(-1, 3)
     number = np.arange(len(x))  # in the order of the front: where it starts, where it ends
     if reverse:
         number = np.concatenate((np.arange(n0) + n1, np.arange(n1)))
-        start, end, walls = start[:, ::-1], end[:, ::-1], walls[:, ::-1]
-    vertices = np.zeros((len(x), 10))
+        start, end = start[:, ::-1], end[:, ::-1]
+    sign = -1 if reverse else 1
     size = np.linalg.norm(x[start[:, 0]] - x[start[:, 1]], axis=1).mean()
-    scaled = (x - x.mean(axis=0)) / size
-    vertices[number, :3] = vertices[number, 3:6] = scaled
-    vertices[number[n0:], 3:6] += shift / size
+    vertices = np.zeros((len(x), 10))  # x, y, normal, weight
+    vertices[number, :3] = vertices[number, 3:6] = (x - x.mean(axis=0)) / size
     vertices[number, 6:9] = sign * problem.normals
-    start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
-    end = np.ascontiguousarray(number[end], dtype=np.int32)
 
     def pointer(kind, array):
         return ffi.from_buffer(f"{kind}[]", array, require_writable=True)
 
     if weighted:
-        num = len(problem.facets[1 if reverse else 0])
-        edges = np.ascontiguousarray(np.vstack((inner_edges(start[:num]), inner_edges(end))))
+        edges = number[np.vstack((inner_edges(start), inner_edges(end)))].astype(np.int32)
         sweeps = module.lib.front_weights(
             len(x), pointer("double", vertices), len(edges), pointer("int", edges), SWEEPS
         )
-        if sweeps < 0:
-            return None
+    shift = sign * displacement(problem)
+    vertices[number[n0:], 3:6] += shift / size
+    walls = problem.walls(shift, vertices[number, 9] * size**2)[:, ::-1]
+    start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
+    end = np.ascontiguousarray(number[end], dtype=np.int32)
     max_cells = 30 * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
     left = np.empty((len(start) + 2 * len(x), 3), dtype=np.int32)
@@ -143,6 +151,9 @@ def displacement(problem: Problem) -> npt.NDArray[np.float64]:
         for f in problem.facets
     ]
     shift = np.broadcast_to(GENERIC, x.shape)
+    if problem.rims:
+        from_centre = x - x.mean(axis=0)
+        shift = from_centre / np.linalg.norm(from_centre, axis=1).max() + 0.3 * shift
     shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
     return SHIFT * min(edges) * shift
 
@@ -172,7 +183,7 @@ def error(problem: Problem, cells, walls) -> str | None:
         s = np.sort(f, axis=1).astype(np.int64)
         return (s[:, 0] * n + s[:, 1]) * n + s[:, 2]
     k, c = np.unique(key(faces), return_counts=True)
-    if c.max() > 2:
+    if c.max(initial=0) > 2:
         return "face shared by more than two"
     b = np.sort(key(outer))
     if not np.array_equal(k[c == 1], b):
