@@ -756,66 +756,97 @@ finish:
   return status;
 }
 
-// Weights that make the edges of a triangulation locally regular: H(q,r,p,s) ≥ MARGIN m⁴.
-// Hildreth's method projects on one constraint after the other.
+// One constraint on the weights: the sum of c[k] times them is at least bound.
+typedef struct {
+  double c[4], bound, multiplier, tolerance;
+} Constraint;
+
+// The edge from q to r must be regular, H(q,r,p,s) ≥ MARGIN m⁴.
+static Constraint inner_edge(const Vertex *vertex, const int *edge)
+{
+  const Vertex *v[4];
+  double n[3], e[3][3], longest = 0;
+  Constraint g = {0};
+  for (int k = 0; k < 4; ++k)
+    v[k] = vertex + edge[k];
+  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
+  for (int k = 0; k < 3; ++k)
+  {
+    minus(v[k + 1]->y, v[0]->y, e[k]);
+    longest = fmax(longest, dot(e[k], e[k]));
+  }
+  for (int k = 0; k < 3; ++k)
+  {
+    g.c[k + 1] = triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+    g.c[0] -= g.c[k + 1];
+  }
+  double height = H(v[0], v[1], v[2], v[3]), margin = MARGIN * longest * longest;
+  // An edge between cocircular points is regular enough
+  double least = height < -FLAT * longest * longest ? margin : fmax(0, fmin(margin, height));
+  g.bound = least - height;
+  g.tolerance = 0.5 * margin;
+  return g;
+}
+
+// Two edges of the boundary, from a to b and on to c, must be regular for the wall:
+// (h_c − h_b) / |c − b| − (h_b − h_a) / |b − a| ≥ MARGIN m, with h = s² + w along them.
+static Constraint rim(const Vertex *vertex, const int *v)
+{
+  double e[3], g[3];
+  Constraint constraint = {0};
+  minus(vertex[v[1]].y, vertex[v[0]].y, e);
+  minus(vertex[v[2]].y, vertex[v[1]].y, g);
+  double a = sqrt(dot(e, e)), b = sqrt(dot(g, g)), margin = MARGIN * (a + b);
+  constraint.c[0] = 1 / a;
+  constraint.c[1] = -1 / a - 1 / b;
+  constraint.c[2] = 1 / b;
+  constraint.bound = margin - (a + b);
+  constraint.tolerance = 0.5 * margin;
+  return constraint;
+}
+
+// Weights that make a triangulation locally regular. Hildreth's method projects on one constraint
+// after the other.
 //
 // vertices    as of front_fill; their weights are set
-// num, edges  q, r, p, s of each inner edge
+// num, edges  q, r, p, s of each inner edge; a, b, c, −1 for two edges on the boundary
 // sweeps      at most; returned is how many were needed, −1 if these were too few (weights are
 //             then better than none)
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
 {
   Vertex *vertex = (Vertex *)vertices;
-  // Of each edge: H's derivatives by the four weights, bound, multiplier, tolerance
-  double *g = malloc((7 * (size_t)num + 1) * sizeof(double));
-  if (!g)
+  Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
+  if (!constraints)
     return -1;
   for (int i = 0; i < n; ++i)
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
-  {
-    const Vertex *v[4];
-    double normal[3], e[3][3], longest = 0, *c = g + 7 * i;
-    for (int k = 0; k < 4; ++k)
-      v[k] = vertex + edges[4 * i + k];
-    unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, normal);
-    for (int k = 0; k < 3; ++k)
-    {
-      minus(v[k + 1]->y, v[0]->y, e[k]);
-      longest = fmax(longest, dot(e[k], e[k]));
-    }
-    c[0] = c[5] = 0;
-    for (int k = 0; k < 3; ++k)
-    {
-      c[k + 1] = triple(e[(k + 1) % 3], e[(k + 2) % 3], normal);
-      c[0] -= c[k + 1];
-    }
-    c[6] = MARGIN * longest * longest;
-    double height = H(v[0], v[1], v[2], v[3]);
-    // An edge between cocircular points is regular enough
-    c[4] = (height < -FLAT * longest * longest ? c[6] : fmax(0, fmin(c[6], height))) - height;
-  }
+    constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
   int sweep = 0, violated = 1;
   for (; violated && sweep <= sweeps; ++sweep)
   {
     violated = 0;
     for (int i = 0; i < num; ++i)
     {
-      double *c = g + 7 * i, value = 0, square = 0;
-      for (int k = 0; k < 4; ++k)
+      Constraint *g = constraints + i;
+      const int *v = edges + 4 * i, terms = v[3] < 0 ? 3 : 4;
+      double value = 0, square = 0;
+      for (int k = 0; k < terms; ++k)
       {
-        value += c[k] * vertex[edges[4 * i + k]].w;
-        square += c[k] * c[k];
+        value += g->c[k] * vertex[v[k]].w;
+        square += g->c[k] * g->c[k];
       }
-      double step = square > 0 ? fmax(RELAX * (c[4] - value) / square, -c[5]) : 0;
+      if (!(square > 0))
+        continue;
+      double step = fmax(RELAX * (g->bound - value) / square, -g->multiplier);
       if (step == 0)
         continue;
-      violated |= c[4] - value > 0.5 * c[6];
-      c[5] += step;
-      for (int k = 0; k < 4; ++k)
-        vertex[edges[4 * i + k]].w += step * c[k];
+      violated |= g->bound - value > g->tolerance;
+      g->multiplier += step;
+      for (int k = 0; k < terms; ++k)
+        vertex[v[k]].w += step * g->c[k];
     }
   }
-  free(g);
+  free(constraints);
   return violated ? -1 : sweep;
 }

@@ -107,13 +107,19 @@ def fill(problem: Problem, weighted: bool, reverse: bool):
     def pointer(kind, array):
         return ffi.from_buffer(f"{kind}[]", array, require_writable=True)
 
+    shift = sign * displacement(problem)
+    vertices[number[n0:], 3:6] += shift / size
     if weighted:
-        edges = number[np.vstack((inner_edges(start), inner_edges(end)))].astype(np.int32)
+        corners = [np.empty((0, 4), dtype=np.intp)]
+        for rim in problem.rims:
+            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
+                three = (number[np.roll(loop, -k)] for k in range(3))
+                corners.append(np.column_stack((*three, np.full(len(loop), -1))))
+        edges = number[np.vstack((inner_edges(start), inner_edges(end)))]
+        edges = np.vstack((edges, *corners)).astype(np.int32)
         sweeps = module.lib.front_weights(
             len(x), pointer("double", vertices), len(edges), pointer("int", edges), SWEEPS
         )
-    shift = sign * displacement(problem)
-    vertices[number[n0:], 3:6] += shift / size
     walls = problem.walls(shift, vertices[number, 9] * size**2)[:, ::-1]
     start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
     end = np.ascontiguousarray(number[end], dtype=np.int32)
@@ -153,7 +159,7 @@ def displacement(problem: Problem) -> npt.NDArray[np.float64]:
     shift = np.broadcast_to(GENERIC, x.shape)
     if problem.rims:
         from_centre = x - x.mean(axis=0)
-        shift = from_centre / np.linalg.norm(from_centre, axis=1).max() + 0.3 * shift
+        shift = from_centre / np.linalg.norm(from_centre, axis=1).max() + 0.1 * shift
     shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
     return SHIFT * min(edges) * shift
 
