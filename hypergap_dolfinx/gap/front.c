@@ -24,8 +24,6 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
 #define MARGIN 1e-6    // by how much (in the longest edge to the fourth) weights make edges regular
 
-#define RELAX 1.7      // over-relaxation of the projections
-
 typedef struct {
   double x[3]; // where it is
   double y[3]; // where predicates of the order see it: off x by what tells ties apart
@@ -758,7 +756,7 @@ finish:
 
 // One constraint on the weights: the sum of c[k] times them is at least bound.
 typedef struct {
-  double c[4], bound, multiplier, tolerance;
+  double c[4], bound, tolerance;
 } Constraint;
 
 // The edge from q to r must be regular, H(q,r,p,s) ≥ MARGIN m⁴.
@@ -805,8 +803,8 @@ static Constraint rim(const Vertex *vertex, const int *v)
   return constraint;
 }
 
-// Weights that make a triangulation locally regular. Hildreth's method projects on one constraint
-// after the other.
+// Weights that make a triangulation locally regular: reflected at one violated constraint after the
+// other (Motzkin and Schoenberg), they end where none is.
 //
 // vertices    as of front_fill; their weights are set
 // num, edges  q, r, p, s of each inner edge; a, b, c, −1 for two edges on the boundary
@@ -838,11 +836,10 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
       }
       if (!(square > 0))
         continue;
-      double step = fmax(RELAX * (g->bound - value) / square, -g->multiplier);
-      if (step == 0)
+      if (g->bound - value <= g->tolerance)
         continue;
-      violated |= g->bound - value > g->tolerance;
-      g->multiplier += step;
+      violated = 1;
+      double step = 2 * (g->bound - value) / square;
       for (int k = 0; k < terms; ++k)
         vertex[v[k]].w += step * g->c[k];
     }

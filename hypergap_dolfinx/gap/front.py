@@ -16,7 +16,8 @@ from hypergap_dolfinx.gap.walls import Rim, Side, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
-SWEEPS = 100  # of the projections for the weights, before they are given up
+SWEEPS = 5000  # of the search for weights, before it is given up; fewer if there are many edges
+VISITS = 20_000_000  # the same, times edges
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def fill(problem: Problem, weighted: bool, reverse: bool):
         edges = number[np.vstack((inner_edges(start), inner_edges(end)))]
         edges = np.vstack((edges, *corners)).astype(np.int32)
         sweeps = module.lib.front_weights(
-            len(x), pointer("double", vertices), len(edges), pointer("int", edges), SWEEPS
+            len(x), pointer("double", vertices), len(edges), pointer("int", edges),
+            min(SWEEPS, VISITS // max(len(edges), 1)),
         )
     walls = problem.walls(shift, vertices[number, 9] * size**2)[:, ::-1]
     start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
