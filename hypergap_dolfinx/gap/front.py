@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap import cavity
+from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.walls import Rim, Side, rims
 
@@ -164,6 +166,45 @@ def displacement(problem: Problem) -> npt.NDArray[np.float64]:
         shift = from_centre / np.linalg.norm(from_centre, axis=1).max() + 0.1 * shift
     shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
     return SHIFT * min(edges) * shift
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Cells between two surfaces."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_cells, 4)``; interior vertices are numbered behind the others."""
+    hosts: list[tuple]
+    """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
+
+
+def construct(problem: Problem, place: Place) -> Filling | None:
+    """Cells between two surfaces, by the first front that gets through.
+
+    Else what the one leaves that gets farthest is filled with cones.
+
+    Args:
+        problem: The surfaces.
+        place: Puts a node between the surfaces.
+
+    Returns:
+        The cells, None if there are none.
+    """
+    normals, alpha = problem.normals, (np.arange(len(problem.x)) >= problem.n0).astype(float)
+    attempts = []
+    for weighted, reverse in ((True, False), (True, True), (False, False), (False, True)):
+        cells, left, walls = fill(problem, weighted, reverse)
+        if not len(left) and error(problem, cells, walls) is None:
+            return Filling(cells, [])
+        attempts.append((len(left), cells, walls))
+    for _, cells, walls in sorted(attempts, key=lambda attempt: attempt[0]):
+        outer = np.vstack((problem.facets[0], walls, problem.facets[1][:, ::-1]))
+        mesh = cavity.Cells(problem.x, alpha, normals, cells)
+        found = cavity.fill(mesh, outer, place)
+        if found is not None:
+            mesh, hosts = found
+            return Filling(mesh.cells, hosts)
+    return None
 
 
 def is_valid(problem: Problem, cells, walls) -> bool:

@@ -3,14 +3,9 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
+"""Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces."""
 
-Γ1 is pushed off Γ0 along its vertex normals by about half a cell, which makes the slab an ordinary
-solid. Its sides are closed like the strip in 2D, Gmsh fills it, and of the result only the
-connectivity is kept: the vertices go back to where they belong.
-"""
-
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from mpi4py import MPI
@@ -19,27 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap import tetrahedra
+from hypergap_dolfinx.gap import front
+from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.kernel import cofactor
 from hypergap_dolfinx.gap.walls import Side
 from hypergap_dolfinx.gap.surface import Surface
-from hypergap_dolfinx.gap.triangulation import facing_pieces, loops, neighbours, project
-
-ATTEMPTS = (
-    *[(offset, True, tetrahedra.HXT) for offset in (0.5, 0.25, 1.0)],
-    *[(offset, True, tetrahedra.DELAUNAY) for offset in (0.5, 0.25)],
-    *[(offset, False, tetrahedra.HXT) for offset in (0.5, 1.0, 2.0)],
-    *[(offset, False, tetrahedra.DELAUNAY) for offset in (1.0, 2.0)],
-    *[(offset, True, tetrahedra.HXT) for offset in (0.1, 2.0)],
-)
-"""Offsets in cell sizes, whether along each vertex's own normal or the mean one, and algorithms.
-
-The first that gives a valid Σ is taken."""
-FLAT = 1e-9  # sine of the angle at which a cell's two edges, one on each side, count as parallel
-COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
-
+from hypergap_dolfinx.gap.triangulation import facing_pieces, project
 
 @dataclass(frozen=True)
 class Slab:
@@ -101,17 +81,15 @@ class Slab:
     @cached_property
     def normal(self) -> npt.NDArray[np.float64]:
         """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.zeros((len(self.cells), 3))
+        total = np.zeros_like(self.x)
         for i, side in enumerate(self.sides):
-            seed = self.seeds[i][self.cells]
             unit = (1 - 2 * i) * side.surface.normals[side.facets]
-            total = np.zeros_like(self.x)
             for k in range(3):
                 np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
             if self.inner.alpha.size:
-                total[-self.inner.alpha.size :] = unit[self.inner.facets[i][0]]
-            total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-            normal += (total[self.cells] * (seed >= 0)[..., None]).sum(axis=1)
+                total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
+        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+        normal = total[self.cells].sum(axis=1)
         for i, side in enumerate(self.sides):
             base = self.bases[i] >= 0
             normal[base] = (1 - 2 * i) * side.surface.normals[side.facets[self.bases[i][base]]]
@@ -226,137 +204,56 @@ def _find(triangles, corners) -> npt.NDArray[np.intp]:
     return np.where(known[at] == wanted, facet[at], -1)
 
 
-def _volumes(x, cells) -> npt.NDArray[np.float64]:
-    return np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]]) / 6
+def _place(sides: tuple[Side, Side]) -> Place:
+    """How an interior node is hosted: where it projects to on both sides."""
+    seeds = []
+    for side in sides:
+        seed = np.empty(len(side.vertices), dtype=np.intp)
+        seed[side.triangles.ravel()] = np.repeat(np.arange(len(side.triangles)), 3)
+        seeds.append(seed)
+    n0 = len(sides[0].vertices)
+
+    def place(x, alpha: float, vertices):
+        facets, X, feet, normal = [], [], [], np.zeros(3)
+        for i, side in enumerate(sides):
+            own = (vertices - i * n0)[(vertices >= n0) == i]
+            own = own[own < len(side.vertices)]
+            own = own if len(own) else np.arange(len(side.vertices))
+            near = own[np.linalg.norm(side.x[own] - x, axis=1).argmin()]
+            facet, at = project(side.x, side.triangles, side.behind, x[None], seeds[i][[near]])
+            feet.append(side.surface.points(side.facets[facet], at)[0])
+            normal += (1 - 2 * i) * side.surface.normals[side.facets[facet[0]]]
+            facets.append(int(facet[0]))
+            X.append(at[0])
+        normal /= max(np.linalg.norm(normal), 1e-300)
+        x = (1 - alpha) * feet[0] + alpha * feet[1]
+        return x, alpha, normal, (alpha, facets, X)
+
+    return place
 
 
-def _enclosed(x, triangles) -> float:
-    """Volume inside a closed triangulation, by the divergence theorem."""
-    return float(np.linalg.det(x[triangles] - x.mean(axis=0)).sum() / 6)
-
-
-def _fill(gmsh, sides: tuple[Side, Side]) -> Slab:
-    """Mesh the slab between two pieces; tries several offsets.
+def fill(sides: tuple[Side, Side]) -> Slab:
+    """Cells between two facing pieces.
 
     Raises:
-        InterfaceError: The loops don't match; no offset gives a valid mesh.
+        InterfaceError: Their boundaries don't match; there is no valid mesh.
     """
-    side0, side1 = sides
-    walls = side_walls(side0, side1)
-    n0 = len(side0.vertices)
-    triangles = np.vstack((side0.triangles[:, ::-1], n0 + side1.triangles[:, ::-1], walls))
-    h = max(side.surface.size[side.facets].mean() for side in sides)
-    reasons = []
-    shells = [triangles]
-    if not len(walls):  # closed surfaces: the outer one first
-        shells = [triangles[: len(side0.facets)], triangles[len(side0.facets) :]]
-        shells.sort(key=lambda part: -_enclosed(np.vstack((side0.x, side1.x)), part))
-    normals = side1.vertex_normals
-    mean = normals.mean(axis=0) / max(np.linalg.norm(normals.mean(axis=0)), 1e-3)
-    for offset, own, algorithm in ATTEMPTS:
-        pushed = side1.x - offset * h * (normals if own else mean)
-        surface = np.vstack((side0.x, pushed))
-        try:
-            x, cells = tetrahedra.fill(gmsh, surface, shells, algorithm)
-        except tetrahedra.MeshingError as error:
-            reasons.append((f"Gmsh: {error}", None))
-            continue
-        volume = _volumes(x, cells)
-        cells[volume < 0] = cells[volume < 0][:, [0, 2, 1, 3]]
-        reason = _pushed_off_error(x, cells, triangles, len(side0.facets) + len(side1.facets))
-        if reason is None:
-            slab = Slab(sides, cells, _interior_hosts(sides, pushed, x[len(surface) :]))
-            slab = _without_flat_walls(slab)
-            wrong = _turned_over(slab)
-            if not wrong.any():
-                return slab
-            place = slab.x[slab.cells[wrong.argmax()]].mean(axis=0)
-            reason = f"{wrong.sum()} cells are flat or inverted", place
-        reasons.append(reason)
-    reason, place = min(reasons, key=lambda r: r[1] is None)
-    place = side1.x.mean(axis=0) if place is None else place
-    raise InterfaceError(
-        f"no mesh of the gap between Γ0 and Γ1 around {place}, tried with {len(ATTEMPTS)} offsets: "
-        f"{reason}. Do the surfaces have the same shape there? Refine the coarser one."
-    )
-
-
-def _pushed_off_error(x, cells, triangles, num_facets: int):
-    """What is wrong with the mesh of the pushed-off slab, and where, or None."""
-    faces = np.vstack([np.delete(cells, k, axis=1) for k in range(4)])
-    missing = _find(faces, triangles[:num_facets]) < 0
-    if missing.any():
-        place = x[triangles[:num_facets][missing.argmax()]].mean(axis=0)
-        return f"{missing.sum()} facets are no faces of it", place
-    volume = _volumes(x, cells)
-    if not volume.min() > 0:
-        return "it has cells without volume", x[cells[volume.argmin()]].mean(axis=0)
-    enclosed = _enclosed(x, triangles)
-    if not np.isclose(volume.sum(), enclosed, rtol=1e-8):
-        return f"it has the volume {volume.sum():.6g}, not {enclosed:.6g}", x.mean(axis=0)
-    return None
-
-
-def _turned_over(slab: Slab) -> npt.NDArray[np.bool_]:
-    """Which cells are flat or inverted with Γ1 where it belongs, ``(num_cells,)``."""
-    x, alpha = slab.x[slab.cells], slab.alpha[slab.cells]
-    X = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-    dalpha = alpha[:, 1:] - alpha[:, :1]
-    N = np.einsum("cij,cj->ci", cofactor(X), dalpha)
-    size = (np.linalg.norm(X, axis=1) ** 2).max(axis=1) * np.abs(dalpha).max(axis=1)
-    return ~(np.einsum("ci,ci->c", N, slab.normal) > FLAT * size)
-
-
-def _without_flat_walls(slab: Slab) -> Slab:
-    """Take away cells that lie flat in the side walls: their four nodes are all on the boundary.
-
-    What is left has another diagonal there, and walls are free to have any.
-    """
-    while True:
-        flat = _turned_over(slab)
-        if not flat.any():
-            return slab
-        faces = np.sort(np.stack([np.delete(slab.cells, k, axis=1) for k in range(4)], 1), axis=2)
-        _, which, count = np.unique(
-            faces.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
+    problem = front.Problem.between(*sides)
+    filling = front.construct(problem, _place(sides))
+    if filling is None:
+        raise InterfaceError(
+            f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
+            "surfaces have the same shape there? Refine the coarser one."
         )
-        bare = (count[which.reshape(-1, 4)] == 1).sum(axis=1)
-        base = (slab.bases[0] >= 0) | (slab.bases[1] >= 0)
-        peel = flat & (bare == 2) & ~base
-        if not peel.any():
-            return slab
-        slab = replace(slab, cells=slab.cells[~peel])
-
-
-def _interior_hosts(sides: tuple[Side, Side], pushed, x) -> Hosts:
-    """Where vertices that the mesher added in the pushed-off slab belong.
-
-    Args:
-        sides: The pieces.
-        pushed: Vertices of Γ1's piece in the slab.
-        x: The vertices added, ``(num_interior, 3)``.
-    """
-    facets, X, distance = [], [], []
-    for vertices, side in zip((sides[0].x, pushed), sides, strict=True):
-        centres = vertices[side.triangles].mean(axis=1)
-        nearest = [np.linalg.norm(centres - point, axis=1).argmin() for point in x]
-        seed = np.array(nearest, dtype=np.intp)
-        facet, at = project(vertices, side.triangles, side.behind, x, seed)
-        weights = np.column_stack((1 - at.sum(axis=1), at))
-        foot = np.einsum("pv,pvi->pi", weights, vertices[side.triangles[facet]])
-        facets.append(facet[None])
-        X.append(at[None])
-        distance.append(np.linalg.norm(x - foot, axis=1))
-    total = distance[0] + distance[1]
-    alpha = distance[0] / np.where(total > 0, total, 1)
-    return Hosts(alpha[None], (facets[0], facets[1]), (X[0], X[1]))
-
-
-def _mesh(sides: list[tuple[Side, Side]]) -> list[tuple]:
-    """Cells and interior vertices of the slabs."""
-    with tetrahedra.session() as gmsh:
-        slabs = [_fill(gmsh, pair) for pair in sides]
-    return [(slab.cells, slab.inner) for slab in slabs]
+    alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
+    facets, X = (
+        tuple(
+            np.array([host[k][i] for host in filling.hosts], dtype=kind).reshape(shape)
+            for i in (0, 1)
+        )
+        for k, kind, shape in ((1, np.intp, (1, -1)), (2, float, (1, -1, 2)))
+    )
+    return Slab(sides, filling.cells, Hosts(alpha, facets, X))
 
 
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
@@ -373,7 +270,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     Raises:
         InterfaceError: Surfaces that don't face each other or don't end at the same place, or
             for which there is no valid mesh.
-        ImportError: Gmsh is missing.
+        RuntimeError: There is no C compiler.
     """
     group0, group1 = facing_pieces(surface0, surface1)
     sides = [
@@ -386,8 +283,9 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     result, error = None, None
     if comm.rank == 0:
         try:
-            result = _mesh(sides)
-        except (InterfaceError, ImportError) as e:
+            slabs = [fill(pair) for pair in sides]
+            result = [(slab.cells, slab.inner) for slab in slabs]
+        except (InterfaceError, RuntimeError) as e:
             error = e
     kind = comm.bcast(type(error) if error else InterfaceError)
     raise_on_all(comm, str(error) if error else None, kind)

@@ -1,0 +1,243 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Cavities that a front leaves: each becomes a cone to one node between the surfaces."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.metric import FACES, areas, face_keys
+from hypergap_dolfinx.graph import components
+
+INSET = 0.02  # least share of α that an interior node keeps from both surfaces
+SEES = 1e-3  # how far inside (in edge lengths) a point must be that sees all faces
+ROUNDS = 200  # of removing cells around a cavity
+
+Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
+"""``place(x, alpha, vertices)``: the place and the normal of a node hosted on both sides near x, and
+its hosts; vertices are those around."""
+
+
+@dataclass
+class Cells:
+    """Cells from which some are taken and to which others are added."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals at the vertices, from Γ0 to Γ1."""
+    cells: npt.NDArray[np.integer]
+    """``(num_cells, 4)``."""
+
+
+def unmatched(cells, outer) -> npt.NDArray[np.integer]:
+    """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+
+    Returns:
+        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``.
+    """
+    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
+    _, which, count = np.unique(face_keys(faces), return_inverse=True, return_counts=True)
+    return faces[count[which] == 1]
+
+
+def fill(mesh: Cells, outer, place: Place):
+    """Fill what is missing.
+
+    Args:
+        mesh: The cells there are.
+        outer: The boundary's triangles, counterclockwise seen from inside.
+        place: Puts a node between the surfaces.
+
+    Returns:
+        The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
+    """
+    faces = unmatched(mesh.cells, outer)
+    behind = _Behind(mesh.cells)
+    hosts, cones, num = [], [], len(mesh.x)
+    for cavity in _parts(faces):
+        found = _cone(mesh, cavity, behind, place)
+        if found is None:
+            return None
+        cavity, (x, alpha, normal, host) = found
+        cones.append(np.column_stack((cavity, np.full(len(cavity), len(mesh.x)))))
+        mesh = Cells(
+            np.vstack((mesh.x, x)),
+            np.append(mesh.alpha, alpha),
+            np.vstack((mesh.normals, normal)),
+            mesh.cells,
+        )
+        hosts.append(host)
+    mesh.cells = np.vstack((mesh.cells[behind.left], *cones))
+    assert len(mesh.x) == num + len(hosts)
+    return mesh, hosts
+
+
+def _parts(faces) -> list[npt.NDArray[np.integer]]:
+    """Cavities: faces that hang together by edges."""
+    edge = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
+    _, which = np.unique(edge, axis=0, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    same = which[order[1:]] == which[order[:-1]]
+    f, g = order[:-1][same] // 3, order[1:][same] // 3
+    part = components(len(faces), f, g)
+    return [faces[part == i] for i in range(part.max(initial=-1) + 1)]
+
+
+class _Behind:
+    """The cell behind a face of a cavity; cells can be taken away."""
+
+    def __init__(self, cells):
+        self.cells = cells
+        self.left = np.ones(len(cells), dtype=bool)
+        key = face_keys(cells[:, FACES].reshape(-1, 3))
+        self._order = np.argsort(key, kind="stable")
+        self._key = key[self._order]
+
+    def of(self, faces) -> npt.NDArray[np.intp]:
+        """Cells that are left and have the faces, −1 where there is none."""
+        found = np.full(len(faces), -1)
+        first = np.searchsorted(self._key, face_keys(faces))
+        wanted = face_keys(faces)
+        for i in (0, 1):
+            at = np.minimum(first + i, len(self._key) - 1)
+            cell = self._order[at] // 4
+            good = (self._key[at] == wanted) & self.left[cell]
+            found[good] = cell[good]
+        return found
+
+
+def _without(faces, cells) -> npt.NDArray[np.integer]:
+    """The faces around a cavity after the cells behind some of them are gone."""
+    kept = {tuple(sorted(face)): tuple(face) for face in faces.tolist()}
+    for face in cells[:, FACES].reshape(-1, 3).tolist():
+        key = tuple(sorted(face))
+        if key in kept:
+            del kept[key]
+        else:
+            kept[key] = tuple(face[::-1])
+    return np.array(list(kept.values()), dtype=np.intp).reshape(-1, 3)
+
+
+def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
+    """Grow a cavity till a point sees all of it.
+
+    Returns:
+        Its faces, and the node: place, α, normal and hosts; None if there is none.
+    """
+    for _ in range(ROUNDS):
+        if not len(faces):
+            return None
+        x, alpha, slack = _sees_best(mesh, faces)
+        if slack.min() > SEES:
+            node = place(x, alpha, np.unique(faces))
+            D, scale = _seen(mesh, faces, *node[:3])
+            if (D > 1e-6 * scale).all():
+                return faces, node
+            slack = D / scale
+        in_the_way = slack <= slack.min() + 1e-6
+        gone = behind.of(faces[in_the_way])
+        if not (gone >= 0).any():  # facets of the surfaces: make room beside them
+            ends = np.isin(faces, faces[in_the_way]).sum(axis=1)
+            for shared in (2, 1, 0):
+                gone = behind.of(faces[ends >= shared])
+                if (gone >= 0).any():
+                    break
+        gone = np.unique(gone[gone >= 0])
+        if not len(gone):
+            return None
+        behind.left[gone] = False
+        faces = _without(faces, behind.cells[gone])
+    return None
+
+
+def _seen(mesh: Cells, faces, x, alpha, normal):
+    """D of the cells between faces and a point, and their scale."""
+    nodes = np.column_stack((faces, np.full(len(faces), len(mesh.x))))
+    return areas(
+        np.vstack((mesh.x, x))[nodes],
+        np.append(mesh.alpha, alpha)[nodes],
+        np.vstack((mesh.normals, normal))[nodes].sum(axis=1),
+    )
+
+
+def _sees_best(mesh: Cells, faces):
+    """The point that is farthest inside of all faces, in the plane of the mean normal and in α.
+
+    Returns:
+        Its place, its α, and by how much it is inside of each face.
+    """
+    v = mesh.x[faces]
+    centre = v.mean(axis=(0, 1))
+    h = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).mean()
+    normal = mesh.normals[faces].mean(axis=(0, 1))
+    normal /= max(np.linalg.norm(normal), 1e-300)
+    tangents = np.linalg.svd(normal[None])[2][1:]
+    # D is affine in the point: its values at four points give it
+    points = np.array([(0, 0, 0.5), (1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.5)])
+    D = np.column_stack(
+        [_seen(mesh, faces, centre + h * p[:2] @ tangents, p[2], normal)[0] for p in points]
+    )
+    gradient = D[:, 1:] - D[:, :1]
+    offset = D[:, 0] - gradient[:, 2] / 2
+    length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-12 * h**2)
+    gradient, offset = gradient / length[:, None], offset / length
+    # Maximise r: gradient · z + offset ≥ r, and r away from both surfaces
+    A = np.column_stack((-gradient, np.ones(len(faces))))
+    A = np.vstack((A, (0, 0, -1, 1), (0, 0, 1, 1)))
+    b = np.concatenate((offset, (-INSET, 1 - INSET)))
+    z = linear_program(A, b, np.array((0.0, 0.0, 0.0, 1.0)), 100.0)
+    slack = gradient @ z[:3] + offset
+    return centre + h * z[:2] @ tangents, float(np.clip(z[2], INSET, 1 - INSET)), slack
+
+
+def linear_program(A, b, c, bound: float) -> npt.NDArray[np.float64]:
+    """Maximise c · z where A z ≤ b and |z_i| ≤ bound, by Seidel's method: few unknowns.
+
+    Constraints come one after the other. One that the best point so far violates holds with
+    equality, which leaves a problem with one unknown less. Where nothing is feasible the point
+    returned violates some.
+    """
+    num = len(c)
+    if num == 1:
+        low, high = -bound, bound
+        a = A[:, 0]
+        up, down = a > 1e-12, a < -1e-12
+        high = min(high, (b[up] / a[up]).min(initial=np.inf))
+        low = max(low, (b[down] / a[down]).max(initial=-np.inf))
+        return np.array([high if c[0] >= 0 else low])
+    z = np.where(c >= 0, bound, -bound).astype(float)
+    start = 0
+    while start < len(b):
+        violated = np.flatnonzero(A[start:] @ z > b[start:] + 1e-10)
+        if not len(violated):
+            break
+        i = start + int(violated[0])
+        k = int(np.abs(A[i]).argmax())
+        if abs(A[i, k]) < 1e-12:
+            start = i + 1
+            continue
+        # z_k = (b_i − Σ_j A_ij z_j) / A_ik
+        rest = np.delete(np.arange(num), k)
+        row, value = A[i, rest] / A[i, k], b[i] / A[i, k]
+        sub = A[:i, rest] - A[:i, k, None] * row
+        right = b[:i] - A[:i, k] * value
+        sub = np.vstack((sub, -row, row))
+        right = np.concatenate((right, (bound - value, bound + value)))
+        part = linear_program(sub, right, c[rest] - c[k] * row, bound)
+        z = np.empty(num)
+        z[rest] = part
+        z[k] = value - row @ part
+        start = i + 1
+    return z
