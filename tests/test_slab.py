@@ -18,7 +18,7 @@ import basix
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import InterfaceError, Tie
-from hypergap_dolfinx.gap import slab, tetrahedra
+from hypergap_dolfinx.gap import slab
 from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.gap.triangulation import components, kinks, neighbours, project
