@@ -63,25 +63,23 @@ def fill(mesh: Cells, outer, place: Place):
     Returns:
         The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
     """
-    faces = unmatched(mesh.cells, outer)
     behind = _Behind(mesh.cells)
-    hosts, cones, num = [], [], len(mesh.x)
-    for cavity in _parts(faces):
+    nodes, cones = [], []
+    for cavity in _parts(unmatched(mesh.cells, outer)):
         found = _cone(mesh, cavity, behind, place)
         if found is None:
             return None
-        cavity, (x, alpha, normal, host) = found
-        cones.append(np.column_stack((cavity, np.full(len(cavity), len(mesh.x)))))
-        mesh = Cells(
-            np.vstack((mesh.x, x)),
-            np.append(mesh.alpha, alpha),
-            np.vstack((mesh.normals, normal)),
-            mesh.cells,
-        )
-        hosts.append(host)
-    mesh.cells = np.vstack((mesh.cells[behind.left], *cones))
-    assert len(mesh.x) == num + len(hosts)
-    return mesh, hosts
+        cavity, node = found
+        number = len(mesh.x) + len(nodes)
+        cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
+        nodes.append(node)
+    x, alpha, normals, hosts = zip(*nodes, strict=True)
+    return Cells(
+        np.vstack((mesh.x, *x)),
+        np.append(mesh.alpha, alpha),
+        np.vstack((mesh.normals, *normals)),
+        np.vstack((mesh.cells[behind.left], *cones)),
+    ), list(hosts)
 
 
 def _parts(faces) -> list[npt.NDArray[np.integer]]:
@@ -92,7 +90,8 @@ def _parts(faces) -> list[npt.NDArray[np.integer]]:
     same = which[order[1:]] == which[order[:-1]]
     f, g = order[:-1][same] // 3, order[1:][same] // 3
     part = components(len(faces), f, g)
-    return [faces[part == i] for i in range(part.max(initial=-1) + 1)]
+    order = np.argsort(part, kind="stable")
+    return np.split(faces[order], np.flatnonzero(np.diff(part[order])) + 1)
 
 
 class _Behind:
@@ -164,12 +163,13 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
 
 def _seen(mesh: Cells, faces, x, alpha, normal):
     """D of the cells between faces and a point, and their scale."""
-    nodes = np.column_stack((faces, np.full(len(faces), len(mesh.x))))
-    return areas(
-        np.vstack((mesh.x, x))[nodes],
-        np.append(mesh.alpha, alpha)[nodes],
-        np.vstack((mesh.normals, normal))[nodes].sum(axis=1),
-    )
+
+    def with_point(values, at):
+        own = np.broadcast_to(np.asarray(at, dtype=float), values[:, :1].shape)
+        return np.concatenate((values, own), axis=1)
+
+    normals = with_point(mesh.normals[faces], normal).sum(axis=1)
+    return areas(with_point(mesh.x[faces], x), with_point(mesh.alpha[faces], alpha), normals)
 
 
 def _sees_best(mesh: Cells, faces):

@@ -18,8 +18,8 @@ from hypergap_dolfinx.gap.walls import Rim, Side, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
-SWEEPS = 5000  # of the search for weights, before it is given up; fewer if there are many edges
-VISITS = 20_000_000  # the same, times edges
+SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
+VISITS = 5_000_000  # the same, times edges
 
 
 @dataclass(frozen=True)
