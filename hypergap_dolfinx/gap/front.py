@@ -5,8 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
 VISITS = 5_000_000  # the same, times edges
+VARIANTS = ((True, False), (True, True), (False, False), (False, True))
+"""Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
+CELLS = 30  # a front that makes more of them for each facet is given up
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,11 @@ class Problem:
     """Number of Γ0's vertices."""
     facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
     """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
+    edges: npt.NDArray[np.integer]
+    """Inner edges of both: ends q and r, p on their left and s on their right; and two edges of the
+    boundary, a, b, c, −1: ``(num_edges, 4)``."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals of the vertices, from Γ0 to Γ1."""
     rims: list[Rim]
     """Boundaries that face each other; none of closed surfaces."""
 
@@ -44,128 +52,145 @@ class Problem:
         """
         n0 = len(side0.vertices)
         facets = side0.triangles, n0 + side1.triangles[:, ::-1]
-        return cls(np.vstack((side0.x, side1.x)), n0, facets, rims(side0, side1))
+        edges1 = side1.inner_edges
+        edges = [side0.inner_edges, n0 + edges1[:, [1, 0, 2, 3]]]
+        pairs = rims(side0, side1)
+        for rim in pairs:
+            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
+                three = (np.roll(loop, -k) for k in range(3))
+                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
+        normals = np.vstack((side0.unit_normals, -side1.unit_normals))
+        x = np.vstack((side0.x, side1.x))
+        return cls(x, n0, facets, np.vstack(edges), normals, pairs)
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the finer side's edges, in the mean."""
+        means = []
+        for facets in self.facets:
+            edge = self.x[facets[:, 1]] - self.x[facets[:, 0]]
+            means.append(np.sqrt(np.einsum("fi,fi->f", edge, edge)).mean())
+        return float(min(means))
+
+    @cached_property
+    def order(self) -> npt.NDArray[np.intp]:
+        """The vertices of Γ0 and then those of Γ1, each along a curve that fills space.
+
+        What is near in space is then near in memory: of large meshes that is most of the time.
+        """
+        low = self.x.min(axis=0)
+        grid = ((self.x - low) * (1023 / max(np.ptp(self.x), 1e-300))).astype(np.int64)
+        code = sum(_spread(grid[:, i]) << i for i in range(3))
+        code[self.n0 :] += 1 << 30
+        return np.argsort(code, kind="stable")
+
+    @cached_property
+    def shift(self) -> npt.NDArray[np.float64]:
+        """By what Γ1 is displaced for the order of the moves, so that no two are tied.
+
+        A closed surface slides along itself. An open one is stretched, so that its walls lean
+        outwards. Both leave edges parallel that are, where surfaces are plane.
+        """
+        x, normal = self.x[self.n0 :], self.normals[self.n0 :]
+        shift = np.broadcast_to(GENERIC, x.shape)
+        if self.rims:
+            outwards = x - x.mean(axis=0)
+            reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
+            shift = outwards / reach + 0.1 * GENERIC
+        shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
+        return SHIFT * self.size * shift
 
     def walls(self, shift, weights) -> npt.NDArray[np.intp]:
-        """Side walls, counterclockwise seen from outside, with Γ1 displaced."""
-        empty = np.empty((0, 3), dtype=np.intp)
-        return np.vstack([empty, *(rim.walls(self.n0, shift, weights) for rim in self.rims)])
+        """Side walls, counterclockwise seen from inside, with Γ1 displaced."""
+        found = [rim.walls(self.n0, shift, weights)[:, ::-1] for rim in self.rims]
+        return np.vstack(found) if found else np.empty((0, 3), dtype=np.intp)
+
+
+def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Two zeros between the bits of ten-bit numbers."""
+    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+        a = (a | (a << shift)) & mask
+    return a
+
+
+@dataclass(frozen=True)
+class Front:
+    """What a front has made."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_cells, 4)``."""
+    walls: npt.NDArray[np.intp]
+    """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
+    left: int
+    """Number of its triangles that are no facets of the surface where it ends."""
+    wrong: tuple[int, int]
+    """Number of cells that are flat or inverted, and of faces that don't have one cell on each
+    side."""
 
     @property
-    def normals(self) -> npt.NDArray[np.float64]:
-        """Unit normals of the vertices, from Γ0 to Γ1."""
-        total = np.zeros_like(self.x)
-        for facets in self.facets:
-            unit = facet_normals(self.x, facets)
-            for i in range(3):
-                total[:, i] += np.bincount(
-                    facets.ravel(), np.repeat(unit[:, i], 3), minlength=len(total)
-                )
-        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    def is_valid(self) -> bool:
+        """Whether the cells are valid, and nothing is missing."""
+        return self.left == 0 and not any(self.wrong)
 
 
-def facet_normals(x, facets) -> npt.NDArray[np.float64]:
-    """Unit normals of triangles, ``(num_triangles, 3)``."""
-    normal = np.cross(x[facets[:, 1]] - x[facets[:, 0]], x[facets[:, 2]] - x[facets[:, 0]])
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-
-
-def inner_edges(facets: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
-    """Inner edges of a triangulation: their ends q and r, p on their left and s on their right."""
-    a, b, c = (np.roll(facets, -k, axis=1).ravel().astype(np.int64) for k in range(3))
-    n = int(facets.max()) + 1
-    key, back = a * n + b, b * n + a
-    order = np.argsort(key)
-    at = order[np.minimum(np.searchsorted(key[order], back), len(order) - 1)]
-    inner = (key[at] == back) & (a < b)
-    return np.column_stack((a, b, c, c[at]))[inner].astype(np.int32)
-
-
-def fill(problem: Problem, weighted: bool, reverse: bool):
-    """Let the front run.
+def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
+    """Let a front run from one surface to the other.
 
     Args:
         problem: The surfaces.
         weighted: Whether weights make the surfaces' edges locally regular.
         reverse: Whether it goes from Γ1 to Γ0.
-
-    Returns:
-        Cells ``(num_cells, 4)``, triangles that are left of the front ``(num_left, 3)``, seen from
-        where it was going, and the walls; None if there are no such weights.
     """
     module = library()
-    ffi = module.ffi
-    x, n0, n1 = problem.x, problem.n0, len(problem.x) - problem.n0
-    start, end = problem.facets[::-1] if reverse else problem.facets
-    number = np.arange(len(x))  # in the order of the front: where it starts, where it ends
+    lib, ffi = module.lib, module.ffi
+
+    def pointer(array):
+        kind = {"f": "double[]", "i": "int[]"}[array.dtype.kind]
+        return ffi.from_buffer(kind, array)
+
+    x, n, n0 = problem.x, len(problem.x), problem.n0
+    n1, sign = n - n0, -1 if reverse else 1
+    order = problem.order
     if reverse:
-        number = np.concatenate((np.arange(n0) + n1, np.arange(n1)))
-        start, end = start[:, ::-1], end[:, ::-1]
-    sign = -1 if reverse else 1
-    size = np.linalg.norm(x[start[:, 0]] - x[start[:, 1]], axis=1).mean()
-    vertices = np.zeros((len(x), 10))  # x, y, normal, weight
-    vertices[number, :3] = vertices[number, 3:6] = (x - x.mean(axis=0)) / size
-    vertices[number, 6:9] = sign * problem.normals
-
-    def pointer(kind, array):
-        return ffi.from_buffer(f"{kind}[]", array, require_writable=True)
-
-    shift = sign * displacement(problem)
-    vertices[number[n0:], 3:6] += shift / size
+        order = np.concatenate((order[n0:], order[:n0]))
+    number = np.empty(n, dtype=np.int32)  # in the front's order: where it starts, where it ends
+    number[order] = np.arange(n, dtype=np.int32)
+    y = x - x.mean(axis=0)
+    vertices = np.zeros((n, 10))
+    vertices[:, :3] = y[order]
+    y[n0:] += sign * problem.shift
+    vertices[:, 3:6] = y[order]
+    vertices[:, :6] /= problem.size
+    vertices[:, 6:9] = sign * problem.normals[order]
+    turn = [1, 0, 2] if reverse else [0, 1, 2]
+    start, end = (number[f[:, turn]] for f in problem.facets[::sign])
+    start = start[np.argsort(start.min(axis=1), kind="stable")]
     if weighted:
-        corners = [np.empty((0, 4), dtype=np.intp)]
-        for rim in problem.rims:
-            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
-                three = (number[np.roll(loop, -k)] for k in range(3))
-                corners.append(np.column_stack((*three, np.full(len(loop), -1))))
-        edges = number[np.vstack((inner_edges(start), inner_edges(end)))]
-        edges = np.vstack((edges, *corners)).astype(np.int32)
-        sweeps = module.lib.front_weights(
-            len(x), pointer("double", vertices), len(edges), pointer("int", edges),
-            min(SWEEPS, VISITS // max(len(edges), 1)),
-        )
-    walls = problem.walls(shift, vertices[number, 9] * size**2)[:, ::-1]
-    start = np.ascontiguousarray(number[np.vstack((start, walls))], dtype=np.int32)
-    end = np.ascontiguousarray(number[end], dtype=np.int32)
-    max_cells = 30 * (len(start) + len(end)) + 100
+        inner = problem.edges[:, 3] >= 0
+        edges = np.where(problem.edges < 0, -1, number[problem.edges])
+        edges[inner] = edges[inner][:, [*turn[:2], 2, 3]]
+        edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
+        sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
+        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
+    weights = vertices[number, 9] * problem.size**2
+    walls = problem.walls(sign * problem.shift, weights)
+    start = np.ascontiguousarray(np.vstack((start, number[walls])))
+    end = np.ascontiguousarray(end)
+    max_cells = CELLS * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
-    left = np.empty((len(start) + 2 * len(x), 3), dtype=np.int32)
-    counts = np.zeros(3, dtype=np.int32)
+    left = np.empty((len(start) + 2 * n, 3), dtype=np.int32)
+    counts, wrong = np.zeros(3, dtype=np.int32), np.zeros(2, dtype=np.int32)
     sides = (n1, n0) if reverse else (n0, n1)
-    status = module.lib.front_fill(
-        *sides,
-        pointer("double", vertices),
-        len(start),
-        pointer("int", start),
-        len(end),
-        pointer("int", end),
-        max_cells,
-        pointer("int", cells),
-        pointer("int", left),
-        pointer("int", counts),
-    )
+    data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
+    status = lib.front_fill(*sides, pointer(vertices), len(start), *data, pointer(counts))
+    cells = cells[: counts[0]]
+    if status == 0:
+        outer = np.vstack((start, end[:, [1, 0, 2]]))
+        data = (pointer(vertices), len(cells), pointer(cells), len(outer), pointer(outer))
+        status = lib.front_check(sides[0], n, *data, pointer(wrong))
     if status > 1:
         raise MemoryError("no memory for the cells of the gap domain")
-    back = np.argsort(number)
-    return back[cells[: counts[0]]], back[left[: counts[1]]], walls
-
-
-def displacement(problem: Problem) -> npt.NDArray[np.float64]:
-    """By what Γ1 is displaced for the predicates that order the moves, so that no two are tied.
-
-    A closed surface slides along itself. An open one is stretched, so that its walls lean outwards.
-    """
-    x, normal = problem.x[problem.n0 :], problem.normals[problem.n0 :]
-    edges = [
-        np.linalg.norm(problem.x[f] - problem.x[np.roll(f, 1, axis=1)], axis=2).mean()
-        for f in problem.facets
-    ]
-    shift = np.broadcast_to(GENERIC, x.shape)
-    if problem.rims:
-        from_centre = x - x.mean(axis=0)
-        shift = from_centre / np.linalg.norm(from_centre, axis=1).max() + 0.1 * shift
-    shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
-    return SHIFT * min(edges) * shift
+    return Front(order[cells], walls, int(counts[1]), (int(wrong[0]), int(wrong[1])))
 
 
 @dataclass(frozen=True)
@@ -190,51 +215,16 @@ def construct(problem: Problem, place: Place) -> Filling | None:
     Returns:
         The cells, None if there are none.
     """
-    normals, alpha = problem.normals, (np.arange(len(problem.x)) >= problem.n0).astype(float)
-    attempts = []
-    for weighted, reverse in ((True, False), (True, True), (False, False), (False, True)):
-        cells, left, walls = fill(problem, weighted, reverse)
-        if not len(left) and error(problem, cells, walls) is None:
-            return Filling(cells, [])
-        attempts.append((len(left), cells, walls))
-    for _, cells, walls in sorted(attempts, key=lambda attempt: attempt[0]):
-        outer = np.vstack((problem.facets[0], walls, problem.facets[1][:, ::-1]))
-        mesh = cavity.Cells(problem.x, alpha, normals, cells)
+    fronts = []
+    for variant in VARIANTS:
+        fronts.append(advance(problem, *variant))
+        if fronts[-1].is_valid:
+            return Filling(fronts[-1].cells, [])
+    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
+    for front in sorted(fronts, key=lambda front: front.left):
+        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
+        mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
         found = cavity.fill(mesh, outer, place)
         if found is not None:
-            mesh, hosts = found
-            return Filling(mesh.cells, hosts)
-    return None
-
-
-def is_valid(problem: Problem, cells, walls) -> bool:
-    return error(problem, cells, walls) is None
-
-
-def cell_areas(problem: Problem, cells):
-    x, normal = problem.x[cells], problem.normals[cells].sum(axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    alpha = (cells >= problem.n0).astype(float)
-    e = x[:, 1:] - x[:, :1]
-    da = alpha[:, 1:] - alpha[:, :1]
-    N = sum(da[:, k, None] * np.cross(e[:, (k + 1) % 3], e[:, (k + 2) % 3]) for k in range(3))
-    return np.einsum("ci,ci->c", N, normal), (e**2).sum(axis=2).max(axis=1)
-
-
-def error(problem: Problem, cells, walls) -> str | None:
-    D, scale = cell_areas(problem, cells)
-    if not (D > 1e-9 * scale).all():
-        return f"{(D <= 1e-9 * scale).sum()} cells are flat or inverted"
-    n = len(problem.x)
-    faces = np.vstack([cells[:, f] for f in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))])
-    outer = np.vstack((problem.facets[0][:, ::-1], walls[:, ::-1], problem.facets[1]))
-    def key(f):
-        s = np.sort(f, axis=1).astype(np.int64)
-        return (s[:, 0] * n + s[:, 1]) * n + s[:, 2]
-    k, c = np.unique(key(faces), return_counts=True)
-    if c.max(initial=0) > 2:
-        return "face shared by more than two"
-    b = np.sort(key(outer))
-    if not np.array_equal(k[c == 1], b):
-        return f"boundary differs {len(np.setdiff1d(b,k[c==1]))} missing, {len(np.setdiff1d(k[c==1],b))} too many"
+            return Filling(found[0].cells, found[1])
     return None

@@ -18,18 +18,21 @@ import cffi
 
 from dolfinx.jit import get_options
 
-SOURCE = Path(__file__).with_name("front.c")
+SOURCES = [Path(__file__).parent / "c" / name for name in
+           ("predicates.h", "weights.c", "front.c", "check.c")]  # fmt: skip
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
                const int *end, int max_cells, int *cells, int *left, int *counts);
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
+int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
+                int num_outer, const int *outer, int *counts);
 """
 FLAGS = ["-O2", "-g0"]
 
 
 @cache
 def library():
-    """``front.c`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
+    """The functions in ``c/`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
 
     Any number of processes may come here at once: each that finds nothing compiles in a folder of
     its own, and the file appears under its final name as a whole.
@@ -37,7 +40,7 @@ def library():
     Raises:
         RuntimeError: There is no C compiler that works.
     """
-    source = SOURCE.read_text()
+    source = "".join(path.read_text() for path in SOURCES)
     version = f"{cffi.__version__} {sys.version} {FLAGS}"
     digest = hashlib.sha256("\n".join((source, DECLARATIONS, version)).encode()).hexdigest()
     name = f"hypergap_front_{digest[:16]}"

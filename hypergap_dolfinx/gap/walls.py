@@ -49,20 +49,23 @@ class Side:
         return neighbours(self.triangles, self.surface.name, self.x)
 
     @cached_property
-    def vertex_normals(self) -> npt.NDArray[np.float64]:
-        """Vectors along which the vertices' facets all move outwards by about one."""
-        x = self.x[self.triangles]
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        total = np.zeros_like(self.x)
-        for k in range(3):
-            np.add.at(total, self.triangles[:, k], normal)
-        total /= np.linalg.norm(total, axis=1, keepdims=True)
-        cosine = np.ones(len(total))
+    def unit_normals(self) -> npt.NDArray[np.float64]:
+        """Mean of the facets' unit normals at the vertices, of length one."""
         unit = self.surface.normals[self.facets]
-        for k in range(3):
-            at = self.triangles[:, k]
-            np.minimum.at(cosine, at, np.einsum("fi,fi->f", unit, total[at]))
-        return total / np.maximum(cosine, 0.4)[:, None]
+        corner = self.triangles.ravel()
+        total = np.empty_like(self.x)
+        for i in range(3):
+            total[:, i] = np.bincount(corner, np.repeat(unit[:, i], 3), minlength=len(total))
+        length = np.sqrt(np.einsum("vi,vi->v", total, total))
+        return total / np.maximum(length, 1e-300)[:, None]
+
+    @cached_property
+    def inner_edges(self) -> npt.NDArray[np.intp]:
+        """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``."""
+        f, k = np.nonzero(self.behind > np.arange(len(self.behind))[:, None])
+        t, total = self.triangles, self.triangles.sum(axis=1)
+        q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
+        return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
@@ -199,14 +202,14 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
     t = np.roll(x0, -1, axis=0) - x0
     length = np.linalg.norm(t, axis=1)
     size = max(length.max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
-    normal = side0.vertex_normals[loop0]
+    normal = side0.unit_normals[loop0]
     for c in range(0, len(x1), 256):
         y = x1[c : c + 256, None]
         s = np.clip(np.einsum("pei,ei->pe", y - x0, t) / length**2, 0, 1)
         apart = y - (x0 + s[..., None] * t)
         edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
         apart = apart[np.arange(len(apart)), edge]
-        n = normal[edge] / np.linalg.norm(normal[edge], axis=1, keepdims=True)
+        n = normal[edge]
         apart -= np.einsum("pi,pi->p", apart, n)[:, None] * n  # a gap between them is fine
         distance = np.linalg.norm(apart, axis=1)
         if distance.max() > REACH * size:

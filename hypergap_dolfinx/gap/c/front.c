@@ -13,24 +13,6 @@
 // The order is that of a regular triangulation whose heights change with time, h − t α: between
 // two parallel planes the cells are those of the Delaunay triangulation in space.
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
-enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
-
-#define FLAT 1e-9      // D of a cell over its longest edge's square that counts as none
-#define COLLINEAR 1e-12 // the same for A of a triangle
-#define STEPS 64       // triangles that a waiting point may cross when the front has changed
-#define MARGIN 1e-6    // by how much (in the longest edge to the fourth) weights make edges regular
-
-typedef struct {
-  double x[3]; // where it is
-  double y[3]; // where predicates of the order see it: off x by what tells ties apart
-  double n[3]; // normal, from the start to the end
-  double w;    // weight
-} Vertex;
-
 typedef struct {
   int v[3];      // vertices, counterclockwise seen from the end
   int behind[3]; // triangle behind the edge from v[k] to v[k + 1], −1 at the boundary
@@ -49,8 +31,7 @@ typedef struct {
 } Edges;
 
 typedef struct {
-  int n0, n;        // vertices of the start, and all
-  Vertex *vertex;
+  Points points;
   Triangle *triangle;
   int num_triangles, max_triangles;
   int *spare, num_spare; // triangles to use again
@@ -61,106 +42,6 @@ typedef struct {
   int *cells, num_cells, max_cells;
   int failed; // no memory
 } Front;
-
-// ---------------------------------------------------------------------------------------------
-// Predicates
-
-static inline double dot(const double *a, const double *b)
-{
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-// a · (b × c)
-static inline double triple(const double *a, const double *b, const double *c)
-{
-  return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
-         + a[2] * (b[0] * c[1] - b[1] * c[0]);
-}
-
-static inline void minus(const double *a, const double *b, double *c)
-{
-  for (int i = 0; i < 3; ++i)
-    c[i] = a[i] - b[i];
-}
-
-static inline void unit_sum(const double *a, const double *b, const double *c, const double *d,
-                            double *n)
-{
-  for (int i = 0; i < 3; ++i)
-    n[i] = a[i] + b[i] + c[i] + (d ? d[i] : 0);
-  double length = sqrt(dot(n, n));
-  for (int i = 0; i < 3; ++i)
-    n[i] /= length > 0 ? length : 1;
-}
-
-// D(a,b,c,d) = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, with edges e_k from a and n the mean normal:
-// positive if the cell is not inverted. Relative to the square of the longest e_k.
-static double D(const Front *f, int a, int b, int c, int d, double *scale)
-{
-  const Vertex *v[4] = {f->vertex + a, f->vertex + b, f->vertex + c, f->vertex + d};
-  const int on[4] = {a >= f->n0, b >= f->n0, c >= f->n0, d >= f->n0};
-  double n[3], e[3][3], sum = 0, longest = 0;
-  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
-  for (int k = 0; k < 3; ++k)
-  {
-    minus(v[k + 1]->x, v[0]->x, e[k]);
-    longest = fmax(longest, dot(e[k], e[k]));
-  }
-  for (int k = 0; k < 3; ++k)
-    if (on[k + 1] != on[0])
-      sum += (on[k + 1] - on[0]) * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
-  *scale = longest;
-  return sum;
-}
-
-// H(a,b,c,d) = Σ_k dh_k (e_{k+1} × e_{k+2}) · n with h = |y|² − (y · n)² + w: positive if d is above
-// the plane through a, b, c, when each vertex is lifted by its h.
-static double H(const Vertex *a, const Vertex *b, const Vertex *c, const Vertex *d)
-{
-  const Vertex *v[4] = {a, b, c, d};
-  double n[3], e[3][3], sum = 0;
-  unit_sum(a->n, b->n, c->n, d->n, n);
-  for (int k = 0; k < 3; ++k)
-    minus(v[k + 1]->y, v[0]->y, e[k]);
-  for (int k = 0; k < 3; ++k)
-  {
-    double normal = dot(e[k], n), dh = dot(e[k], e[k]) - normal * normal + v[k + 1]->w - v[0]->w;
-    sum += dh * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
-  }
-  return sum;
-}
-
-// Whether A(a,b,c) > 0: the triangle is counterclockwise seen along its vertices' mean normal.
-static int ccw(const Front *f, int a, int b, int c)
-{
-  const Vertex *u = f->vertex + a, *v = f->vertex + b, *w = f->vertex + c;
-  double n[3], e[3], g[3];
-  unit_sum(u->n, v->n, w->n, NULL, n);
-  minus(v->y, u->y, e);
-  minus(w->y, u->y, g);
-  return triple(e, g, n) > COLLINEAR * fmax(dot(e, e), dot(g, g));
-}
-
-// A(a,b,c), for the walk
-static double A(const Front *f, int a, int b, int c)
-{
-  const Vertex *u = f->vertex + a, *v = f->vertex + b, *w = f->vertex + c;
-  double n[3], e[3], g[3];
-  unit_sum(u->n, v->n, w->n, NULL, n);
-  minus(v->y, u->y, e);
-  minus(w->y, u->y, g);
-  return triple(e, g, n);
-}
-
-// Time t = H/D at which a cell is due; whether it is a valid one.
-static int due(const Front *f, int a, int b, int c, int d, double *t)
-{
-  double scale, area = D(f, a, b, c, d, &scale);
-  if (!(area > FLAT * scale))
-    return 0;
-  *t = H(f->vertex + a, f->vertex + b, f->vertex + c, f->vertex + d) / area;
-  return isfinite(*t);
-}
 
 // The vertex opposite to the edge from a to b in a surface, −1 if it has no such edge.
 static int opposite(const Edges *edges, int a, int b)
@@ -180,13 +61,13 @@ static int is_edge(const Front *f, int a, int b)
 // Whether a triangle may be in the front: one of three vertices of the end must be its facet.
 static int allowed(const Front *f, int a, int b, int c)
 {
-  return a < f->n0 || b < f->n0 || c < f->n0 || opposite(&f->end, a, b) == c;
+  return a < f->points.n0 || b < f->points.n0 || c < f->points.n0 || opposite(&f->end, a, b) == c;
 }
 
 static int is_final(const Front *f, int t)
 {
   const int *v = f->triangle[t].v;
-  return v[0] >= f->n0 && v[1] >= f->n0 && v[2] >= f->n0;
+  return v[0] >= f->points.n0 && v[1] >= f->points.n0 && v[2] >= f->points.n0;
 }
 
 // ---------------------------------------------------------------------------------------------
@@ -322,7 +203,7 @@ static void put(Front *f, int w, int t)
 static int walk(const Front *f, int t, int w, int steps)
 {
   int best = t, previous = -1;
-  double least = -INFINITY;
+  double least = -INFINITY, scale;
   for (; steps > 0; --steps)
   {
     const Triangle *tri = f->triangle + t;
@@ -330,7 +211,7 @@ static int walk(const Front *f, int t, int w, int steps)
     int edge = -1;
     for (int k = 0; k < 3; ++k)
     {
-      double area = A(f, tri->v[k], tri->v[(k + 1) % 3], w);
+      double area = A(&f->points, tri->v[k], tri->v[(k + 1) % 3], w, &scale);
       inside = fmin(inside, area);
       if (area < beyond && tri->behind[k] >= 0 && tri->behind[k] != previous)
       {
@@ -357,18 +238,18 @@ static int insertable(const Front *f, int triangle, int w, double *t)
   const int *v = f->triangle[triangle].v;
   for (int k = 0; k < 3; ++k)
   {
-    if (v[k] >= f->n0 && !is_edge(f, v[k], w))
+    if (v[k] >= f->points.n0 && !is_edge(f, v[k], w))
       return 0;
     if (!allowed(f, v[k], v[(k + 1) % 3], w))
       return 0;
   }
-  return due(f, v[0], v[1], v[2], w, t);
+  return due(&f->points, v[0], v[1], v[2], w, t);
 }
 
 static int is_inside(const Front *f, int t, int w)
 {
   const int *v = f->triangle[t].v;
-  return ccw(f, v[0], v[1], w) && ccw(f, v[1], v[2], w) && ccw(f, v[2], v[0], w);
+  return ccw(&f->points, v[0], v[1], w) && ccw(&f->points, v[1], v[2], w) && ccw(&f->points, v[2], v[0], w);
 }
 
 // The earliest insertion into a triangle. Points that are no longer inside of it move on.
@@ -416,10 +297,10 @@ static int move_of(const Front *f, int triangle, int k, int *v)
   int q = tri->v[k], r = tri->v[(k + 1) % 3], p = tri->v[(k + 2) % 3];
   int s = f->triangle[u].v[(edge_from(f->triangle + u, r) + 2) % 3];
   v[0] = q, v[1] = r, v[2] = p, v[3] = s;
-  int n0 = f->n0;
+  int n0 = f->points.n0;
   if ((q >= n0 && r >= n0) || (p < n0 && s < n0) || p == s)
     return 0;
-  int near = ccw(f, p, q, s), far = ccw(f, p, s, r);
+  int near = ccw(&f->points, p, q, s), far = ccw(&f->points, p, s, r);
   if (near && far)
   {
     if (p >= n0 && s >= n0 && !is_edge(f, p, s))
@@ -437,7 +318,7 @@ static void offer_edge(Front *f, int t, int k)
 {
   int v[4];
   double time;
-  if (move_of(f, t, k, v) && due(f, v[0], v[1], v[2], v[3], &time))
+  if (move_of(f, t, k, v) && due(&f->points, v[0], v[1], v[2], v[3], &time))
     push(f, time, t, k);
 }
 
@@ -484,11 +365,12 @@ static void flip(Front *f, int t, int k, const int *v)
   join(f, t, u, s, p);
   join(f, u, sr, s, r);
   join(f, u, rp, r, p);
+  double scale;
   for (int i = 0; i < 2; ++i)
     for (int next, w = heads[i]; w >= 0; w = next)
     {
       next = f->next[w];
-      put(f, w, A(f, p, s, w) > 0 ? u : t);
+      put(f, w, A(&f->points, p, s, w, &scale) > 0 ? u : t);
     }
   offer_points(f, t);
   offer_points(f, u);
@@ -593,11 +475,11 @@ static int nearest(const Front *f, const Edges *start, int w)
 {
   double least = INFINITY;
   int best = 0;
-  for (int i = 0; i < f->n0; ++i)
+  for (int i = 0; i < f->points.n0; ++i)
   {
     double e[3];
-    minus(f->vertex[i].y, f->vertex[w].y, e);
-    double square = dot(e, e) * (dot(f->vertex[i].n, f->vertex[w].n) > 0.3 ? 1 : 1e6);
+    minus(f->points.vertex[i].y, f->points.vertex[w].y, e);
+    double square = dot(e, e) * (dot(f->points.vertex[i].n, f->points.vertex[w].n) > 0.3 ? 1 : 1e6);
     if (square < least && start->offset[i] < start->offset[i + 1])
     {
       least = square;
@@ -611,22 +493,22 @@ static int nearest(const Front *f, const Edges *start, int w)
 // other, so each walk begins where one has ended.
 static int locate(Front *f, const Edges *start)
 {
-  int *queue = malloc((f->n + 1) * sizeof(int)), *near = malloc((f->n + 1) * sizeof(int));
+  int *queue = malloc((f->points.n + 1) * sizeof(int)), *near = malloc((f->points.n + 1) * sizeof(int));
   if (!queue || !near)
   {
     free(queue), free(near);
     return 0;
   }
   int first = 0, last = 0;
-  for (int i = 0; i < f->n; ++i)
+  for (int i = 0; i < f->points.n; ++i)
     near[i] = -1;
-  for (int i = f->n0; i < f->n; ++i) // those at the upper rim of the walls
+  for (int i = f->points.n0; i < f->points.n; ++i) // those at the upper rim of the walls
     if (start->offset[i] < start->offset[i + 1])
     {
       near[i] = start->triangle[start->offset[i]];
       queue[last++] = i;
     }
-  for (int i = f->n0; i < f->n; ++i)
+  for (int i = f->points.n0; i < f->points.n; ++i)
   {
     if (near[i] < 0 && first == last && f->end.offset[i] < f->end.offset[i + 1])
     {
@@ -705,19 +587,18 @@ int front_fill(int n0, int n1, const double *vertices, int num_start, const int 
                const int *end, int max_cells, int *cells, int *left, int *counts)
 {
   int status = NO_MEMORY;
-  Front f = {.n0 = n0, .n = n0 + n1, .cells = cells, .max_cells = max_cells};
+  Front f = {.points = {n0, n0 + n1, (const Vertex *)vertices}, .cells = cells, .max_cells = max_cells};
   Edges first = {0};
   f.max_triangles = num_start + 2 * n1 + 2;
   f.triangle = malloc(f.max_triangles * sizeof(Triangle));
   f.spare = malloc(f.max_triangles * sizeof(int));
-  f.home = malloc((f.n + 1) * sizeof(int));
-  f.next = malloc((f.n + 1) * sizeof(int));
-  f.vertex = (Vertex *)vertices;
-  counts[0] = counts[1] = counts[2] = 0;
-  if (!f.triangle || !f.spare || !f.home || !f.next || !sort_edges(&f.end, f.n, num_end, end)
-      || !sort_edges(&first, f.n, num_start, start))
+  f.home = malloc((f.points.n + 1) * sizeof(int));
+  f.next = malloc((f.points.n + 1) * sizeof(int));
+    counts[0] = counts[1] = counts[2] = 0;
+  if (!f.triangle || !f.spare || !f.home || !f.next || !sort_edges(&f.end, f.points.n, num_end, end)
+      || !sort_edges(&first, f.points.n, num_start, start))
     goto finish;
-  for (int i = 0; i < f.n; ++i)
+  for (int i = 0; i < f.points.n; ++i)
     f.home[i] = f.next[i] = -1;
   for (int t = 0; t < num_start; ++t)
   {
@@ -746,104 +627,10 @@ int front_fill(int n0, int n1, const double *vertices, int num_start, const int 
       memcpy(left + 3 * counts[1]++, f.triangle[t].v, 3 * sizeof(int));
       status = STUCK;
     }
-  for (int i = n0; i < f.n; ++i)
+  for (int i = n0; i < f.points.n; ++i)
     counts[2] += f.home[i] >= 0;
 finish:
   free_edges(&f.end), free_edges(&first);
   free(f.triangle), free(f.spare), free(f.home), free(f.next), free(f.heap);
   return status;
-}
-
-// One constraint on the weights: the sum of c[k] times them is at least bound.
-typedef struct {
-  double c[4], bound, tolerance;
-} Constraint;
-
-// The edge from q to r must be regular, H(q,r,p,s) ≥ MARGIN m⁴.
-static Constraint inner_edge(const Vertex *vertex, const int *edge)
-{
-  const Vertex *v[4];
-  double n[3], e[3][3], longest = 0;
-  Constraint g = {0};
-  for (int k = 0; k < 4; ++k)
-    v[k] = vertex + edge[k];
-  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
-  for (int k = 0; k < 3; ++k)
-  {
-    minus(v[k + 1]->y, v[0]->y, e[k]);
-    longest = fmax(longest, dot(e[k], e[k]));
-  }
-  for (int k = 0; k < 3; ++k)
-  {
-    g.c[k + 1] = triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
-    g.c[0] -= g.c[k + 1];
-  }
-  double height = H(v[0], v[1], v[2], v[3]), margin = MARGIN * longest * longest;
-  // An edge between cocircular points is regular enough
-  double least = height < -FLAT * longest * longest ? margin : fmax(0, fmin(margin, height));
-  g.bound = least - height;
-  g.tolerance = 0.5 * margin;
-  return g;
-}
-
-// Two edges of the boundary, from a to b and on to c, must be regular for the wall:
-// (h_c − h_b) / |c − b| − (h_b − h_a) / |b − a| ≥ MARGIN m, with h = s² + w along them.
-static Constraint rim(const Vertex *vertex, const int *v)
-{
-  double e[3], g[3];
-  Constraint constraint = {0};
-  minus(vertex[v[1]].y, vertex[v[0]].y, e);
-  minus(vertex[v[2]].y, vertex[v[1]].y, g);
-  double a = sqrt(dot(e, e)), b = sqrt(dot(g, g)), margin = MARGIN * (a + b);
-  constraint.c[0] = 1 / a;
-  constraint.c[1] = -1 / a - 1 / b;
-  constraint.c[2] = 1 / b;
-  constraint.bound = margin - (a + b);
-  constraint.tolerance = 0.5 * margin;
-  return constraint;
-}
-
-// Weights that make a triangulation locally regular: reflected at one violated constraint after the
-// other (Motzkin and Schoenberg), they end where none is.
-//
-// vertices    as of front_fill; their weights are set
-// num, edges  q, r, p, s of each inner edge; a, b, c, −1 for two edges on the boundary
-// sweeps      at most; returned is how many were needed, −1 if these were too few (weights are
-//             then better than none)
-int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
-{
-  Vertex *vertex = (Vertex *)vertices;
-  Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
-  if (!constraints)
-    return -1;
-  for (int i = 0; i < n; ++i)
-    vertex[i].w = 0;
-  for (int i = 0; i < num; ++i)
-    constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
-  int sweep = 0, violated = 1;
-  for (; violated && sweep <= sweeps; ++sweep)
-  {
-    violated = 0;
-    for (int i = 0; i < num; ++i)
-    {
-      Constraint *g = constraints + i;
-      const int *v = edges + 4 * i, terms = v[3] < 0 ? 3 : 4;
-      double value = 0, square = 0;
-      for (int k = 0; k < terms; ++k)
-      {
-        value += g->c[k] * vertex[v[k]].w;
-        square += g->c[k] * g->c[k];
-      }
-      if (!(square > 0))
-        continue;
-      if (g->bound - value <= g->tolerance)
-        continue;
-      violated = 1;
-      double step = 2 * (g->bound - value) / square;
-      for (int k = 0; k < terms; ++k)
-        vertex[v[k]].w += step * g->c[k];
-    }
-  }
-  free(constraints);
-  return violated ? -1 : sweep;
 }
