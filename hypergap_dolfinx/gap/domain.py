@@ -122,7 +122,6 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
 
     Raises:
         InterfaceError: The surfaces don't form an interface.
-        ImportError: Gmsh is missing (3D).
     """
     tdim = surface0.gdim
     gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
