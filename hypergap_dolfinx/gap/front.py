@@ -18,6 +18,7 @@ from hypergap_dolfinx.gap.walls import Rim, Side, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
+LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
 VISITS = 5_000_000  # the same, times edges
 VARIANTS = ((True, False), (True, True), (False, False), (False, True))
@@ -88,16 +89,25 @@ class Problem:
     def shift(self) -> npt.NDArray[np.float64]:
         """By what Γ1 is displaced for the order of the moves, so that no two are tied.
 
-        A closed surface slides along itself. An open one is stretched, so that its walls lean
-        outwards. Both leave edges parallel that are, where surfaces are plane.
+        Edges that are parallel stay so, which decides about all cells between two edges: the
+        displacement is constant on a closed surface and a dilation of an open one, so that its
+        walls lean outwards. Where a wall would still lean inwards, as in a hole, its rim is moved.
         """
+        shift = np.tile(GENERIC, (len(self.x) - self.n0, 1))
+        if not self.rims:
+            return SHIFT * self.size * shift
         x, normal = self.x[self.n0 :], self.normals[self.n0 :]
-        shift = np.broadcast_to(GENERIC, x.shape)
-        if self.rims:
-            outwards = x - x.mean(axis=0)
-            reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
-            shift = outwards / reach + 0.1 * GENERIC
-        shift = shift - np.einsum("vi,vi->v", shift, normal)[:, None] * normal
+        outwards = x - x.mean(axis=0)
+        reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
+        shift = outwards / reach + 0.1 * GENERIC
+        for rim in self.rims:
+            nodes = rim.nodes[1]
+            edge = np.roll(x[nodes], -1, axis=0) - x[nodes]
+            edge /= np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
+            conormal = np.cross(edge + np.roll(edge, 1, axis=0), normal[nodes])
+            conormal /= np.maximum(np.linalg.norm(conormal, axis=1, keepdims=True), 1e-300)
+            leans = np.einsum("vi,vi->v", shift[nodes], conormal)
+            shift[nodes] += np.maximum(LEAN - leans, 0)[:, None] * conormal
         return SHIFT * self.size * shift
 
     def walls(self, shift, weights) -> npt.NDArray[np.intp]:
