@@ -16,7 +16,8 @@ from hypergap_dolfinx.graph import components
 
 INSET = 0.02  # least share of α that an interior node keeps from both surfaces
 SEES = 1e-3  # how far inside (in edge lengths) a point must be that sees all faces
-ROUNDS = 200  # of removing cells around a cavity
+ROUNDS = 100  # of removing cells around a cavity
+LARGE = 400  # faces of a cavity that is given up
 
 Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
 """``place(x, alpha, vertices)``: the place and the normal of a node hosted on both sides near x, and
@@ -136,7 +137,7 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
         Its faces, and the node: place, α, normal and hosts; None if there is none.
     """
     for _ in range(ROUNDS):
-        if not len(faces):
+        if not 0 < len(faces) <= LARGE:
             return None
         x, alpha, slack = _sees_best(mesh, faces)
         if slack.min() > SEES:

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap import cavity
+from hypergap_dolfinx.gap import cavity, prisms
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.walls import Rim, Side, rims
@@ -20,7 +20,7 @@ SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
-VISITS = 5_000_000  # the same, times edges
+VISITS = 30_000_000  # the same, times edges
 VARIANTS = ((True, False), (True, True), (False, False), (False, True))
 """Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
 CELLS = 30  # a front that makes more of them for each facet is given up
@@ -203,6 +203,40 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
     return Front(order[cells], walls, int(counts[1]), (int(wrong[0]), int(wrong[1])))
 
 
+def twinned(problem: Problem) -> Front | None:
+    """Prisms between surfaces that match or nearly do: there a front would have to guess.
+
+    Returns:
+        None if they don't match.
+    """
+    facets0, facets1 = problem.facets
+    x, n0 = problem.x, problem.n0
+    twin = prisms.twins(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    if twin is None:
+        return None
+    cells = prisms.prisms(facets0, twin, n0)
+    walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
+    vertices = np.zeros((len(x), 10))
+    vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
+    vertices[:, 6:9] = problem.normals
+    outer = np.vstack((facets0, walls, facets1[:, ::-1])).astype(np.int32)
+    wrong = np.zeros(2, dtype=np.int32)
+    module = library()
+    status = module.lib.front_check(
+        n0,
+        len(x),
+        module.ffi.from_buffer("double[]", vertices),
+        len(cells),
+        module.ffi.from_buffer("int[]", cells.astype(np.int32)),
+        len(outer),
+        module.ffi.from_buffer("int[]", outer),
+        module.ffi.from_buffer("int[]", wrong),
+    )
+    if status:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return Front(cells, walls, 0, (int(wrong[0]), int(wrong[1])))
+
+
 @dataclass(frozen=True)
 class Filling:
     """Cells between two surfaces."""
@@ -226,6 +260,9 @@ def construct(problem: Problem, place: Place) -> Filling | None:
         The cells, None if there are none.
     """
     fronts = []
+    matching = twinned(problem)
+    if matching is not None and matching.is_valid:
+        return Filling(matching.cells, [])
     for variant in VARIANTS:
         fronts.append(advance(problem, *variant))
         if fronts[-1].is_valid:

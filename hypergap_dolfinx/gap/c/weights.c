@@ -31,9 +31,7 @@ static Constraint inner_edge(const Vertex *vertex, const int *edge)
     g.c[0] -= g.c[k + 1];
   }
   double height = H(v, n), margin = MARGIN * longest * longest;
-  // An edge between cocircular points is regular enough
-  double least = height < -FLAT * longest * longest ? margin : fmax(0, fmin(margin, height));
-  g.bound = least - height;
+  g.bound = margin - height;
   g.tolerance = 0.5 * margin;
   return g;
 }
