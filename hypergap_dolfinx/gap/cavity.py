@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.metric import FACES, areas, face_keys
 from hypergap_dolfinx.graph import components
 
@@ -204,41 +205,14 @@ def _sees_best(mesh: Cells, faces):
 
 
 def linear_program(A, b, c, bound: float) -> npt.NDArray[np.float64]:
-    """Maximise c · z where A z ≤ b and |z_i| ≤ bound, by Seidel's method: few unknowns.
-
-    Constraints come one after the other. One that the best point so far violates holds with
-    equality, which leaves a problem with one unknown less. Where nothing is feasible the point
-    returned violates some.
-    """
-    num = len(c)
-    if num == 1:
-        low, high = -bound, bound
-        a = A[:, 0]
-        up, down = a > 1e-12, a < -1e-12
-        high = min(high, (b[up] / a[up]).min(initial=np.inf))
-        low = max(low, (b[down] / a[down]).max(initial=-np.inf))
-        return np.array([high if c[0] >= 0 else low])
-    z = np.where(c >= 0, bound, -bound).astype(float)
-    start = 0
-    while start < len(b):
-        violated = np.flatnonzero(A[start:] @ z > b[start:] + 1e-10)
-        if not len(violated):
-            break
-        i = start + int(violated[0])
-        k = int(np.abs(A[i]).argmax())
-        if abs(A[i, k]) < 1e-12:
-            start = i + 1
-            continue
-        # z_k = (b_i − Σ_j A_ij z_j) / A_ik
-        rest = np.delete(np.arange(num), k)
-        row, value = A[i, rest] / A[i, k], b[i] / A[i, k]
-        sub = A[:i, rest] - A[:i, k, None] * row
-        right = b[:i] - A[:i, k] * value
-        sub = np.vstack((sub, -row, row))
-        right = np.concatenate((right, (bound - value, bound + value)))
-        part = linear_program(sub, right, c[rest] - c[k] * row, bound)
-        z = np.empty(num)
-        z[rest] = part
-        z[k] = value - row @ part
-        start = i + 1
+    """Maximise c · z where A z ≤ b and |z_i| ≤ bound; four unknowns at most."""
+    module = library()
+    order = np.random.default_rng(0).permutation(len(b))  # any order, but the same on every rank
+    A, b, c = (np.ascontiguousarray(a, dtype=float) for a in (A[order], b[order], c))
+    z = np.empty(len(c))
+    data = (module.ffi.from_buffer("double[]", a) for a in (A, b, c))
+    status = module.lib.linear_program(
+        len(c), len(b), *data, bound, module.ffi.from_buffer("double[]", z)
+    )
+    assert status == 0
     return z

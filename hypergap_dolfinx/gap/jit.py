@@ -19,13 +19,15 @@ import cffi
 from dolfinx.jit import get_options
 
 SOURCES = [Path(__file__).parent / "c" / name for name in
-           ("predicates.h", "weights.c", "front.c", "check.c")]  # fmt: skip
+           ("predicates.h", "weights.c", "front.c", "check.c", "program.c")]  # fmt: skip
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
                const int *end, int max_cells, int *cells, int *left, int *counts);
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts);
+int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
+                   double *z);
 """
 FLAGS = ["-O2", "-g0"]
 
