@@ -216,14 +216,14 @@ def rotation(rng):
 
 
 # +
-def quartered(x, t, project):
-    """Each triangle cut into four; new nodes go where ``project`` takes them."""
+def quartered(x, t):
+    """Each triangle cut into four."""
     edges = np.sort(np.stack((t, np.roll(t, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
     unique, which = np.unique(edges, axis=0, return_inverse=True)
     ab, bc, ca = (which.reshape(-1, 3) + len(x)).T
     a, b, c = t.T
     parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))
-    x = np.vstack((x, project(x[unique].mean(axis=1))))
+    x = np.vstack((x, x[unique].mean(axis=1)))
     return x, np.vstack([np.column_stack(part) for part in parts])
 
 
@@ -249,7 +249,6 @@ def scene(seed):
             grid(rng, max(5, int(TAU / s)), max(1, int(1.5 / s)), (True, False), tube)
             for s in sizes
         ]
-        sides = [(x, t) for x, t in sides]
     else:
         graph, outline = str(rng.choice(list(GRAPHS))), str(rng.choice(list(OUTLINES)))
         name = f"{graph}, {outline}"
@@ -260,9 +259,9 @@ def scene(seed):
     same = rng.choice(("no", "no", "no", "no", "no", "exactly", "1e-12", "1e-6", "nodes"))
     if same != "no":
         x, t = sides[0]
-        noise = {"exactly": 0, "nodes": 0}.get(same) if same in ("exactly", "nodes") else float(same)
+        noise = 0.0 if same in ("exactly", "nodes") else float(same)
         if same == "nodes":
-            sides[1] = quartered(x, t, lambda x: x)
+            sides[1] = quartered(x, t)
         else:
             sides[1] = x + noise * h * rng.uniform(-1, 1, x.shape), t
         name += {"nodes": ", shared nodes", "exactly": ", matching"}.get(same, f", within {same}")
@@ -288,12 +287,20 @@ def layer(x, t, outwards):
     cells = np.vstack([np.column_stack(v) for v in (
         (a, b, c, n + c), (a, b, n + b, n + c), (a, n + a, n + b, n + c))])  # fmt: skip
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    nodes = np.vstack((x, x - 0.1 * h * total))
+    nodes = np.vstack((x, x - 0.02 * h * total))
     mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), e=element, x=nodes)
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)
     corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)]
     return mesh, facets[(corners < n).all(axis=1)]
+
+
+def quality(domain):
+    """The least area Σ_k dα_k e_{k+1} × e_{k+2} of a cell over its longest edge's square."""
+    x, alpha = domain.x[:, :4], domain.alpha_vertices
+    e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
+    N = sum(d[:, k, None] * np.cross(e[:, k - 2], e[:, k - 1]) for k in range(3))
+    return float((np.linalg.norm(N, axis=1) / (e**2).sum(axis=2).max(axis=1)).min())
 
 
 def run(seed, degree=1):
@@ -311,12 +318,11 @@ def run(seed, degree=1):
     except InterfaceError as error:
         return row | {"cells": 0, "valid": False, "error": str(error)}
     row["seconds"] = time.perf_counter() - start
-    quality = 1 / np.linalg.cond(tie.domain.gap_matrices().sum(axis=0)) if 0 else None
     domain = tie.domain
     inner = (domain.alpha_vertices > 0) & (domain.alpha_vertices < 1)
-    x = domain.x[inner[..., None].repeat(3, axis=2)].reshape(-1, 3) if inner.any() else []
-    row |= {"cells": len(domain.x), "valid": True, "quality": quality}
-    row["interior"] = len(np.unique(np.round(x, 12), axis=0)) if len(x) else 0
+    places = np.round(domain.x[:, :4][inner] / np.abs(domain.x).max(), 9)
+    interior = len(np.unique(places, axis=0)) if len(places) else 0
+    row |= {"cells": len(domain.x), "valid": True, "quality": quality(domain), "interior": interior}
     return row
 
 
@@ -330,8 +336,7 @@ if __name__ == "__main__":
     rows = []
     for seed in range(args.seed, args.seed + args.scenes):
         rows.append(run(seed, args.degree))
-        row = rows[-1]
-        if not row["valid"]:
+        if not (row := rows[-1])["valid"]:
             print(row["seed"], row["scene"], row["facets"], row["error"][:150])
     total = Counter(row["scene"].split(",")[0] for row in rows)
     valid = Counter(row["scene"].split(",")[0] for row in rows if row["valid"])
