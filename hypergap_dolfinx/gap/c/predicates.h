@@ -15,6 +15,7 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define FLAT 1e-9      // D of a cell over its longest edge's square that counts as none
 #define COLLINEAR 1e-12 // the same for A of a triangle
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
+#define SWEEPS_OF_QUADRATICS 50
 #define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 
 typedef struct {

@@ -53,6 +53,69 @@ static Constraint rim(const Vertex *vertex, const int *v)
   return constraint;
 }
 
+static int num_terms(const int *edge)
+{
+  return edge[3] < 0 ? 3 : 4;
+}
+
+// The six products of two coordinates
+static void products(const double *y, double *q)
+{
+  q[0] = y[0] * y[0], q[1] = y[1] * y[1], q[2] = y[2] * y[2];
+  q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
+}
+
+// Quadratic weights, if they make at least half of the irregular edges regular: where a whole
+// triangulation is sheared, that is all it takes, and what follows would take long.
+static void quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
+                              const Constraint *constraints)
+{
+  double Q[6] = {0}, best[6] = {0}, q[6];
+  int at_first = 0, least = num + 1;
+  for (int sweep = 0; sweep <= SWEEPS_OF_QUADRATICS; ++sweep)
+  {
+    double before[6];
+    int violated = 0;
+    memcpy(before, Q, sizeof(Q));
+    for (int i = 0; i < num; ++i)
+    {
+      const Constraint *g = constraints + i;
+      double c[6] = {0}, value = 0, square = 0;
+      for (int k = 0; k < num_terms(edges + 4 * i); ++k)
+      {
+        products(vertex[edges[4 * i + k]].y, q);
+        for (int j = 0; j < 6; ++j)
+          c[j] += g->c[k] * q[j];
+      }
+      for (int j = 0; j < 6; ++j)
+      {
+        value += c[j] * Q[j];
+        square += c[j] * c[j];
+      }
+      if (g->bound - value <= g->tolerance || !(square > 0))
+        continue;
+      ++violated;
+      for (int j = 0; j < 6 && sweep > 0; ++j) // the first sweep only counts
+        Q[j] += (g->bound - value) / square * c[j];
+    }
+    if (sweep == 0)
+      at_first = violated;
+    if (violated < least)
+    {
+      least = violated;
+      memcpy(best, before, sizeof(Q));
+    }
+    if (!violated || (sweep == 10 && 2 * least > at_first))
+      break;
+  }
+  for (int i = 0; i < n && 2 * least <= at_first; ++i)
+  {
+    products(vertex[i].y, q);
+    for (int j = 0; j < 6; ++j)
+      vertex[i].w += best[j] * q[j];
+  }
+}
+
 // Weights that make a triangulation locally regular: reflected at one violated constraint after the
 // other (Motzkin and Schoenberg), they end where none is.
 //
@@ -70,6 +133,7 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
     constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
+  quadratic_weights(n, vertex, num, edges, constraints);
   int sweep = 0, violated = 1;
   for (; violated && sweep <= sweeps; ++sweep)
   {
@@ -77,7 +141,7 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
     for (int i = 0; i < num; ++i)
     {
       Constraint *g = constraints + i;
-      const int *v = edges + 4 * i, terms = v[3] < 0 ? 3 : 4;
+      const int *v = edges + 4 * i, terms = num_terms(v);
       double value = 0, square = 0;
       for (int k = 0; k < terms; ++k)
       {
