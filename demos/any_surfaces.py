@@ -271,7 +271,7 @@ def scene(seed):
     return name, [(size * x @ turn.T, t) for x, t in sides]
 
 
-def layer(x, t, outwards):
+def layer(x, t, outwards, thickness=0.02):
     """A thin layer of tetrahedra behind a surface, and the facets on the surface."""
     if not outwards:
         t = t[:, ::-1]
@@ -287,7 +287,7 @@ def layer(x, t, outwards):
     cells = np.vstack([np.column_stack(v) for v in (
         (a, b, c, n + c), (a, b, n + b, n + c), (a, n + a, n + b, n + c))])  # fmt: skip
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    nodes = np.vstack((x, x - 0.02 * h * total))
+    nodes = np.vstack((x, x - thickness * h * total))
     mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), e=element, x=nodes)
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)

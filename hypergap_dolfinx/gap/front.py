@@ -5,6 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -247,7 +248,9 @@ class Filling:
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
 
 
-def construct(problem: Problem, place: Place) -> Filling | None:
+def construct(
+    problem: Problem, place: Place, num_bad: Callable[[Filling], int] = lambda _: 0
+) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
     Else what the one leaves that gets farthest is filled with cones.
@@ -255,23 +258,34 @@ def construct(problem: Problem, place: Place) -> Filling | None:
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
+        num_bad: How many of the cells are of no use though their vertices' simplices are: curved
+            ones. The cells with the fewest are taken.
 
     Returns:
         The cells, None if there are none.
     """
-    fronts = []
-    matching = twinned(problem)
-    if matching is not None and matching.is_valid:
-        return Filling(matching.cells, [])
-    for variant in VARIANTS:
-        fronts.append(advance(problem, *variant))
-        if fronts[-1].is_valid:
-            return Filling(fronts[-1].cells, [])
+    fronts, found = [], []
+    for variant in (None, *VARIANTS):
+        front = advance(problem, *variant) if variant else twinned(problem)
+        if front is None:
+            continue
+        if not front.is_valid:
+            fronts.append(front)
+            continue
+        filling = Filling(front.cells, [])
+        bad = num_bad(filling)
+        if not bad:
+            return filling
+        found.append((bad, filling))
     alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     for front in sorted(fronts, key=lambda front: front.left):
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
-        found = cavity.fill(mesh, outer, place)
-        if found is not None:
-            return Filling(found[0].cells, found[1])
-    return None
+        made = cavity.fill(mesh, outer, place)
+        if made is not None:
+            filling = Filling(made[0].cells, made[1])
+            bad = num_bad(filling)
+            if not bad:
+                return filling
+            found.append((bad, filling))
+    return min(found, key=lambda pair: pair[0])[1] if found else None

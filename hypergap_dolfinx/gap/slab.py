@@ -13,11 +13,13 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.walls import Side
+from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces, project
 
@@ -232,19 +234,8 @@ def _place(sides: tuple[Side, Side]) -> Place:
     return place
 
 
-def fill(sides: tuple[Side, Side]) -> Slab:
-    """Cells between two facing pieces.
-
-    Raises:
-        InterfaceError: Their boundaries don't match; there is no valid mesh.
-    """
-    problem = front.Problem.between(*sides)
-    filling = front.construct(problem, _place(sides))
-    if filling is None:
-        raise InterfaceError(
-            f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
-            "surfaces have the same shape there? Refine the coarser one."
-        )
+def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
+    """The cells with their interior vertices' hosts as arrays."""
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
     facets, X = (
         tuple(
@@ -254,6 +245,53 @@ def fill(sides: tuple[Side, Side]) -> Slab:
         for k, kind, shape in ((1, np.intp, (1, -1)), (2, float, (1, -1, 2)))
     )
     return Slab(sides, filling.cells, Hosts(alpha, facets, X))
+
+
+def _num_turned(slab: Slab) -> int:
+    """How many cells are turned over somewhere, with the surfaces' curved geometry."""
+    surfaces = [side.surface for side in slab.sides]
+    g = max(surface.geometry.degree for surface in surfaces)
+    k = max(surface.element.degree for surface in surfaces)
+    geometry, space = (
+        basix.create_element(
+            basix.ElementFamily.P,
+            basix.CellType.tetrahedron,
+            degree,
+            basix.LagrangeVariant.equispaced,
+        )
+        for degree in (g, k)
+    )
+    each = np.arange(len(slab.cells))
+    hosts = slab.hosts(geometry.points, each)
+    alpha = hosts.alpha[..., None]
+    x0, x1 = (
+        surface.points(facet.ravel(), X.reshape(-1, 2)).reshape(*facet.shape, 3)
+        for surface, facet, X in zip(surfaces, hosts.facets, hosts.X, strict=True)
+    )
+    tables = GapElement.with_quadrature(geometry, space, 2 * (k + g))
+    N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
+    return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
+
+
+def fill(sides: tuple[Side, Side]) -> Slab:
+    """Cells between two facing pieces.
+
+    Raises:
+        InterfaceError: Their boundaries don't match; there is no valid mesh.
+    """
+    problem = front.Problem.between(*sides)
+    straight = not any(side.surface.curved[side.facets].any() for side in sides)
+
+    def num_bad(filling: front.Filling) -> int:
+        return 0 if straight else _num_turned(_slab(sides, filling))
+
+    filling = front.construct(problem, _place(sides), num_bad)
+    if filling is None:
+        raise InterfaceError(
+            f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
+            "surfaces have the same shape there? Refine the coarser one."
+        )
+    return _slab(sides, filling)
 
 
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
