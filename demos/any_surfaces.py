@@ -63,6 +63,7 @@ def capsule(x):
 
 
 def bumpy(x):
+    """A ball with bumps."""
     bumps = np.sin(3 * x[:, 0]) * np.sin(4 * x[:, 1] + 1) + np.sin(3 * x[:, 2])
     return x * (1 + 0.12 * bumps)[:, None]
 
@@ -109,6 +110,7 @@ def grid(rng, n, m, around, mapping):
 
 
 def torus(u, v, r=0.4):
+    """A ring, around itself twice."""
     u, v = TAU * u, TAU * v
     return np.column_stack(
         ((1 + r * np.cos(v)) * np.cos(u), (1 + r * np.cos(v)) * np.sin(u), r * np.sin(v))
@@ -202,6 +204,7 @@ def sheet(rng, h, outlines, graph):
 
 
 def rotation(rng):
+    """A random one."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))

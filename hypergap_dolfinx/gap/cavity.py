@@ -21,8 +21,8 @@ ROUNDS = 100  # of removing cells around a cavity
 LARGE = 400  # faces of a cavity that is given up
 
 Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
-"""``place(x, alpha, vertices)``: the place and the normal of a node hosted on both sides near x, and
-its hosts; vertices are those around."""
+"""``place(x, alpha, vertices)``: place, α and normal of a node near x that is hosted on both
+sides, and its hosts; vertices are those around."""
 
 
 @dataclass
@@ -66,7 +66,8 @@ def fill(mesh: Cells, outer, place: Place):
         The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
     """
     behind = _Behind(mesh.cells)
-    nodes, cones = [], []
+    nodes: list[tuple] = []
+    cones = []
     for cavity in _parts(unmatched(mesh.cells, outer)):
         found = _cone(mesh, cavity, behind, place)
         if found is None:

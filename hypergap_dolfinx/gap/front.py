@@ -82,7 +82,7 @@ class Problem:
         """
         low = self.x.min(axis=0)
         grid = ((self.x - low) * (1023 / max(np.ptp(self.x), 1e-300))).astype(np.int64)
-        code = sum(_spread(grid[:, i]) << i for i in range(3))
+        code = _spread(grid[:, 0]) + (_spread(grid[:, 1]) << 1) + (_spread(grid[:, 2]) << 2)
         code[self.n0 :] += 1 << 30
         return np.argsort(code, kind="stable")
 
@@ -190,18 +190,44 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
     max_cells = CELLS * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
     left = np.empty((len(start) + 2 * n, 3), dtype=np.int32)
-    counts, wrong = np.zeros(3, dtype=np.int32), np.zeros(2, dtype=np.int32)
+    counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
     sides = (n1, n0) if reverse else (n0, n1)
     data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
     status = lib.front_fill(*sides, pointer(vertices), len(start), *data, pointer(counts))
     cells = cells[: counts[0]]
     if status == 0:
         outer = np.vstack((start, end[:, [1, 0, 2]]))
-        data = (pointer(vertices), len(cells), pointer(cells), len(outer), pointer(outer))
-        status = lib.front_check(sides[0], n, *data, pointer(wrong))
+        wrong = _check(sides[0], vertices, cells, outer)
     if status > 1:
         raise MemoryError("no memory for the cells of the gap domain")
-    return Front(order[cells], walls, int(counts[1]), (int(wrong[0]), int(wrong[1])))
+    return Front(order[cells], walls, int(counts[1]), wrong)
+
+
+def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
+    """How many cells are flat or inverted, and how many faces lack a neighbour or have too many.
+
+    Args:
+        n0: Number of vertices of the surface where the front starts.
+        vertices: Place, displaced place, normal and weight of all, ``(num_vertices, 10)``.
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+    """
+    module = library()
+    wrong = np.zeros(2, dtype=np.int32)
+    cells, outer = (np.ascontiguousarray(a, dtype=np.int32) for a in (cells, outer))
+    status = module.lib.front_check(
+        n0,
+        len(vertices),
+        module.ffi.from_buffer("double[]", vertices),
+        len(cells),
+        module.ffi.from_buffer("int[]", cells),
+        len(outer),
+        module.ffi.from_buffer("int[]", outer),
+        module.ffi.from_buffer("int[]", wrong),
+    )
+    if status:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return int(wrong[0]), int(wrong[1])
 
 
 def twinned(problem: Problem) -> Front | None:
@@ -220,22 +246,8 @@ def twinned(problem: Problem) -> Front | None:
     vertices = np.zeros((len(x), 10))
     vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
     vertices[:, 6:9] = problem.normals
-    outer = np.vstack((facets0, walls, facets1[:, ::-1])).astype(np.int32)
-    wrong = np.zeros(2, dtype=np.int32)
-    module = library()
-    status = module.lib.front_check(
-        n0,
-        len(x),
-        module.ffi.from_buffer("double[]", vertices),
-        len(cells),
-        module.ffi.from_buffer("int[]", cells.astype(np.int32)),
-        len(outer),
-        module.ffi.from_buffer("int[]", outer),
-        module.ffi.from_buffer("int[]", wrong),
-    )
-    if status:
-        raise MemoryError("no memory for the cells of the gap domain")
-    return Front(cells, walls, 0, (int(wrong[0]), int(wrong[1])))
+    outer = np.vstack((facets0, walls, facets1[:, ::-1]))
+    return Front(cells, walls, 0, _check(n0, vertices, cells, outer))
 
 
 @dataclass(frozen=True)

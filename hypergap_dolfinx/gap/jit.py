@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Compiled C: built once with the compiler that FFCx uses, and kept in the cache that it uses."""
+"""Compiled C, built once with the compiler that FFCx uses, and kept in the cache that it uses."""
 
 import hashlib
 import importlib.machinery
@@ -18,8 +18,8 @@ import cffi
 
 from dolfinx.jit import get_options
 
-SOURCES = [Path(__file__).parent / "c" / name for name in
-           ("predicates.h", "weights.c", "front.c", "check.c", "program.c")]  # fmt: skip
+NAMES = ("predicates.h", "weights.c", "front.c", "advance.c", "check.c", "program.c")
+SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
                const int *end, int max_cells, int *cells, int *left, int *counts);
@@ -34,7 +34,7 @@ FLAGS = ["-O2", "-g0"]
 
 @cache
 def library():
-    """The functions in ``c/`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
+    """The C in ``c/`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
 
     Any number of processes may come here at once: each that finds nothing compiles in a folder of
     its own, and the file appears under its final name as a whole.

@@ -3,7 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces."""
+"""Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
+
+Surfaces are taken apart into smooth pieces that face each other; a front of flips fills the slab
+between two pieces. This module knows where points of its cells lie on the bodies.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,10 +22,11 @@ from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.walls import Side
 from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces, project
+from hypergap_dolfinx.gap.walls import Side
+
 
 @dataclass(frozen=True)
 class Slab:
@@ -237,14 +242,9 @@ def _place(sides: tuple[Side, Side]) -> Place:
 def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     """The cells with their interior vertices' hosts as arrays."""
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
-    facets, X = (
-        tuple(
-            np.array([host[k][i] for host in filling.hosts], dtype=kind).reshape(shape)
-            for i in (0, 1)
-        )
-        for k, kind, shape in ((1, np.intp, (1, -1)), (2, float, (1, -1, 2)))
-    )
-    return Slab(sides, filling.cells, Hosts(alpha, facets, X))
+    f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
+    X0, X1 = (np.array([h[2][i] for h in filling.hosts]).reshape(1, -1, 2) for i in (0, 1))
+    return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)))
 
 
 def _num_turned(slab: Slab) -> int:
