@@ -329,8 +329,8 @@ def run(seed, degree=1):
     return row
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
+    parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--degree", type=int, default=1)
