@@ -82,10 +82,7 @@ class Joined:
         Raises:
             ValueError: Not one of the ties.
         """
-        t = next((t for t, other in enumerate(self.ties) if other is tie), None)
-        if t is None:
-            raise ValueError("the tie is not one of this problem's.")
-        return self._of[t][0]
+        return self._of[self._number(tie)][0]
 
     def of_piece(self, tie: Tie, multipliers: npt.NDArray) -> npt.NDArray:
         """A tie's own multipliers among those of its interface.
@@ -94,9 +91,15 @@ class Joined:
             tie: The tie.
             multipliers: This rank's rows of its interface's, ``(num_multipliers, block_size)``.
         """
-        t = next(t for t, other in enumerate(self.ties) if other is tie)
-        places = self._of[t][1]
+        places = self._of[self._number(tie)][1]
         return multipliers if places is None else multipliers[places]
+
+    def _number(self, tie) -> int:
+        """A tie's number among the ties."""
+        t = next((t for t, other in enumerate(self.ties) if other is tie), None)
+        if t is None:
+            raise ValueError("the tie is not one of this problem's.")
+        return t
 
 
 def _groups(ties: Sequence[Tie]) -> list[list[int]]:
@@ -162,7 +165,8 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
         whole = _Whole(*sides, close_gap=ties[0].closes_gap, adjust=adjusts)
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []
-    places = [_places(tie, whole) for tie in ties]
+    every = Multipliers.of(whole.constraint, whole.domain)
+    places = [_places(tie, whole, every) for tie in ties]
     comm = whole.sigma.comm
     failed = any(at is None for at in places)
     failed |= not adjusts and any(_has_moved(tie, whole) for tie in ties)
@@ -187,9 +191,9 @@ def _facets_of_whole(mine: Surface, whole: Surface) -> list[int]:
     return [known[row.tobytes()] for row in np.sort(mine.dofs, axis=1)]
 
 
-def _places(tie: Tie, whole: Tie) -> npt.NDArray[np.intp] | None:
+def _places(tie: Tie, whole: Tie, every: Multipliers) -> npt.NDArray[np.intp] | None:
     """This rank's rows of the whole's multipliers at those of a piece; None if some are missing."""
-    own, every = (Multipliers.of(t.constraint, t.domain) for t in (tie, whole))
+    own = Multipliers.of(tie.constraint, tie.domain)
     at = np.full(len(own.dofs), -1, dtype=np.intp)
     facets = _facets_of_whole(own.surface, every.surface)
     for f, mine, dofs in zip(facets, own.on_facets, own.surface.dofs, strict=True):

@@ -56,6 +56,20 @@ def solve(bodies, swap, load, held):
     return p
 
 
+def stretched(i, v, ds, n):
+    """The loads of stretching."""
+    return n[0] * v[0] * ds((LEFT, RIGHT))
+
+
+def held_below(i, body):
+    """The lower block's lower edge, where stretching has it."""
+    if i == 1:
+        return []
+    g = fem.Function(body.V)
+    g.interpolate(lambda x: np.array(stretching(x)))
+    return [fem.dirichletbc(g, fem.locate_dofs_topological(body.V, 1, body.facets(BOTTOM)))]
+
+
 @pytest.mark.ranks(span=[(0.13, 1.4)], swap=[False])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("element", (("triangle", 1), ("triangle", 2), ("quadrilateral", 2)))
@@ -63,18 +77,8 @@ def solve(bodies, swap, load, held):
 def test_patch(span, element, swap):
     """Both are stretched alike; the part that faces nothing has no load, as is exact."""
 
-    def load(i, v, ds, n):
-        return n[0] * v[0] * ds((LEFT, RIGHT))
-
-    def held(i, body):
-        if i == 1:
-            return []
-        g = fem.Function(body.V)
-        g.interpolate(lambda x: np.array(stretching(x)))
-        return [fem.dirichletbc(g, fem.locate_dofs_topological(body.V, 1, body.facets(BOTTOM)))]
-
     bodies = bodies_of(span, element)
-    p = solve(bodies, swap, load, held)
+    p = solve(bodies, swap, stretched, held_below)
     assert displacement_error(p, stretching) <= SOLVED
     assert traction_error(p, p.ties[0], bodies, stretching) <= 10 * SOLVED
 
@@ -92,23 +96,13 @@ def test_cut_facets(element, swap):
     """A facet is cut by the other side's end, anywhere: neither u nor λ notices."""
     cell, degree = element
 
-    def load(i, v, ds, n):
-        return n[0] * v[0] * ds((LEFT, RIGHT))
-
-    def held(i, body):
-        if i == 1:
-            return []
-        g = fem.Function(body.V)
-        g.interpolate(lambda x: np.array(stretching(x)))
-        return [fem.dirichletbc(g, fem.locate_dofs_topological(body.V, 1, body.facets(BOTTOM)))]
-
     for cut in CUTS:
         ends = (0, 0.5 + 0.25 * cut)
         bodies = [
             rectangle((4, 2), (0, 0), (1, 1), cell=cell, degree=degree),
             rectangle((3, 2), (ends[0], 1), (ends[1], 1.5), cell=cell, degree=degree),
         ]
-        p = solve(bodies, swap, load, held)
+        p = solve(bodies, swap, stretched, held_below)
         errors = displacement_error(p, stretching), traction_error(p, p.ties[0], bodies, stretching)
         print(cut, *errors)
         # Round-off of K u grows with the degree: 3e-14, 2e-13, 8e-13 at worst

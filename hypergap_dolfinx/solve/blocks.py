@@ -240,6 +240,8 @@ class ConstraintBlocks:
         Free interior nodes have multipliers of their own, which always remain.
         """
         tie, own = self._ties[t], self._of_tie.get(t)
+        if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
+            return {own: None}
         comm, block_size = tie.sigma.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
@@ -248,8 +250,6 @@ class ConstraintBlocks:
         here = (start <= row) & (row < end)
         interior = np.setdiff1d(np.arange(start, end), row) if tie.free_interior else row[:0]
         offset = np.append(0, np.cumsum(comm.allgather(len(interior))))
-        if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
-            return {own: None}
         found: dict[int, PETSc.Mat | None] = {}
         for g in sorted({*group.tolist(), *([] if own is None else [own])}):
             mine = here & (group == g)

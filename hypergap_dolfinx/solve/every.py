@@ -62,7 +62,6 @@ class Every:
             bodies: Numbers of the bodies on both sides of each.
         """
         self.ties, self.bodies = ties, bodies
-        self.comm = ties[0].sigma.comm
         self.lists = [Multipliers.of(tie.constraint, tie.domain) for tie in ties]
         sizes = [len(m.dofs) for m in self.lists]
         self.starts = np.cumsum([0, *sizes])

@@ -173,9 +173,6 @@ def _short_patches(every: Every, label, drop, prescribed) -> list[Replacement]:
             kept = ~drop[numbers[first], component]
             if kept.sum() >= wanted:
                 continue
-            numbers = np.sort(numbers)
-            places, first, at = np.unique(label[numbers], return_index=True, return_inverse=True)
-            kept = ~drop[numbers[first], component]
             columns, free, B = _gathered(every, numbers, prescribed, component)
             units = (at.ravel() == np.arange(len(places))[:, None]).astype(float)
             values = _polynomials(every.x(numbers), degree) + [
