@@ -3,10 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Σ between two surfaces in space: identities, validity, what it refuses, and Gmsh's manners."""
+"""Σ between two surfaces in space: identities, validity, and what it refuses."""
 
 import subprocess
 import sys
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -18,12 +19,12 @@ import basix
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import InterfaceError, Tie
-from hypergap_dolfinx.gap import slab, tetrahedra
+from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.gap.triangulation import components, kinks, neighbours, project
 
-gmsh = pytest.importorskip("gmsh")
+pytest.importorskip("gmsh")  # for the unstructured meshes
 
 
 def bars(n=(2, 3), k=(1, 1), mapping=lambda x: x, *, unstructured=False, shape=(), g=1, c=comm):
@@ -259,128 +260,47 @@ def test_hexahedra():
 
 @pytest.mark.ranks
 def test_no_valid_mesh(monkeypatch):
-    """All offsets fail: an error that names the place, on every rank."""
-
-    def fail(*_):
-        raise tetrahedra.MeshingError("as told")
-
-    monkeypatch.setattr(tetrahedra, "fill", fail)
-    with raises(InterfaceError, "no mesh of the gap .* around .* Gmsh: as told"):
+    """Fronts that get nowhere: an error that names the place, on every rank."""
+    monkeypatch.setattr(front, "construct", lambda *_: None)
+    with raises(InterfaceError, "no mesh of the gap .* around"):
         Tie(*bars())
 
 
-@pytest.mark.ranks
-def test_lost_facet(monkeypatch):
-    """A mesh that lacks a facet isn't taken."""
-    fill = tetrahedra.fill
+@pytest.mark.ranks(k=[1])
+@pytest.mark.parametrize("k", (1, 2))
+def test_interior_vertices(monkeypatch, k):
+    """Cones' vertices are hosted on both sides, and the patch test's identities hold."""
+    advance = front.advance
 
     def lossy(*args):
-        x, cells = fill(*args)
-        return x, cells[1:]
+        made = advance(*args)
+        return replace(made, cells=np.delete(made.cells, slice(5, None, 40), axis=0), left=1)
 
-    monkeypatch.setattr(tetrahedra, "fill", lossy)
-    with raises(InterfaceError, "are no faces of it|has the volume"):
-        Tie(*bars())
+    monkeypatch.setattr(front, "advance", lossy)
+    sides = bars((5, 8), (k, k), SHAPES["skew"])
+    tie = Tie(*sides)
+    extra = (tie.domain.alpha_vertices > 0) & (tie.domain.alpha_vertices < 1)
+    assert comm.allreduce(int(extra.sum())) > 0
 
+    def f(x):
+        return (1 + x[0] - 2 * x[1] + 0.5 * x[2]) ** k
 
-@pytest.mark.ranks
-def test_second_attempt(monkeypatch):
-    """One that fails is followed by another."""
-    fill, calls = tetrahedra.fill, []
-
-    def once(*args):
-        calls.append(args)
-        if len(calls) == 1:
-            raise tetrahedra.MeshingError("as told")
-        return fill(*args)
-
-    monkeypatch.setattr(tetrahedra, "fill", once)
-    Tie(*bars())
-    assert len(calls) == (2 if comm.rank == 0 else 0)
-
-
-@pytest.mark.ranks
-def test_interior_vertices():
-    """Delaunay's extra vertices are hosted on both sides, and the patch test's identities hold."""
-    attempts = slab.ATTEMPTS
-    slab.ATTEMPTS = ((1.0, True, tetrahedra.DELAUNAY),)
-    try:
-        for k in (1, 2):
-            sides = bars((3, 15), (k, k), SHAPES["skew"])
-            tie = Tie(*sides)
-            extra = (tie.domain.alpha_vertices > 0) & (tie.domain.alpha_vertices < 1)
-            assert comm.allreduce(int(extra.sum())) > 0
-
-            def f(x, k=k):
-                return (1 + x[0] - 2 * x[1] + 0.5 * x[2]) ** k
-
-            assert residual(tie, *(interpolated(V, f) for V, _ in sides)) < 1e-11
-    finally:
-        slab.ATTEMPTS = attempts
-
-
-# Gmsh
-
-
-@pytest.mark.ranks
-def test_gmsh_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "gmsh", None)
-    with raises(ImportError, r"pip install gmsh.*hypergap-dolfinx\[gmsh\]"):
-        Tie(*bars())
+    assert residual(tie, *(interpolated(V, f) for V, _ in sides)) < 1e-11
 
 
 @pytest.mark.serial
-def test_gmsh_is_imported_for_3d_only():
+def test_gmsh_is_not_imported():
     code = (
         "from mpi4py import MPI\nfrom dolfinx import fem\n"
         "import sys, meshes, hypergap_dolfinx as h\n"
-        "m, f = meshes.block(MPI.COMM_SELF, (2, 2)); V = fem.functionspace(m, ('Lagrange', 1))\n"
-        "n, g = meshes.block(MPI.COMM_SELF, (3, 3), lambda x: x + (1, 0))\n"
-        "W = fem.functionspace(n, ('Lagrange', 1))\n"
-        "h.Tie((V, f.find(meshes.RIGHT)), (W, g.find(meshes.LEFT))).blocks()\n"
+        "def side(n, tag, x):\n"
+        "    m, f = meshes.block(MPI.COMM_SELF, n, lambda y: y + x, cell='tetrahedron')\n"
+        "    return fem.functionspace(m, ('Lagrange', 1)), f.find(tag)\n"
+        "h.Tie(side((1, 2, 2), meshes.RIGHT, (0, 0, 0)),"
+        " side((1, 3, 3), meshes.LEFT, (1, 0, 0))).blocks()\n"
         "assert 'gmsh' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=meshes.__path__[0] + "/..")
-
-
-@pytest.mark.ranks
-def test_a_session_of_the_users():
-    """Its model, options and state are as before; Gmsh still meshes."""
-    gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.model.add("mine")
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
-        gmsh.option.setNumber("Mesh.Algorithm3D", 4)
-        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
-        gmsh.model.occ.synchronize()
-        models = gmsh.model.list()
-        Tie(*bars())
-        assert gmsh.model.getCurrent() == "mine" and gmsh.model.list() == models
-        assert gmsh.option.getNumber("Mesh.MeshSizeMax") == 0.4
-        assert gmsh.option.getNumber("Mesh.Algorithm3D") == 4
-        gmsh.option.setNumber("Mesh.Algorithm3D", 1)  # 4 needs Netgen, which Debian's has not
-        gmsh.model.mesh.generate(3)
-        assert len(gmsh.model.mesh.getElementsByType(4)[0]) > 10
-    finally:
-        gmsh.finalize()
-
-
-@pytest.mark.ranks(2)
-def test_no_session_is_left():
-    Tie(*bars())
-    assert not gmsh.isInitialized()
-
-
-def test_a_failure_leaves_gmsh_usable():
-    """An open surface has no inside; the next one is meshed."""
-    with tetrahedra.session() as module:
-        x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
-        faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
-        with pytest.raises(tetrahedra.MeshingError):
-            tetrahedra.fill(module, x, [faces[:3]])
-        vertices, cells = tetrahedra.fill(module, x, [faces])
-        assert len(vertices) == 4 and len(cells) == 1
 
 
 # Triangulations

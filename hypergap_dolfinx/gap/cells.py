@@ -73,5 +73,7 @@ class GapCells:
     piece."""
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
+    degree: int
+    """Degree of the φ_a that carry on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""

@@ -124,16 +124,12 @@ class GapDomain:
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
     """Mesh Σ between two surfaces and distribute it. Collective.
 
-    The φ_a have the higher of the two sides' degrees.
-
     Raises:
         InterfaceError: The surfaces don't form an interface.
-        ImportError: Gmsh is missing (3D).
     """
     tdim = surface0.gdim
     gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
     cell = {2: "triangle", 3: "tetrahedron"}[tdim]
-    degree = max(surface.element.degree for surface in (surface0, surface1))
     mine = np.flatnonzero(gap.rank == comm.rank)
 
     # Geometry: vertices are enough unless a surface is curved
@@ -161,7 +157,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     linear = fem.functionspace(mesh, ("Lagrange", 1))
     alpha = fem.Function(linear, name="alpha")
     alpha.x.array[linear.dofmap.list] = alpha_vertices
-    space = fem.functionspace(mesh, ("Lagrange", degree)) if degree > 1 else linear
+    space = fem.functionspace(mesh, ("Lagrange", gap.degree)) if gap.degree > 1 else linear
     x_cells = x[cells[order]]
     return GapDomain(
         surfaces=surfaces,

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Facing pieces of two surfaces in space, and the walls between their boundaries."""
+"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,168 +11,88 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.strip import triangulate
-from hypergap_dolfinx.gap.surface import NOISE, Surface
-from hypergap_dolfinx.gap.triangulation import loops, neighbours
+from hypergap_dolfinx.gap.surface import Surface, unit_normals
+from hypergap_dolfinx.gap.triangulation import loops, neighbours, project
 
-COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
+CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 
 
 @dataclass(frozen=True)
 class Side:
-    """A piece of Γ_i in the slab."""
+    """A piece of Γ_i in the slab: triangles that lie in facets."""
 
     surface: Surface
-    facets: npt.NDArray[np.intp]
-    """The piece's facets in the surface, ``(num_facets,)``."""
-    vertices: npt.NDArray[np.intp]
-    """Its vertices in the surface, ``(num_vertices,)``."""
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
     triangles: npt.NDArray[np.intp]
-    """The facets in these vertices, ``(num_facets, 3)``."""
+    """Vertices, counterclockwise seen from outside of the body, ``(num_triangles, 3)``."""
+    facets: npt.NDArray[np.intp]
+    """The facet of the surface that hosts each triangle, ``(num_triangles,)``."""
+    X: npt.NDArray[np.float64]
+    """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
 
     @classmethod
     def of(cls, surface: Surface, facets: npt.NDArray[np.intp]) -> "Side":
-        """The piece of a surface that some facets make up."""
+        """The piece of a surface that some whole facets make up."""
         vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
-        return cls(surface, facets, vertices.astype(np.intp), triangles.reshape(-1, 3))
-
-    @property
-    def x(self) -> npt.NDArray[np.float64]:
-        """Vertex coordinates, ``(num_vertices, 3)``."""
-        return self.surface.x[self.vertices]
+        X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
+        return cls(surface, surface.x[vertices], triangles.reshape(-1, 3), facets, X)
 
     @cached_property
     def behind(self) -> npt.NDArray[np.intp]:
-        """Neighbours in the piece, numbered as in the piece, ``(num_facets, 3)``."""
+        """The triangle behind each edge of each triangle, −1 at the rim, ``(num_triangles, 3)``."""
         return neighbours(self.triangles, self.surface.name, self.x)
 
     @cached_property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit normals of the triangles, out of the body, ``(num_triangles, 3)``."""
+        return unit_normals(self.x[self.triangles])
+
+    @cached_property
     def vertex_normals(self) -> npt.NDArray[np.float64]:
-        """Vectors along which the vertices' facets all move outwards by about one."""
-        x = self.x[self.triangles]
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        total = np.zeros_like(self.x)
-        for k in range(3):
-            np.add.at(total, self.triangles[:, k], normal)
-        total /= np.linalg.norm(total, axis=1, keepdims=True)
-        cosine = np.ones(len(total))
-        unit = self.surface.normals[self.facets]
-        for k in range(3):
-            at = self.triangles[:, k]
-            np.minimum.at(cosine, at, np.einsum("fi,fi->f", unit, total[at]))
-        return total / np.maximum(cosine, 0.4)[:, None]
+        """Mean of the triangles' unit normals at the vertices, of length one."""
+        corner = self.triangles.ravel()
+        total = np.empty_like(self.x)
+        for i in range(3):
+            each = np.repeat(self.normals[:, i], 3)
+            total[:, i] = np.bincount(corner, each, minlength=len(total))
+        length = np.sqrt(np.einsum("vi,vi->v", total, total))
+        return total / np.maximum(length, 1e-300)[:, None]
+
+    @cached_property
+    def inner_edges(self) -> npt.NDArray[np.intp]:
+        """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``."""
+        f, k = np.nonzero(self.behind > np.arange(len(self.behind))[:, None])
+        t, total = self.triangles, self.triangles.sum(axis=1)
+        q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
+        return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
         return loops(self.triangles, self.behind, self.surface.name, self.x)
 
+    def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """The triangles that points project into, and their reference coordinates in these.
 
-def side_walls(side0: Side, side1: Side) -> npt.NDArray[np.intp]:
-    """Triangles between the boundary loops of two facing pieces.
+        Args:
+            points: ``(num_points, 3)``.
+            seed: Triangle where the search starts, ``(num_points,)``.
+        """
+        return project(self.x, self.triangles, self.behind, points, seed)
 
-    Returns:
-        Vertices, Γ0's first and then Γ1's; outside of the slab is where they turn
-        counterclockwise, ``(num_triangles, 3)``.
+    def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Reference coordinates in the host facet of points of triangles.
 
-    Raises:
-        InterfaceError: The loops don't match.
-    """
-    loops0, loops1 = side0.loops(), [loop[::-1] for loop in side1.loops()]
-    if len(loops0) != len(loops1):
-        raise InterfaceError(
-            f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: in 3D both sides must cover the same part of the interface."
-        )
-    walls = [np.empty((0, 3), dtype=np.intp)]
-    for loop1 in loops1:
-        distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
-        loop0 = loops0.pop(int(np.argmin(distances)))
-        c0, c1, s0, s1 = _parametrise(side0, loop0, side1, loop1)
-        side, edge, apex = triangulate(s0, s1)
-        a, b = (np.where(side == i, edge, 0) for i in (0, 1))
-        a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
-        n0 = len(side0.x)
-        on0 = np.column_stack((c0[a], c0[a1], n0 + c1[apex % len(c1)]))
-        on1 = np.column_stack((n0 + c1[b1], n0 + c1[b], c0[apex % len(c0)]))
-        walls.append(np.where((side == 0)[:, None], on0, on1))
-    return np.vstack(walls)
+        Args:
+            triangle: ``(num_points,)``.
+            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
 
+        Returns:
+            ``(num_points, 2)``.
+        """
+        X = self.X[triangle]
+        return X[:, 0] + np.einsum("pj,pji->pi", xi, X[:, 1:] - X[:, :1])
 
-def _mean_distance(x, y) -> float:
-    """Mean distance of a few of the points to the nearest of the others."""
-    some = x[np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))]
-    return float(np.linalg.norm(some[:, None] - y, axis=2).min(axis=1).mean())
-
-
-def _parametrise(side0: Side, loop0, side1: Side, loop1):
-    """Roll two loops to a common start, and give their nodes parameters from 0 to 1.
-
-    Returns:
-        The loops, and parameters (one more than nodes: the last closes the loop), equal at
-        coincident nodes.
-
-    Raises:
-        InterfaceError: The loops are apart.
-    """
-    x0, x1 = side0.x[loop0], side1.x[loop1]
-    nearest = np.empty(len(x1), dtype=np.intp)
-    distance = np.empty(len(x1))
-    for c in range(0, len(x1), 256):
-        d = np.linalg.norm(x1[c : c + 256, None] - x0, axis=2)
-        nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
-    size = np.ptp(x0, axis=0).max()
-    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
-    first = int(distance.argmin())
-    start = int(nearest[first])
-    loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
-    loop1, x1, shared, nearest = (
-        np.roll(a, -first, axis=0) for a in (loop1, x1, shared, (nearest - start) % len(x0))
-    )
-    _check_apart(side0, loop0, side1, loop1)
-    s0, s1 = _arc(x0), _arc(x1)
-    # Anchors: coincident nodes in the same order on both loops
-    j = np.flatnonzero(shared[1:]) + 1
-    i = nearest[j]
-    keep = (i == np.maximum.accumulate(i)) & (i > 0) if len(i) else i.astype(bool)
-    anchors0 = np.concatenate(([0.0], s0[i[keep]], [1.0]))
-    anchors1 = np.concatenate(([0.0], s1[j[keep]], [1.0]))
-    s1 = np.interp(s1, anchors1, anchors0)
-    if not shared.any():  # Γ1's first node lies a little off Γ0's
-        t = x0[1] - x0[0]
-        s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
-    return loop0, loop1, s0, s1
-
-
-def _arc(x) -> npt.NDArray[np.float64]:
-    """Arc length along a closed loop, from 0 to 1."""
-    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
-    s = np.append(0, np.cumsum(edges))
-    return s / s[-1]
-
-
-def _check_apart(side0: Side, loop0, side1: Side, loop1):
-    """Partial overlap would need the surfaces' intersection: not in 3D."""
-    x0, x1 = side0.x[loop0], side1.x[loop1]
-    t = np.roll(x0, -1, axis=0) - x0
-    length = np.linalg.norm(t, axis=1)
-    size = max(length.max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
-    normal = side0.vertex_normals[loop0]
-    for c in range(0, len(x1), 256):
-        y = x1[c : c + 256, None]
-        s = np.clip(np.einsum("pei,ei->pe", y - x0, t) / length**2, 0, 1)
-        apart = y - (x0 + s[..., None] * t)
-        edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-        apart = apart[np.arange(len(apart)), edge]
-        n = normal[edge] / np.linalg.norm(normal[edge], axis=1, keepdims=True)
-        apart -= np.einsum("pi,pi->p", apart, n)[:, None] * n  # a gap between them is fine
-        distance = np.linalg.norm(apart, axis=1)
-        if distance.max() > REACH * size:
-            worst = distance.argmax()
-            raise InterfaceError(
-                f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "in 3D both sides must cover the same part of the interface. Give only the facets "
-                "of the common part; to have some, split the larger surface along the outline of "
-                "the other in the mesher."
-            )
+    def points(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Coordinates of reference points of triangles on the (curved) surface."""
+        return self.surface.points(self.facets[triangle], self.in_facets(triangle, xi))

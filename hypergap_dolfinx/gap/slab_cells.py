@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.triangulation import project
 
 
 @dataclass(frozen=True)
@@ -24,14 +23,14 @@ class Slab:
     cells: npt.NDArray[np.int64]
     """``(num_cells, 4)``."""
     inner: Hosts
-    """Hosts of the interior vertices, ``(1, num_interior)``; facets are the pieces' numbers."""
+    """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
         """Vertex coordinates, ``(num_vertices, 3)``."""
         alpha = self.inner.alpha[0, :, None]
         x0, x1 = (
-            side.surface.points(side.facets[facets[0]], X[0]) if len(alpha) else np.empty((0, 3))
+            side.points(facets[0], X[0]) if len(alpha) else np.empty((0, 3))
             for side, facets, X in zip(self.sides, self.inner.facets, self.inner.X, strict=True)
         )
         return np.vstack((self.sides[0].x, self.sides[1].x, (1 - alpha) * x0 + alpha * x1))
@@ -39,19 +38,13 @@ class Slab:
     @cached_property
     def alpha(self) -> npt.NDArray[np.float64]:
         """α at the vertices, ``(num_vertices,)``."""
-        n0, n1 = (len(side.vertices) for side in self.sides)
+        n0, n1 = (len(side.x) for side in self.sides)
         return np.concatenate((np.zeros(n0), np.ones(n1), self.inner.alpha[0]))
 
     @property
     def offsets(self) -> tuple[int, int]:
         """Number of the first vertex of each side."""
-        return 0, len(self.sides[0].vertices)
-
-    @property
-    def facets(self) -> npt.NDArray[np.intp]:
-        """Both sides' facets, ``(num_facets, 3)``."""
-        sides = zip(self.sides, self.offsets, strict=True)
-        return np.vstack([side.triangles + offset for side, offset in sides])
+        return 0, len(self.sides[0].x)
 
     @cached_property
     def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -82,20 +75,18 @@ class Slab:
     @cached_property
     def normal(self) -> npt.NDArray[np.float64]:
         """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.zeros((len(self.cells), 3))
+        total = np.zeros_like(self.x)
         for i, side in enumerate(self.sides):
-            seed = self.seeds[i][self.cells]
-            unit = (1 - 2 * i) * side.surface.normals[side.facets]
-            total = np.zeros_like(self.x)
+            unit = (1 - 2 * i) * side.normals
             for k in range(3):
                 np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
             if self.inner.alpha.size:
-                total[-self.inner.alpha.size :] = unit[self.inner.facets[i][0]]
-            total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-            normal += (total[self.cells] * (seed >= 0)[..., None]).sum(axis=1)
+                total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
+        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+        normal = total[self.cells].sum(axis=1)
         for i, side in enumerate(self.sides):
             base = self.bases[i] >= 0
-            normal[base] = (1 - 2 * i) * side.surface.normals[side.facets[self.bases[i][base]]]
+            normal[base] = (1 - 2 * i) * side.normals[self.bases[i][base]]
         return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
     @property
@@ -139,20 +130,19 @@ class Slab:
             at = np.zeros((*alpha.shape, 2))
             host[on], at[on] = self._own_facet(i, vertices, weights, on)
             away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
-            host[away], at[away] = project(side.x, side.triangles, side.behind, x[away], host[away])
+            host[away], at[away] = side.project(x[away], host[away])
             facets.append(side.facets[host])
-            X.append(at)
+            X.append(side.in_facets(host.ravel(), at.reshape(-1, 2)).reshape(at.shape))
         # An interior vertex has the hosts that gave it its place
         interior = (self.alpha[vertices] > 0) & (self.alpha[vertices] < 1)
         for point in np.flatnonzero(weights.max(axis=1) == 1):
             c = np.flatnonzero(interior[:, weights[point].argmax()])
             if len(c):
-                own = vertices[c, weights[point].argmax()] - sum(
-                    len(side.vertices) for side in self.sides
-                )
+                own = vertices[c, weights[point].argmax()] - sum(len(s.x) for s in self.sides)
                 for i, side in enumerate(self.sides):
-                    facets[i][c, point] = side.facets[self.inner.facets[i][0, own]]
-                    X[i][c, point] = self.inner.X[i][0, own]
+                    triangle = self.inner.facets[i][0, own]
+                    facets[i][c, point] = side.facets[triangle]
+                    X[i][c, point] = side.in_facets(triangle, self.inner.X[i][0, own])
         return Hosts(alpha, (facets[0], facets[1]), (X[0], X[1]))
 
     def _own_facet(self, i: int, vertices, weights, on):
@@ -178,7 +168,7 @@ class Slab:
         X = bary[:, 1:]
         if lost.any():
             x = np.einsum("pv,pvi->pi", w[lost], side.x[np.maximum(v[lost], 0)])
-            facet[lost], X[lost] = project(side.x, side.triangles, side.behind, x, facet[lost])
+            facet[lost], X[lost] = side.project(x, facet[lost])
         return facet, X
 
     def _seed_of(self, i: int, v):

@@ -393,7 +393,20 @@ def triangulate(s0, s1):
         of that edge, and the index of its apex on the other chain; ``(num_edges0 + num_edges1,)``
         each.
     """
-    m0, m1 = (s0[1:] + s0[:-1]) / 2, (s1[1:] + s1[:-1]) / 2 + TIE
+    return merge((s0[1:] + s0[:-1]) / 2, (s1[1:] + s1[:-1]) / 2)
+
+
+def merge(m0, m1):
+    """Triangles between two chains whose edges are known by their midpoints' parameters.
+
+    Args:
+        m0: Increasing parameters of Γ0's edges, ``(num_edges0,)``.
+        m1: The same for Γ1.
+
+    Returns:
+        As :func:`triangulate`.
+    """
+    m1 = m1 + TIE
     side = np.repeat((0, 1), (len(m0), len(m1)))
     edge = np.concatenate((np.arange(len(m0)), np.arange(len(m1))))
     apex = np.concatenate((np.searchsorted(m1, m0), np.searchsorted(m0, m1)))
@@ -529,5 +542,6 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
         rank=rank,
         patch=patch,
         covered=covered,
+        degree=max(surface0.element.degree, surface1.element.degree),
         hosts=lambda X, cells: Hosts.concatenate([strip.hosts(X) for strip in strips])[cells],
     )

@@ -86,7 +86,7 @@ class Surface:
     @cached_property
     def normals(self) -> npt.NDArray[np.float64]:
         """Unit outward normals of the facets' vertex simplices, ``(num_facets, n)``."""
-        return _normals(self.x[self.facets])
+        return unit_normals(self.x[self.facets])
 
     @cached_property
     def curved(self) -> npt.NDArray[np.bool_]:
@@ -126,7 +126,7 @@ def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.column_stack((1 - X.sum(axis=1), X))
 
 
-def _normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Unit normals of simplices ``(num, n, n)`` in n dimensions.
 
     They point to the right of an edge, and up from a counterclockwise triangle.
@@ -258,7 +258,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
     centre = x[cell_nodes].mean(axis=1)
     v = x[nodes[:, 0][:, vertex_nodes]]
-    turn = (np.einsum("fi,fi->f", _normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
+    turn = (np.einsum("fi,fi->f", unit_normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
     each = np.arange(len(facets))
     nodes = nodes[each, turn]
     tables = _facet_tables(cell_type, element, trace)[local, turn]
@@ -315,7 +315,9 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     cells = to_cells.array[to_cells.offsets[facets]]
     x = mesh.geometry.x[:, :n]
     v = x[entities_to_geometry(mesh, n - 1, facets)[:, :n]]
-    height = np.einsum("fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], _normals(v))
+    height = np.einsum(
+        "fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], unit_normals(v)
+    )
     length = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).max(axis=1, initial=0)
     ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
     return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))

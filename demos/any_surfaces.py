@@ -1,0 +1,352 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+
+# # Any two surfaces
+#
+# Random pairs of triangulated surfaces, closed and open ones, coarse and fine ones, with ratios of
+# their facets' sizes between 1 : 7 and 7 : 1, are tied; that every scene gets a gap domain Σ
+# without an inverted cell is what this demo shows. The bodies are thin layers under the surfaces:
+# nothing is solved.
+#
+#     python demos/any_surfaces.py --scenes 100 --seed 1 --json rows.json
+
+# +
+import argparse
+import json
+import time
+from collections import Counter
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.spatial import ConvexHull, Delaunay
+
+import basix.ufl
+import dolfinx
+from dolfinx import fem
+from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
+from hypergap_dolfinx import InterfaceError, Tie
+
+TAU = 2 * np.pi
+
+# -
+
+# ## Closed surfaces
+#
+# Points spread over a sphere, their convex hull, and what a mapping makes of it; a grid around a
+# torus.
+
+
+# +
+def ball(rng, h, mapping):
+    """A triangulated unit sphere, mapped."""
+    num = max(12, int(14 / h**2))
+    i = np.arange(num) + 0.5
+    z, angle = 1 - 2 * i / num, TAU * i * 0.618034 + rng.uniform(0, TAU)
+    r = np.sqrt(1 - z**2)
+    x = np.column_stack((r * np.cos(angle), r * np.sin(angle), z))
+    x += rng.uniform(0, 0.3) * h * rng.uniform(-1, 1, x.shape)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    x = x @ rotation(rng)
+    triangles = ConvexHull(x).simplices
+    inwards = np.linalg.det(x[triangles]) < 0
+    triangles[inwards] = triangles[inwards][:, ::-1]
+    return mapping(x), triangles
+
+
+def capsule(x):
+    """A cylinder with half balls at its ends."""
+    return x * np.array((0.5, 0.5, 0.5)) + np.array((0, 0, 0.7)) * np.tanh(4 * x[:, 2:])
+
+
+def bumpy(x):
+    """A ball with bumps."""
+    bumps = np.sin(3 * x[:, 0]) * np.sin(4 * x[:, 1] + 1) + np.sin(3 * x[:, 2])
+    return x * (1 + 0.12 * bumps)[:, None]
+
+
+BALLS = {
+    "sphere": lambda x: x,
+    "ellipsoid": lambda x: x * np.array((1.4, 1.0, 0.6)),
+    "capsule": capsule,
+    "bumpy": bumpy,
+    "stretched": lambda x: x * np.array((1.0, 1.0, 4.0)),
+}
+
+
+def grid(rng, n, m, around, mapping):
+    """Triangles between n × m points of a grid, mapped from the unit square.
+
+    Args:
+        rng: Random numbers.
+        n: Cells in the first direction.
+        m: Cells in the second one.
+        around: Whether each direction is closed.
+        mapping: Takes two arrays of numbers between 0 and 1 to places.
+    """
+    size = [k if closed else k + 1 for k, closed in zip((n, m), around, strict=True)]
+    i, j = (a.ravel() for a in np.meshgrid(*(np.arange(k) for k in size), indexing="ij"))
+    u, v = i / n, j / m
+    jitter = rng.choice((0, 0.2))
+    for a, k, closed, other in ((u, n, around[0], 0), (v, m, around[1], 0)):
+        free = np.ones(len(a), dtype=bool) if closed else (a > 0) & (a < 1)
+        a[free] += jitter / k * rng.uniform(-1, 1, free.sum())
+        if closed:
+            a += rng.uniform(0, 1)
+    first, second = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+
+    def number(i, j):
+        return (i % size[0]) * size[1] + j % size[1]
+
+    a, b = number(first, second), number(first + 1, second)
+    c, d = number(first + 1, second + 1), number(first, second + 1)
+    turned = rng.random(len(a)) < rng.choice((0, 0.5))
+    one = np.where(turned, (a, b, d), (a, b, c)).T
+    two = np.where(turned, (b, c, d), (a, c, d)).T
+    return mapping(u, v), np.vstack((one, two))
+
+
+def torus(u, v, r=0.4):
+    """A ring, around itself twice."""
+    u, v = TAU * u, TAU * v
+    return np.column_stack(
+        ((1 + r * np.cos(v)) * np.cos(u), (1 + r * np.cos(v)) * np.sin(u), r * np.sin(v))
+    )
+
+
+def tube(u, v):
+    """The hole for a bush."""
+    return np.column_stack((np.cos(TAU * u), np.sin(TAU * u), 1.5 * v))
+
+
+# -
+
+# ## Open surfaces
+#
+# An outline, points on it and inside, and the triangles between them that lie inside.
+
+
+# +
+GRAPHS = {
+    "plane": lambda x, y: 0 * x,
+    "saddle": lambda x, y: 0.4 * (x**2 - y**2),
+    "cylinder": lambda x, y: np.sqrt(np.maximum(2.0 - x**2, 0.1)),
+    "waves": lambda x, y: 0.15 * np.sin(3 * x) * np.cos(3 * y),
+    "slope": lambda x, y: 0.4 * x + 0.7 * y,
+}
+SQUARE = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+OUTLINES = {
+    "square": [SQUARE],
+    "L": [np.array([(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)], dtype=float)],
+    "cross": [
+        np.array([(1, 3), (1, 1), (3, 1), (3, -1), (1, -1), (1, -3)], dtype=float)[::-1] / 3,
+    ],
+    "frame": [SQUARE, 0.4 * SQUARE[::-1]],
+    "round hole": [SQUARE, 0.5],
+    "disc": [1.0],
+}
+OUTLINES["cross"][0] = np.vstack((OUTLINES["cross"][0], -OUTLINES["cross"][0]))
+
+
+def polygon(rng, outline, h):
+    """Points along an outline: corners, or the radius of a circle (clockwise if inside)."""
+    if np.ndim(outline) == 0:
+        num = max(6, int(TAU * outline / h))
+        angle = TAU * (np.arange(num) + rng.uniform()) / num
+        points = outline * np.column_stack((np.cos(angle), np.sin(angle)))
+        return points[::-1] if outline < 1 else points
+    points = []
+    for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        num = max(1, round(np.linalg.norm(b - a) / h))
+        points.append(a + (b - a) * (np.arange(num) / num)[:, None])
+    return np.vstack(points)
+
+
+def inside(points, loops):
+    """Which points lie inside of all loops: how often a ray to the right crosses them."""
+    crossings = np.zeros(len(points), dtype=int)
+    for loop in loops:
+        for (ax, ay), (bx, by) in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+            between = (ay > points[:, 1]) != (by > points[:, 1])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x = ax + (points[:, 1] - ay) / (by - ay) * (bx - ax)
+            crossings += between & (points[:, 0] < x)
+    return crossings % 2 == 1
+
+
+def sheet(rng, h, outlines, graph):
+    """A triangulated piece of a graph."""
+    loops = [polygon(rng, outline, h) for outline in outlines]
+    rim = np.vstack(loops)
+    for _ in range(20):
+        n = int(2 / h) + 2
+        i, j = (a.ravel() for a in np.meshgrid(np.arange(-n, n), np.arange(-n, n)))
+        x = np.column_stack(((i + 0.5 * (j % 2)) * h, j * 0.87 * h)) @ rotation(rng)[:2, :2]
+        x = x + rng.uniform(0, 0.2) * h * rng.uniform(-1, 1, x.shape)
+        x = x[inside(x, loops)]
+        near = np.linalg.norm(x[:, None] - rim, axis=2).min(axis=1, initial=9)
+        x = np.vstack((rim, x[near > 0.6 * h]))
+        t = Delaunay(x, qhull_options="QJ Pp").simplices
+        corners = x[t]
+        area = np.linalg.det(corners[:, 1:] - corners[:, :1])
+        t[area < 0] = t[area < 0][:, ::-1]
+        t = t[(np.abs(area) > 1e-3 * h**2) & inside(corners.mean(axis=1), loops)]
+        used, t = np.unique(t, return_inverse=True)
+        x, t = x[used], t.reshape(-1, 3)
+        edges = np.sort(np.vstack((t[:, :2], t[:, 1:], t[:, ::2])), axis=1)
+        _, count = np.unique(edges, axis=0, return_counts=True)
+        if (count == 1).sum() == len(rim) and len(x) - len(count) + len(t) == 2 - len(loops):
+            return np.column_stack((x, graph(*x.T))), t
+    return None
+
+
+def rotation(rng):
+    """A random one."""
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+# -
+
+# ## Scenes
+#
+# Both surfaces of a scene are triangulations of one shape. Some are the same triangulation, exactly
+# or nearly, or one is the other's refinement and shares its nodes.
+
+
+# +
+def quartered(x, t):
+    """Each triangle cut into four."""
+    edges = np.sort(np.stack((t, np.roll(t, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
+    unique, which = np.unique(edges, axis=0, return_inverse=True)
+    ab, bc, ca = (which.reshape(-1, 3) + len(x)).T
+    a, b, c = t.T
+    parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))
+    x = np.vstack((x, x[unique].mean(axis=1)))
+    return x, np.vstack([np.column_stack(part) for part in parts])
+
+
+def scene(seed):
+    """Name and two triangulations of a random scene; the first one's body is inside."""
+    rng = np.random.default_rng(seed)
+    kind = rng.choice(("ball", "torus", "tube", "sheet", "sheet"))
+    h = np.exp(rng.uniform(np.log(0.1), np.log(0.7)))
+    ratio = np.exp(rng.uniform(np.log(1 / 7), np.log(7)))
+    sizes = h, np.clip(h * ratio, 0.07, 0.9)
+    if kind == "ball":
+        name = str(rng.choice(list(BALLS)))
+        sides = [ball(rng, 0.8 * s, BALLS[name]) for s in sizes]
+    elif kind == "torus":
+        name = "torus"
+        sides = [
+            grid(rng, max(7, int(TAU / s)), max(5, int(2.5 / s)), (True, True), torus)
+            for s in sizes
+        ]
+    elif kind == "tube":
+        name = "tube"
+        sides = [
+            grid(rng, max(5, int(TAU / s)), max(1, int(1.5 / s)), (True, False), tube)
+            for s in sizes
+        ]
+    else:
+        graph, outline = str(rng.choice(list(GRAPHS))), str(rng.choice(list(OUTLINES)))
+        name = f"{graph}, {outline}"
+        sizes = tuple(min(s, 0.5) for s in sizes)
+        sides = [sheet(rng, s, OUTLINES[outline], GRAPHS[graph]) for s in sizes]
+        if None in [part if part is None else 0 for part in sides]:
+            return scene(seed + 1_000_003)
+    same = rng.choice(("no", "no", "no", "no", "no", "exactly", "1e-12", "1e-6", "nodes"))
+    if same != "no":
+        x, t = sides[0]
+        noise = 0.0 if same in ("exactly", "nodes") else float(same)
+        if same == "nodes":
+            sides[1] = quartered(x, t)
+        else:
+            sides[1] = x + noise * h * rng.uniform(-1, 1, x.shape), t
+        name += {"nodes": ", shared nodes", "exactly": ", matching"}.get(same, f", within {same}")
+    if rng.random() < 0.5:  # which of them is Γ0
+        sides = [(x, t) for x, t in sides[::-1]]
+    turn, size = rotation(rng), 10 ** rng.uniform(-3, 3)
+    return name, [(size * x @ turn.T, t) for x, t in sides]
+
+
+def layer(x, t, outwards, thickness=0.02):
+    """A thin layer of tetrahedra behind a surface, and the facets on the surface."""
+    if not outwards:
+        t = t[:, ::-1]
+    normal = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
+    total = np.zeros_like(x)
+    for k in range(3):
+        np.add.at(total, t[:, k], normal)
+    total /= np.linalg.norm(total, axis=1, keepdims=True)
+    h = np.sqrt(np.linalg.norm(normal, axis=1).mean())
+    n = len(x)
+    # Prisms, cut by the order of their vertices, so that neighbours agree
+    a, b, c = np.sort(t, axis=1).T
+    cells = np.vstack([np.column_stack(v) for v in (
+        (a, b, c, n + c), (a, b, n + b, n + c), (a, n + a, n + b, n + c))])  # fmt: skip
+    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    nodes = np.vstack((x, x - thickness * h * total))
+    mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), e=element, x=nodes)
+    mesh.topology.create_connectivity(2, 3)
+    facets = exterior_facet_indices(mesh.topology)
+    corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)]
+    return mesh, facets[(corners < n).all(axis=1)]
+
+
+def quality(domain):
+    """The least area Σ_k dα_k e_{k+1} × e_{k+2} of a cell over its longest edge's square."""
+    x, alpha = domain.x[:, :4], domain.alpha_vertices
+    e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
+    N = sum(d[:, k, None] * np.cross(e[:, k - 2], e[:, k - 1]) for k in range(3))
+    return float((np.linalg.norm(N, axis=1) / (e**2).sum(axis=2).max(axis=1)).min())
+
+
+def run(seed, degree=1):
+    """Tie a scene, and tell what came of it."""
+    name, sides = scene(seed)
+    ends = []
+    for (x, t), outwards in zip(sides, (True, False), strict=True):
+        mesh, facets = layer(x, t, outwards)
+        ends.append((fem.functionspace(mesh, ("Lagrange", degree)), facets))
+    num = sum(len(facets) for _, facets in ends)
+    row = {"scene": name, "seed": seed, "degree": degree, "facets": num}
+    start = time.perf_counter()
+    try:
+        tie = Tie(*ends)
+    except InterfaceError as error:
+        return row | {"cells": 0, "valid": False, "error": str(error)}
+    row["seconds"] = time.perf_counter() - start
+    domain = tie.domain
+    inner = (domain.alpha_vertices > 0) & (domain.alpha_vertices < 1)
+    places = np.round(domain.x[:, :4][inner] / np.abs(domain.x).max(), 9)
+    interior = len(np.unique(places, axis=0)) if len(places) else 0
+    row |= {"cells": len(domain.x), "valid": True, "quality": quality(domain), "interior": interior}
+    return row
+
+
+if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scenes", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--degree", type=int, default=1)
+    parser.add_argument("--json", help="write the rows to this file")
+    args = parser.parse_args()
+    rows = []
+    for seed in range(args.seed, args.seed + args.scenes):
+        rows.append(run(seed, args.degree))
+        if not (row := rows[-1])["valid"]:
+            print(row["seed"], row["scene"], row["facets"], row["error"][:150])
+    total = Counter(row["scene"].split(",")[0] for row in rows)
+    valid = Counter(row["scene"].split(",")[0] for row in rows if row["valid"])
+    for name, number in sorted(total.items()):
+        print(f"{name:12} {valid[name]} of {number}")
+    print(f"all          {sum(valid.values())} of {len(rows)}, "
+          f"{sum(row.get('interior', 0) > 0 for row in rows)} with interior nodes")  # fmt: skip
+    if args.json:
+        with open(args.json, "w") as file:
+            json.dump(rows, file, indent=1)

@@ -1,0 +1,200 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// The front's way from one surface to the other: where vertices wait at first, and the order of moves.
+
+static int sort_edges(Edges *edges, int n, int num, const int *triangles)
+{
+  edges->offset = calloc(n + 2, sizeof(int));
+  edges->to = malloc((3 * num + 1) * sizeof(int));
+  edges->opposite = malloc((3 * num + 1) * sizeof(int));
+  edges->triangle = malloc((3 * num + 1) * sizeof(int));
+  if (!edges->offset || !edges->to || !edges->opposite || !edges->triangle)
+    return 0;
+  for (int i = 0; i < 3 * num; ++i)
+    ++edges->offset[triangles[i] + 2];
+  for (int i = 2; i < n + 2; ++i)
+    edges->offset[i] += edges->offset[i - 1];
+  for (int t = 0; t < num; ++t)
+    for (int k = 0; k < 3; ++k)
+    {
+      int at = edges->offset[triangles[3 * t + k] + 1]++;
+      edges->to[at] = triangles[3 * t + (k + 1) % 3];
+      edges->opposite[at] = triangles[3 * t + (k + 2) % 3];
+      edges->triangle[at] = t;
+    }
+  return 1;
+}
+
+static void free_edges(Edges *edges)
+{
+  free(edges->offset), free(edges->to), free(edges->opposite), free(edges->triangle);
+}
+
+// The start's vertex nearest to w whose normal agrees.
+static int nearest(const Front *f, const Edges *start, int w)
+{
+  double least = INFINITY;
+  int best = 0;
+  for (int i = 0; i < f->points.n0; ++i)
+  {
+    double e[3];
+    minus(f->points.vertex[i].y, f->points.vertex[w].y, e);
+    double square = dot(e, e) * (dot(f->points.vertex[i].n, f->points.vertex[w].n) > 0.3 ? 1 : 1e6);
+    if (square < least && start->offset[i] < start->offset[i + 1])
+    {
+      least = square;
+      best = i;
+    }
+  }
+  return start->triangle[start->offset[best]];
+}
+
+// Find the triangle of the front that each vertex of the end waits in. Neighbours are near each
+// other, so each walk begins where one has ended.
+static int locate(Front *f, const Edges *start)
+{
+  int *queue = malloc((f->points.n + 1) * sizeof(int)), *near = malloc((f->points.n + 1) * sizeof(int));
+  if (!queue || !near)
+  {
+    free(queue), free(near);
+    return 0;
+  }
+  int first = 0, last = 0;
+  for (int i = 0; i < f->points.n; ++i)
+    near[i] = -1;
+  for (int i = f->points.n0; i < f->points.n; ++i) // those at the upper rim of the walls
+    if (start->offset[i] < start->offset[i + 1])
+    {
+      near[i] = start->triangle[start->offset[i]];
+      queue[last++] = i;
+    }
+  for (int i = f->points.n0; i < f->points.n; ++i)
+  {
+    if (near[i] < 0 && first == last && f->end.offset[i] < f->end.offset[i + 1])
+    {
+      near[i] = walk(f, nearest(f, start, i), i, f->num_triangles);
+      put(f, i, near[i]);
+      queue[last++] = i;
+    }
+    while (first < last)
+    {
+      int a = queue[first++];
+      for (int j = f->end.offset[a]; j < f->end.offset[a + 1]; ++j)
+      {
+        int b = f->end.to[j];
+        if (near[b] >= 0)
+          continue;
+        int t = walk(f, near[a], b, f->num_triangles);
+        if (!is_inside(f, t, b))
+        {
+          int other = walk(f, nearest(f, start, b), b, f->num_triangles);
+          t = is_inside(f, other, b) ? other : t;
+        }
+        near[b] = t;
+        put(f, b, t);
+        queue[last++] = b;
+      }
+    }
+  }
+  free(queue), free(near);
+  return 1;
+}
+
+static int num_left(const Front *f)
+{
+  int left = 0;
+  for (int t = 0; t < f->num_triangles; ++t)
+    left += f->triangle[t].v[0] >= 0 && !is_final(f, t);
+  return left;
+}
+
+static void advance(Front *f)
+{
+  int before = -1;
+  // What could not move may be able to when all else has moved
+  while (!f->failed && f->num_cells > before && f->num_cells < f->max_cells && num_left(f))
+  {
+    before = f->num_cells;
+    f->num_events = 0;
+    for (int t = 0; t < f->num_triangles; ++t)
+      if (f->triangle[t].v[0] >= 0)
+        offer_points(f, t);
+    for (int t = 0; t < f->num_triangles; ++t)
+      if (f->triangle[t].v[0] >= 0)
+        for (int k = 0; k < 3; ++k)
+          if (f->triangle[t].behind[k] > t)
+            offer_edge(f, t, k);
+    while (f->num_events && !f->failed && f->num_cells < f->max_cells)
+    {
+      Event e = pop(f);
+      if (!is_stale(f, &e))
+        carry_out(f, &e);
+    }
+  }
+}
+
+// Fill the space between two surfaces.
+//
+// n0, n1      vertices of the start and of the end (numbered behind the start's)
+// vertices    x, y, normal, weight of each
+// start       triangles of the start and of the walls, counterclockwise seen from the end
+// end         the end's, counterclockwise seen from beyond
+// max_cells   space for cells
+// cells, left cells; triangles of the front that are no facets of the end, as many as start and
+//             twice n1 at most
+// counts      number of cells, of triangles left, of vertices left
+int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
+               const int *end, int max_cells, int *cells, int *left, int *counts)
+{
+  int status = NO_MEMORY;
+  Front f = {.points = {n0, n0 + n1, (const Vertex *)vertices}, .cells = cells, .max_cells = max_cells};
+  Edges first = {0};
+  f.max_triangles = num_start + 2 * n1 + 2;
+  f.triangle = malloc(f.max_triangles * sizeof(Triangle));
+  f.spare = malloc(f.max_triangles * sizeof(int));
+  f.home = malloc((f.points.n + 1) * sizeof(int));
+  f.next = malloc((f.points.n + 1) * sizeof(int));
+    counts[0] = counts[1] = counts[2] = 0;
+  if (!f.triangle || !f.spare || !f.home || !f.next || !sort_edges(&f.end, f.points.n, num_end, end)
+      || !sort_edges(&first, f.points.n, num_start, start))
+    goto finish;
+  for (int i = 0; i < f.points.n; ++i)
+    f.home[i] = f.next[i] = -1;
+  for (int t = 0; t < num_start; ++t)
+  {
+    f.triangle[t].stamp = 0;
+    set(&f, t, start[3 * t], start[3 * t + 1], start[3 * t + 2]);
+  }
+  f.num_triangles = num_start;
+  for (int t = 0; t < num_start; ++t)
+    for (int k = 0; k < 3; ++k)
+    {
+      int a = start[3 * t + k], b = start[3 * t + (k + 1) % 3];
+      for (int i = first.offset[b]; i < first.offset[b + 1]; ++i)
+        if (first.to[i] == a)
+          f.triangle[t].behind[k] = first.triangle[i];
+    }
+  if (!locate(&f, &first))
+    goto finish;
+  advance(&f);
+  if (f.failed)
+    goto finish;
+  status = DONE;
+  counts[0] = f.num_cells;
+  for (int t = 0; t < f.num_triangles; ++t)
+    if (f.triangle[t].v[0] >= 0 && !is_final(&f, t))
+    {
+      memcpy(left + 3 * counts[1]++, f.triangle[t].v, 3 * sizeof(int));
+      status = STUCK;
+    }
+  for (int i = n0; i < f.points.n; ++i)
+    counts[2] += f.home[i] >= 0;
+finish:
+  free_edges(&f.end), free_edges(&first);
+  free(f.triangle), free(f.spare), free(f.home), free(f.next), free(f.heap);
+  return status;
+}

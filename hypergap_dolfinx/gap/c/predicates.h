@@ -1,0 +1,127 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Predicates: what four vertices of Σ make, seen along the mean of their normals.
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
+
+#define FLAT 1e-9      // D of a cell over its longest edge's square that counts as none
+#define COLLINEAR 1e-12 // the same for A of a triangle
+#define STEPS 64       // triangles that a waiting point may cross when the front has changed
+#define SWEEPS_OF_QUADRATICS 50
+#define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
+
+typedef struct {
+  double x[3]; // where it is
+  double y[3]; // where predicates of the order see it: off x by what tells ties apart
+  double n[3]; // normal, from the start to the end
+  double w;    // weight
+} Vertex;
+
+// The vertices of both surfaces: the start's first, then the end's.
+typedef struct {
+  int n0, n; // of the start, and all
+  const Vertex *vertex;
+} Points;
+
+static inline double dot(const double *a, const double *b)
+{
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// a · (b × c)
+static inline double triple(const double *a, const double *b, const double *c)
+{
+  return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
+         + a[2] * (b[0] * c[1] - b[1] * c[0]);
+}
+
+static inline void minus(const double *a, const double *b, double *c)
+{
+  for (int i = 0; i < 3; ++i)
+    c[i] = a[i] - b[i];
+}
+
+static inline void unit_sum(const double *a, const double *b, const double *c, const double *d,
+                            double *n)
+{
+  for (int i = 0; i < 3; ++i)
+    n[i] = a[i] + b[i] + c[i] + d[i];
+  double length = sqrt(dot(n, n));
+  for (int i = 0; i < 3; ++i)
+    n[i] /= length > 0 ? length : 1;
+}
+
+// D(a,b,c,d) = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, with edges e_k from a and n the mean normal:
+// positive if the cell is not inverted. Relative to the square of the longest e_k.
+static double D(const Points *p, int a, int b, int c, int d, const double *n, double *scale)
+{
+  const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};
+  const int on[4] = {a >= p->n0, b >= p->n0, c >= p->n0, d >= p->n0};
+  double e[3][3], sum = 0, longest = 0;
+  for (int k = 0; k < 3; ++k)
+  {
+    minus(v[k + 1]->x, v[0]->x, e[k]);
+    longest = fmax(longest, dot(e[k], e[k]));
+  }
+  for (int k = 0; k < 3; ++k)
+    if (on[k + 1] != on[0])
+      sum += (on[k + 1] - on[0]) * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+  *scale = longest;
+  return sum;
+}
+
+// H(a,b,c,d) = Σ_k dh_k (e_{k+1} × e_{k+2}) · n with h = |y|² − (y · n)² + w: positive if d is above
+// the plane through a, b, c, when each vertex is lifted by its h.
+static double H(const Vertex **v, const double *n)
+{
+  double e[3][3], sum = 0;
+  for (int k = 0; k < 3; ++k)
+    minus(v[k + 1]->y, v[0]->y, e[k]);
+  for (int k = 0; k < 3; ++k)
+  {
+    double normal = dot(e[k], n), dh = dot(e[k], e[k]) - normal * normal + v[k + 1]->w - v[0]->w;
+    sum += dh * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+  }
+  return sum;
+}
+
+// A(a,b,c) = (b − a) × (c − a) · n with the sum n of the vertices' normals: positive if the triangle
+// is counterclockwise seen along it. Relative to the square of the longer edge from a.
+static double A(const Points *p, int a, int b, int c, double *scale)
+{
+  const Vertex *u = p->vertex + a, *v = p->vertex + b, *w = p->vertex + c;
+  double n[3], e[3], g[3];
+  for (int i = 0; i < 3; ++i)
+    n[i] = u->n[i] + v->n[i] + w->n[i];
+  minus(v->y, u->y, e);
+  minus(w->y, u->y, g);
+  *scale = fmax(dot(e, e), dot(g, g));
+  return triple(e, g, n);
+}
+
+static int ccw(const Points *p, int a, int b, int c)
+{
+  double scale, area = A(p, a, b, c, &scale);
+  return area > COLLINEAR * scale;
+}
+
+// Time t = H/D at which a cell is due; whether it is a valid one.
+static int due(const Points *p, int a, int b, int c, int d, double *t)
+{
+  const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};
+  double n[3], scale, area;
+  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
+  area = D(p, a, b, c, d, n, &scale);
+  if (!(area > FLAT * scale))
+    return 0;
+  *t = H(v, n) / area;
+  return isfinite(*t);
+}

@@ -1,0 +1,163 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Weights of vertices, with which a triangulation that isn't Delaunay is regular.
+
+// One constraint on the weights: the sum of c[k] times them is at least bound.
+typedef struct {
+  double c[4], bound, tolerance;
+} Constraint;
+
+// The edge from q to r must be regular, H(q,r,p,s) ≥ MARGIN m⁴.
+static Constraint inner_edge(const Vertex *vertex, const int *edge)
+{
+  const Vertex *v[4];
+  double n[3], e[3][3], longest = 0;
+  Constraint g = {0};
+  for (int k = 0; k < 4; ++k)
+    v[k] = vertex + edge[k];
+  unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
+  for (int k = 0; k < 3; ++k)
+  {
+    minus(v[k + 1]->y, v[0]->y, e[k]);
+    longest = fmax(longest, dot(e[k], e[k]));
+  }
+  for (int k = 0; k < 3; ++k)
+  {
+    g.c[k + 1] = triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+    g.c[0] -= g.c[k + 1];
+  }
+  double height = H(v, n), margin = MARGIN * longest * longest;
+  g.bound = margin - height;
+  g.tolerance = 0.5 * margin;
+  return g;
+}
+
+// Two edges of the boundary, from a to b and on to c, must be regular for the wall:
+// (h_c − h_b) / |c − b| − (h_b − h_a) / |b − a| ≥ MARGIN m, with h = s² + w along them.
+static Constraint rim(const Vertex *vertex, const int *v)
+{
+  double e[3], g[3];
+  Constraint constraint = {0};
+  minus(vertex[v[1]].y, vertex[v[0]].y, e);
+  minus(vertex[v[2]].y, vertex[v[1]].y, g);
+  double a = sqrt(dot(e, e)), b = sqrt(dot(g, g)), margin = MARGIN * (a + b);
+  constraint.c[0] = 1 / a;
+  constraint.c[1] = -1 / a - 1 / b;
+  constraint.c[2] = 1 / b;
+  constraint.bound = margin - (a + b);
+  constraint.tolerance = 0.5 * margin;
+  return constraint;
+}
+
+static int num_terms(const int *edge)
+{
+  return edge[3] < 0 ? 3 : 4;
+}
+
+// The six products of two coordinates
+static void products(const double *y, double *q)
+{
+  q[0] = y[0] * y[0], q[1] = y[1] * y[1], q[2] = y[2] * y[2];
+  q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
+}
+
+// Quadratic weights, if they make at least half of the irregular edges regular: where a whole
+// triangulation is sheared, that is all it takes, and what follows would take long.
+static void quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
+                              const Constraint *constraints)
+{
+  double Q[6] = {0}, best[6] = {0}, q[6];
+  int at_first = 0, least = num + 1;
+  for (int sweep = 0; sweep <= SWEEPS_OF_QUADRATICS; ++sweep)
+  {
+    double before[6];
+    int violated = 0;
+    memcpy(before, Q, sizeof(Q));
+    for (int i = 0; i < num; ++i)
+    {
+      const Constraint *g = constraints + i;
+      double c[6] = {0}, value = 0, square = 0;
+      for (int k = 0; k < num_terms(edges + 4 * i); ++k)
+      {
+        products(vertex[edges[4 * i + k]].y, q);
+        for (int j = 0; j < 6; ++j)
+          c[j] += g->c[k] * q[j];
+      }
+      for (int j = 0; j < 6; ++j)
+      {
+        value += c[j] * Q[j];
+        square += c[j] * c[j];
+      }
+      if (g->bound - value <= g->tolerance || !(square > 0))
+        continue;
+      ++violated;
+      for (int j = 0; j < 6 && sweep > 0; ++j) // the first sweep only counts
+        Q[j] += (g->bound - value) / square * c[j];
+    }
+    if (sweep == 0)
+      at_first = violated;
+    if (violated < least)
+    {
+      least = violated;
+      memcpy(best, before, sizeof(Q));
+    }
+    if (!violated || (sweep == 10 && 2 * least > at_first))
+      break;
+  }
+  for (int i = 0; i < n && 2 * least <= at_first; ++i)
+  {
+    products(vertex[i].y, q);
+    for (int j = 0; j < 6; ++j)
+      vertex[i].w += best[j] * q[j];
+  }
+}
+
+// Weights that make a triangulation locally regular: reflected at one violated constraint after the
+// other (Motzkin and Schoenberg), they end where none is.
+//
+// vertices    as of front_fill; their weights are set
+// num, edges  q, r, p, s of each inner edge; a, b, c, −1 for two edges on the boundary
+// sweeps      at most; returned is how many were needed, −1 if these were too few (weights are
+//             then better than none)
+int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
+{
+  Vertex *vertex = (Vertex *)vertices;
+  Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
+  if (!constraints)
+    return -1;
+  for (int i = 0; i < n; ++i)
+    vertex[i].w = 0;
+  for (int i = 0; i < num; ++i)
+    constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
+  quadratic_weights(n, vertex, num, edges, constraints);
+  int sweep = 0, violated = 1;
+  for (; violated && sweep <= sweeps; ++sweep)
+  {
+    violated = 0;
+    for (int i = 0; i < num; ++i)
+    {
+      Constraint *g = constraints + i;
+      const int *v = edges + 4 * i, terms = num_terms(v);
+      double value = 0, square = 0;
+      for (int k = 0; k < terms; ++k)
+      {
+        value += g->c[k] * vertex[v[k]].w;
+        square += g->c[k] * g->c[k];
+      }
+      if (!(square > 0))
+        continue;
+      if (g->bound - value <= g->tolerance)
+        continue;
+      violated = 1;
+      double step = 2 * (g->bound - value) / square;
+      for (int k = 0; k < terms; ++k)
+        vertex[v[k]].w += step * g->c[k];
+    }
+  }
+  free(constraints);
+  return violated ? -1 : sweep;
+}

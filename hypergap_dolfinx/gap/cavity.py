@@ -1,0 +1,219 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Cavities that a front leaves: each becomes a cone to one node between the surfaces."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.jit import library
+from hypergap_dolfinx.gap.metric import FACES, areas, face_keys
+from hypergap_dolfinx.graph import components
+
+INSET = 0.02  # least share of α that an interior node keeps from both surfaces
+SEES = 1e-3  # how far inside (in edge lengths) a point must be that sees all faces
+ROUNDS = 100  # of removing cells around a cavity
+LARGE = 400  # faces of a cavity that is given up
+
+Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
+"""``place(x, alpha, vertices)``: place, α and normal of a node near x that is hosted on both
+sides, and its hosts; vertices are those around."""
+
+
+@dataclass
+class Cells:
+    """Cells from which some are taken and to which others are added."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals at the vertices, from Γ0 to Γ1."""
+    cells: npt.NDArray[np.integer]
+    """``(num_cells, 4)``."""
+
+
+def unmatched(cells, outer) -> npt.NDArray[np.integer]:
+    """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+
+    Returns:
+        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``.
+    """
+    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
+    _, which, count = np.unique(face_keys(faces), return_inverse=True, return_counts=True)
+    return faces[count[which] == 1]
+
+
+def fill(mesh: Cells, outer, place: Place):
+    """Fill what is missing.
+
+    Args:
+        mesh: The cells there are.
+        outer: The boundary's triangles, counterclockwise seen from inside.
+        place: Puts a node between the surfaces.
+
+    Returns:
+        The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
+    """
+    behind = _Behind(mesh.cells)
+    nodes: list[tuple] = []
+    cones = []
+    for cavity in _parts(unmatched(mesh.cells, outer)):
+        found = _cone(mesh, cavity, behind, place)
+        if found is None:
+            return None
+        cavity, node = found
+        number = len(mesh.x) + len(nodes)
+        cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
+        nodes.append(node)
+    x, alpha, normals, hosts = zip(*nodes, strict=True)
+    return Cells(
+        np.vstack((mesh.x, *x)),
+        np.append(mesh.alpha, alpha),
+        np.vstack((mesh.normals, *normals)),
+        np.vstack((mesh.cells[behind.left], *cones)),
+    ), list(hosts)
+
+
+def _parts(faces) -> list[npt.NDArray[np.integer]]:
+    """Cavities: faces that hang together by edges."""
+    edge = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
+    _, which = np.unique(edge, axis=0, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    same = which[order[1:]] == which[order[:-1]]
+    f, g = order[:-1][same] // 3, order[1:][same] // 3
+    part = components(len(faces), f, g)
+    order = np.argsort(part, kind="stable")
+    return np.split(faces[order], np.flatnonzero(np.diff(part[order])) + 1)
+
+
+class _Behind:
+    """The cell behind a face of a cavity; cells can be taken away."""
+
+    def __init__(self, cells):
+        self.cells = cells
+        self.left = np.ones(len(cells), dtype=bool)
+        key = face_keys(cells[:, FACES].reshape(-1, 3))
+        self._order = np.argsort(key, kind="stable")
+        self._key = key[self._order]
+
+    def of(self, faces) -> npt.NDArray[np.intp]:
+        """Cells that are left and have the faces, −1 where there is none."""
+        found = np.full(len(faces), -1)
+        first = np.searchsorted(self._key, face_keys(faces))
+        wanted = face_keys(faces)
+        for i in (0, 1):
+            at = np.minimum(first + i, len(self._key) - 1)
+            cell = self._order[at] // 4
+            good = (self._key[at] == wanted) & self.left[cell]
+            found[good] = cell[good]
+        return found
+
+
+def _without(faces, cells) -> npt.NDArray[np.integer]:
+    """The faces around a cavity after the cells behind some of them are gone."""
+    kept = {tuple(sorted(face)): tuple(face) for face in faces.tolist()}
+    for face in cells[:, FACES].reshape(-1, 3).tolist():
+        key = tuple(sorted(face))
+        if key in kept:
+            del kept[key]
+        else:
+            kept[key] = tuple(face[::-1])
+    return np.array(list(kept.values()), dtype=np.intp).reshape(-1, 3)
+
+
+def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
+    """Grow a cavity till a point sees all of it.
+
+    Returns:
+        Its faces, and the node: place, α, normal and hosts; None if there is none.
+    """
+    for _ in range(ROUNDS):
+        if not 0 < len(faces) <= LARGE:
+            return None
+        x, alpha, slack = _sees_best(mesh, faces)
+        if slack.min() > SEES:
+            node = place(x, alpha, np.unique(faces))
+            D, scale = _seen(mesh, faces, *node[:3])
+            if (D > 1e-6 * scale).all():
+                return faces, node
+            slack = D / scale
+        in_the_way = slack <= slack.min() + 1e-6
+        gone = behind.of(faces[in_the_way])
+        if not (gone >= 0).any():  # facets of the surfaces: make room beside them
+            ends = np.isin(faces, faces[in_the_way]).sum(axis=1)
+            for shared in (2, 1, 0):
+                gone = behind.of(faces[ends >= shared])
+                if (gone >= 0).any():
+                    break
+        gone = np.unique(gone[gone >= 0])
+        if not len(gone):
+            return None
+        behind.left[gone] = False
+        faces = _without(faces, behind.cells[gone])
+    return None
+
+
+def _seen(mesh: Cells, faces, x, alpha, normal):
+    """D of the cells between faces and a point, and their scale."""
+
+    def with_point(values, at):
+        own = np.broadcast_to(np.asarray(at, dtype=float), values[:, :1].shape)
+        return np.concatenate((values, own), axis=1)
+
+    normals = with_point(mesh.normals[faces], normal).sum(axis=1)
+    return areas(with_point(mesh.x[faces], x), with_point(mesh.alpha[faces], alpha), normals)
+
+
+def _sees_best(mesh: Cells, faces):
+    """The point that is farthest inside of all faces, in the plane of the mean normal and in α.
+
+    Returns:
+        Its place, its α, and by how much it is inside of each face.
+    """
+    v = mesh.x[faces]
+    centre = v.mean(axis=(0, 1))
+    h = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).mean()
+    normal = mesh.normals[faces].mean(axis=(0, 1))
+    normal /= max(np.linalg.norm(normal), 1e-300)
+    tangents = np.linalg.svd(normal[None])[2][1:]
+    # D is affine in the point: its values at four points give it
+    points = np.array([(0, 0, 0.5), (1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.5)])
+    D = np.column_stack(
+        [_seen(mesh, faces, centre + h * p[:2] @ tangents, p[2], normal)[0] for p in points]
+    )
+    gradient = D[:, 1:] - D[:, :1]
+    offset = D[:, 0] - gradient[:, 2] / 2
+    length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-12 * h**2)
+    gradient, offset = gradient / length[:, None], offset / length
+    # Maximise r: gradient · z + offset ≥ r, and r away from both surfaces
+    A = np.column_stack((-gradient, np.ones(len(faces))))
+    A = np.vstack((A, (0, 0, -1, 1), (0, 0, 1, 1)))
+    b = np.concatenate((offset, (-INSET, 1 - INSET)))
+    z = linear_program(A, b, np.array((0.0, 0.0, 0.0, 1.0)), 100.0)
+    slack = gradient @ z[:3] + offset
+    return centre + h * z[:2] @ tangents, float(np.clip(z[2], INSET, 1 - INSET)), slack
+
+
+def linear_program(A, b, c, bound: float) -> npt.NDArray[np.float64]:
+    """Maximise c · z where A z ≤ b and |z_i| ≤ bound; four unknowns at most."""
+    module = library()
+    order = np.random.default_rng(0).permutation(len(b))  # any order, but the same on every rank
+    A, b, c = (np.ascontiguousarray(a, dtype=float) for a in (A[order], b[order], c))
+    z = np.empty(len(c))
+    data = (module.ffi.from_buffer("double[]", a) for a in (A, b, c))
+    status = module.lib.linear_program(
+        len(c), len(b), *data, bound, module.ffi.from_buffer("double[]", z)
+    )
+    assert status == 0
+    return z

@@ -1,0 +1,304 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap import cavity, prisms
+from hypergap_dolfinx.gap.cavity import Place
+from hypergap_dolfinx.gap.jit import library
+from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.walls import Rim, rims
+
+SHIFT = 0.1  # by how much of an edge's length ties are told apart
+GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
+LEAN = 0.3  # share of the displacement by which walls lean outwards at least
+SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
+VISITS = 30_000_000  # the same, times edges
+VARIANTS = ((True, False), (True, True), (False, False), (False, True))
+"""Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
+CELLS = 30  # a front that makes more of them for each facet is given up
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Two surfaces between which cells are sought; vertices are Γ0's, then Γ1's."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    n0: int
+    """Number of Γ0's vertices."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
+    edges: npt.NDArray[np.integer]
+    """Inner edges of both: ends q and r, p on their left and s on their right; and two edges of the
+    boundary, a, b, c, −1: ``(num_edges, 4)``."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals of the vertices, from Γ0 to Γ1."""
+    rims: list[Rim]
+    """Boundaries that face each other; none of closed surfaces."""
+
+    @classmethod
+    def between(cls, side0: Side, side1: Side) -> "Problem":
+        """The problem of two facing pieces.
+
+        Raises:
+            InterfaceError: Their boundaries don't match.
+        """
+        n0 = len(side0.x)
+        facets = side0.triangles, n0 + side1.triangles[:, ::-1]
+        edges1 = side1.inner_edges
+        edges = [side0.inner_edges, n0 + edges1[:, [1, 0, 2, 3]]]
+        pairs = rims(side0, side1)
+        for rim in pairs:
+            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
+                three = (np.roll(loop, -k) for k in range(3))
+                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
+        normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
+        x = np.vstack((side0.x, side1.x))
+        return cls(x, n0, facets, np.vstack(edges), normals, pairs)
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the finer side's edges, in the mean."""
+        means = []
+        for facets in self.facets:
+            edge = self.x[facets[:, 1]] - self.x[facets[:, 0]]
+            means.append(np.sqrt(np.einsum("fi,fi->f", edge, edge)).mean())
+        return float(min(means))
+
+    @cached_property
+    def order(self) -> npt.NDArray[np.intp]:
+        """The vertices of Γ0 and then those of Γ1, each along a curve that fills space.
+
+        What is near in space is then near in memory: of large meshes that is most of the time.
+        """
+        low = self.x.min(axis=0)
+        grid = ((self.x - low) * (1023 / max(np.ptp(self.x), 1e-300))).astype(np.int64)
+        code = _spread(grid[:, 0]) + (_spread(grid[:, 1]) << 1) + (_spread(grid[:, 2]) << 2)
+        code[self.n0 :] += 1 << 30
+        return np.argsort(code, kind="stable")
+
+    @cached_property
+    def shift(self) -> npt.NDArray[np.float64]:
+        """By what Γ1 is displaced for the order of the moves, so that no two are tied.
+
+        Edges that are parallel stay so, which decides about all cells between two edges: the
+        displacement is constant on a closed surface and a dilation of an open one, so that its
+        walls lean outwards. Where a wall would still lean inwards, as in a hole, its rim is moved.
+        """
+        shift = np.tile(GENERIC, (len(self.x) - self.n0, 1))
+        if not self.rims:
+            return SHIFT * self.size * shift
+        x, normal = self.x[self.n0 :], self.normals[self.n0 :]
+        outwards = x - x.mean(axis=0)
+        reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
+        shift = outwards / reach + 0.1 * GENERIC
+        for rim in self.rims:
+            nodes = rim.nodes[1]
+            edge = np.roll(x[nodes], -1, axis=0) - x[nodes]
+            edge /= np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
+            conormal = np.cross(edge + np.roll(edge, 1, axis=0), normal[nodes])
+            conormal /= np.maximum(np.linalg.norm(conormal, axis=1, keepdims=True), 1e-300)
+            leans = np.einsum("vi,vi->v", shift[nodes], conormal)
+            shift[nodes] += np.maximum(LEAN - leans, 0)[:, None] * conormal
+        return SHIFT * self.size * shift
+
+    def walls(self, shift, weights) -> npt.NDArray[np.intp]:
+        """Side walls, counterclockwise seen from inside, with Γ1 displaced."""
+        found = [rim.walls(self.n0, shift, weights)[:, ::-1] for rim in self.rims]
+        return np.vstack(found) if found else np.empty((0, 3), dtype=np.intp)
+
+
+def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Two zeros between the bits of ten-bit numbers."""
+    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+        a = (a | (a << shift)) & mask
+    return a
+
+
+@dataclass(frozen=True)
+class Front:
+    """What a front has made."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_cells, 4)``."""
+    walls: npt.NDArray[np.intp]
+    """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
+    left: int
+    """Number of its triangles that are no facets of the surface where it ends."""
+    wrong: tuple[int, int]
+    """Number of cells that are flat or inverted, and of faces that don't have one cell on each
+    side."""
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the cells are valid, and nothing is missing."""
+        return self.left == 0 and not any(self.wrong)
+
+
+def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
+    """Let a front run from one surface to the other.
+
+    Args:
+        problem: The surfaces.
+        weighted: Whether weights make the surfaces' edges locally regular.
+        reverse: Whether it goes from Γ1 to Γ0.
+    """
+    module = library()
+    lib, ffi = module.lib, module.ffi
+
+    def pointer(array):
+        kind = {"f": "double[]", "i": "int[]"}[array.dtype.kind]
+        return ffi.from_buffer(kind, array)
+
+    x, n, n0 = problem.x, len(problem.x), problem.n0
+    n1, sign = n - n0, -1 if reverse else 1
+    order = problem.order
+    if reverse:
+        order = np.concatenate((order[n0:], order[:n0]))
+    number = np.empty(n, dtype=np.int32)  # in the front's order: where it starts, where it ends
+    number[order] = np.arange(n, dtype=np.int32)
+    y = x - x.mean(axis=0)
+    vertices = np.zeros((n, 10))
+    vertices[:, :3] = y[order]
+    y[n0:] += sign * problem.shift
+    vertices[:, 3:6] = y[order]
+    vertices[:, :6] /= problem.size
+    vertices[:, 6:9] = sign * problem.normals[order]
+    turn = [1, 0, 2] if reverse else [0, 1, 2]
+    start, end = (number[f[:, turn]] for f in problem.facets[::sign])
+    start = start[np.argsort(start.min(axis=1), kind="stable")]
+    if weighted:
+        inner = problem.edges[:, 3] >= 0
+        edges = np.where(problem.edges < 0, -1, number[problem.edges])
+        edges[inner] = edges[inner][:, [*turn[:2], 2, 3]]
+        edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
+        sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
+        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
+    weights = vertices[number, 9] * problem.size**2
+    walls = problem.walls(sign * problem.shift, weights)
+    start = np.ascontiguousarray(np.vstack((start, number[walls])))
+    end = np.ascontiguousarray(end)
+    max_cells = CELLS * (len(start) + len(end)) + 100
+    cells = np.empty((max_cells, 4), dtype=np.int32)
+    left = np.empty((len(start) + 2 * n, 3), dtype=np.int32)
+    counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
+    sides = (n1, n0) if reverse else (n0, n1)
+    data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
+    status = lib.front_fill(*sides, pointer(vertices), len(start), *data, pointer(counts))
+    cells = cells[: counts[0]]
+    if status == 0:
+        outer = np.vstack((start, end[:, [1, 0, 2]]))
+        wrong = _check(sides[0], vertices, cells, outer)
+    if status > 1:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return Front(order[cells], walls, int(counts[1]), wrong)
+
+
+def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
+    """How many cells are flat or inverted, and how many faces lack a neighbour or have too many.
+
+    Args:
+        n0: Number of vertices of the surface where the front starts.
+        vertices: Place, displaced place, normal and weight of all, ``(num_vertices, 10)``.
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+    """
+    module = library()
+    wrong = np.zeros(2, dtype=np.int32)
+    cells, outer = (np.ascontiguousarray(a, dtype=np.int32) for a in (cells, outer))
+    status = module.lib.front_check(
+        n0,
+        len(vertices),
+        module.ffi.from_buffer("double[]", vertices),
+        len(cells),
+        module.ffi.from_buffer("int[]", cells),
+        len(outer),
+        module.ffi.from_buffer("int[]", outer),
+        module.ffi.from_buffer("int[]", wrong),
+    )
+    if status:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return int(wrong[0]), int(wrong[1])
+
+
+def twinned(problem: Problem) -> Front | None:
+    """Prisms between surfaces that match or nearly do: there a front would have to guess.
+
+    Returns:
+        None if they don't match.
+    """
+    facets0, facets1 = problem.facets
+    x, n0 = problem.x, problem.n0
+    twin = prisms.twins(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    if twin is None:
+        return None
+    cells = prisms.prisms(facets0, twin, n0)
+    walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
+    vertices = np.zeros((len(x), 10))
+    vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
+    vertices[:, 6:9] = problem.normals
+    outer = np.vstack((facets0, walls, facets1[:, ::-1]))
+    return Front(cells, walls, 0, _check(n0, vertices, cells, outer))
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Cells between two surfaces."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_cells, 4)``; interior vertices are numbered behind the others."""
+    hosts: list[tuple]
+    """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
+
+
+def construct(
+    problem: Problem, place: Place, num_bad: Callable[[Filling], int] = lambda _: 0
+) -> Filling | None:
+    """Cells between two surfaces, by the first front that gets through.
+
+    Else what the one leaves that gets farthest is filled with cones.
+
+    Args:
+        problem: The surfaces.
+        place: Puts a node between the surfaces.
+        num_bad: How many of the cells are of no use though their vertices' simplices are: curved
+            ones. The cells with the fewest are taken.
+
+    Returns:
+        The cells, None if there are none.
+    """
+    fronts, found = [], []
+    for variant in (None, *VARIANTS):
+        front = advance(problem, *variant) if variant else twinned(problem)
+        if front is None:
+            continue
+        if not front.is_valid:
+            fronts.append(front)
+            continue
+        filling = Filling(front.cells, [])
+        bad = num_bad(filling)
+        if not bad:
+            return filling
+        found.append((bad, filling))
+    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
+    for front in sorted(fronts, key=lambda front: front.left):
+        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
+        mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
+        made = cavity.fill(mesh, outer, place)
+        if made is not None:
+            filling = Filling(made[0].cells, made[1])
+            bad = num_bad(filling)
+            if not bad:
+                return filling
+            found.append((bad, filling))
+    return min(found, key=lambda pair: pair[0])[1] if found else None

@@ -1,0 +1,72 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Compiled C, built once with the compiler that FFCx uses, and kept in the cache that it uses."""
+
+import hashlib
+import importlib.machinery
+import importlib.util
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import cffi
+
+from dolfinx.jit import get_options
+
+NAMES = ("predicates.h", "weights.c", "front.c", "advance.c", "check.c", "program.c")
+SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
+DECLARATIONS = """
+int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
+               const int *end, int max_cells, int *cells, int *left, int *counts);
+int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
+int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
+                int num_outer, const int *outer, int *counts);
+int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
+                   double *z);
+"""
+FLAGS = ["-O2", "-g0"]
+
+
+@cache
+def library():
+    """The C in ``c/`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
+
+    Any number of processes may come here at once: each that finds nothing compiles in a folder of
+    its own, and the file appears under its final name as a whole.
+
+    Raises:
+        RuntimeError: There is no C compiler that works.
+    """
+    source = "".join(path.read_text() for path in SOURCES)
+    version = f"{cffi.__version__} {sys.version} {FLAGS}"
+    digest = hashlib.sha256("\n".join((source, DECLARATIONS, version)).encode()).hexdigest()
+    name = f"hypergap_front_{digest[:16]}"
+    folder = Path(get_options()["cache_dir"])
+    path = folder / (name + importlib.machinery.EXTENSION_SUFFIXES[0])
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        _compile(name, source, path)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _compile(name: str, source: str, path: Path):
+    builder = cffi.FFI()
+    builder.set_source(name, source, extra_compile_args=FLAGS)
+    builder.cdef(DECLARATIONS)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=name) as folder:
+        try:
+            built = builder.compile(tmpdir=folder)
+        except Exception as error:  # setuptools' errors have no class in common
+            raise RuntimeError(
+                f"3D interfaces need a C compiler, as DOLFINx does, and it failed: {error}"
+            ) from error
+        os.replace(built, path)

@@ -1,0 +1,36 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra between two surfaces: their areas, their faces, and whether they are valid."""
+
+import numpy as np
+import numpy.typing as npt
+
+FLAT = 1e-9  # D of a cell over its longest edge's square that counts as none
+FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+"""Vertices of a cell's faces, counterclockwise seen from outside."""
+
+
+def areas(x, alpha, normal):
+    """D = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, positive for a cell that is not inverted.
+
+    Args:
+        x: Vertex coordinates, ``(num_cells, 4, 3)``.
+        alpha: α at the vertices, ``(num_cells, 4)``.
+        normal: Normals n of any length, ``(num_cells, 3)``.
+
+    Returns:
+        D, and the square of each cell's longest edge from its first vertex, ``(num_cells,)`` each.
+    """
+    n = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
+    N = sum(d[:, k, None] * np.cross(e[:, (k + 1) % 3], e[:, (k + 2) % 3]) for k in range(3))
+    return np.einsum("ci,ci->c", N, n), np.einsum("cki,cki->ck", e, e).max(axis=1)
+
+
+def face_keys(faces: npt.NDArray[np.integer]) -> npt.NDArray:
+    """A number for each face that depends on its vertices only, less than 2²¹ of them."""
+    a, b, c = np.sort(faces, axis=1).astype(np.int64).T
+    return (a << 42) + (b << 21) + c

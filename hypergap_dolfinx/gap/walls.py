@@ -1,0 +1,169 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Walls that close the gap at the boundaries of two facing pieces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.strip import merge
+from hypergap_dolfinx.gap.surface import NOISE
+
+COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
+REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
+
+
+@dataclass(frozen=True)
+class Rim:
+    """A pair of facing boundary loops, in Γ0's direction of travel, with a common start."""
+
+    nodes: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+    """Vertices of each loop in its piece."""
+    s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Their parameters from 0 to 1, equal where nodes coincide; the last closes the loop."""
+    tangents: npt.NDArray[np.float64]
+    """At Γ1's nodes: how the parameter grows with the place, ``(num_nodes1, 3)``."""
+
+    length: float
+    """Length of the loops."""
+
+    def walls(self, n0: int, shift, weights) -> npt.NDArray[np.intp]:
+        """Triangles between the loops.
+
+        Args:
+            n0: Number of vertices of Γ0's piece; Γ1's are numbered behind them.
+            shift: By what Γ1's vertices are displaced, so that ties are decided as elsewhere,
+                ``(num_vertices1, 3)``.
+            weights: Of both sides' vertices, ``(num_vertices0 + num_vertices1,)``.
+
+        Returns:
+            Vertices, counterclockwise seen from outside, ``(num_triangles, 3)``.
+        """
+        c0, c1 = self.nodes
+        moved = np.einsum("vi,vi->v", self.tangents, shift[c1])
+        s0, s1 = self.s[0], self.s[1] + np.append(moved, moved[0])
+        middles = [_middles(s0, weights[c0] / self.length**2)]
+        middles.append(_middles(s1, weights[n0 + c1] / self.length**2))
+        side, edge, apex = merge(*middles)
+        a, b = (np.where(side == i, edge, 0) for i in (0, 1))
+        a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
+        on0 = np.column_stack((c0[a], c0[a1], n0 + c1[apex % len(c1)]))
+        on1 = np.column_stack((n0 + c1[b1], n0 + c1[b], c0[apex % len(c0)]))
+        return np.where((side == 0)[:, None], on0, on1)
+
+
+def _middles(s, weights):
+    """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
+    w = np.append(weights, weights[0])
+    ds = np.diff(s)
+    middles = (s[1:] + s[:-1]) / 2 + np.diff(w) / (2 * np.where(ds > 0, ds, 1))
+    return np.maximum.accumulate(middles)
+
+
+def rims(side0: Side, side1: Side) -> list[Rim]:
+    """Pairs of boundary loops of two facing pieces.
+
+    Raises:
+        InterfaceError: The loops don't match.
+    """
+    loops0, loops1 = side0.loops(), [loop[::-1] for loop in side1.loops()]
+    if len(loops0) != len(loops1):
+        raise InterfaceError(
+            f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
+            f"{side1.x.mean(axis=0)}: in 3D both sides must cover the same part of the interface."
+        )
+    found = []
+    for loop1 in loops1:
+        distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
+        loop0 = loops0.pop(int(np.argmin(distances)))
+        c0, c1, s0, s1 = _parametrise(side0, loop0, side1, loop1)
+        x = side1.x[c1]
+        chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
+        length = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum()
+        size = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-300)
+        found.append(Rim((c0, c1), (s0, s1), chord / size / length, length))
+    return found
+
+
+def _mean_distance(x, y) -> float:
+    """Mean distance of a few of the points to the nearest of the others."""
+    some = x[np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))]
+    return float(np.linalg.norm(some[:, None] - y, axis=2).min(axis=1).mean())
+
+
+def _parametrise(side0: Side, loop0, side1: Side, loop1):
+    """Roll two loops to a common start, and give their nodes parameters from 0 to 1.
+
+    Returns:
+        The loops, and parameters (one more than nodes: the last closes the loop), equal at
+        coincident nodes.
+
+    Raises:
+        InterfaceError: The loops are apart.
+    """
+    x0, x1 = side0.x[loop0], side1.x[loop1]
+    nearest = np.empty(len(x1), dtype=np.intp)
+    distance = np.empty(len(x1))
+    for c in range(0, len(x1), 256):
+        d = np.linalg.norm(x1[c : c + 256, None] - x0, axis=2)
+        nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
+    size = np.ptp(x0, axis=0).max()
+    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
+    first = int(distance.argmin())
+    start = int(nearest[first])
+    loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
+    loop1, x1, shared, nearest = (
+        np.roll(a, -first, axis=0) for a in (loop1, x1, shared, (nearest - start) % len(x0))
+    )
+    _check_apart(side0, loop0, side1, loop1)
+    s0, s1 = _arc(x0), _arc(x1)
+    # Anchors: coincident nodes in the same order on both loops
+    j = np.flatnonzero(shared[1:]) + 1
+    i = nearest[j]
+    keep = (i == np.maximum.accumulate(i)) & (i > 0) if len(i) else i.astype(bool)
+    anchors0 = np.concatenate(([0.0], s0[i[keep]], [1.0]))
+    anchors1 = np.concatenate(([0.0], s1[j[keep]], [1.0]))
+    s1 = np.interp(s1, anchors1, anchors0)
+    if not shared.any():  # Γ1's first node lies a little off Γ0's
+        t = x0[1] - x0[0]
+        s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
+    return loop0, loop1, s0, s1
+
+
+def _arc(x) -> npt.NDArray[np.float64]:
+    """Arc length along a closed loop, from 0 to 1."""
+    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+    s = np.append(0, np.cumsum(edges))
+    return s / s[-1]
+
+
+def _check_apart(side0: Side, loop0, side1: Side, loop1):
+    """Partial overlap would need the surfaces' intersection: not in 3D."""
+    x0, x1 = side0.x[loop0], side1.x[loop1]
+    t = np.roll(x0, -1, axis=0) - x0
+    length = np.linalg.norm(t, axis=1)
+    size = max(length.max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
+    normal = side0.vertex_normals[loop0]
+    for c in range(0, len(x1), 256):
+        y = x1[c : c + 256, None]
+        s = np.clip(np.einsum("pei,ei->pe", y - x0, t) / length**2, 0, 1)
+        apart = y - (x0 + s[..., None] * t)
+        edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
+        apart = apart[np.arange(len(apart)), edge]
+        n = normal[edge]
+        apart -= np.einsum("pi,pi->p", apart, n)[:, None] * n  # a gap between them is fine
+        distance = np.linalg.norm(apart, axis=1)
+        if distance.max() > REACH * size:
+            worst = distance.argmax()
+            raise InterfaceError(
+                f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
+                "in 3D both sides must cover the same part of the interface. Give only the facets "
+                "of the common part; to have some, split the larger surface along the outline of "
+                "the other in the mesher."
+            )

@@ -1,0 +1,238 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The front of flips: valid cells between surfaces of every kind, cavities, matching surfaces."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import basix
+from hypergap_dolfinx.gap import front, prisms, slab
+from hypergap_dolfinx.gap.cavity import linear_program
+from hypergap_dolfinx.gap.metric import FACES, areas
+from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.surface import Surface
+
+P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
+pytestmark = pytest.mark.serial
+
+
+def side(name, x, t):
+    """A surface from its arrays; triangles turn counterclockwise seen from outside."""
+    order = np.lexsort(x.T[::-1])
+    x, t = x[order], np.argsort(order)[t]
+    owner, dofs = np.zeros(len(t), dtype=np.int32), t.astype(np.int64)
+    surface = Surface(name, x, t.astype(np.int32), x[t], dofs, owner, P1, P1, np.array([0, len(x)]))
+    return Side.of(surface, np.arange(len(t)))
+
+
+def filled(one, other):
+    """The slab between two triangulations, both counterclockwise seen from Γ1; checked."""
+    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
+    made = slab.fill(sides)
+    D, scale = areas(made.x[made.cells], made.alpha[made.cells], made.normal)
+    assert (D > 1e-9 * scale).all()
+    # Every face has one cell on each side, or is a facet or on a wall
+    faces = np.sort(made.cells[:, FACES].reshape(-1, 3), axis=1)
+    faces, count = np.unique(faces, axis=0, return_counts=True)
+    assert count.max() == 2
+    outer = faces[count == 1]
+    on = (made.alpha[outer] == 1).sum(axis=1)
+    n0 = len(sides[0].x)
+    for i, number in ((0, 0), (1, 3)):
+        facets = np.sort(sides[i].triangles + i * n0, axis=1)
+        np.testing.assert_array_equal(outer[on == number], np.unique(facets, axis=0))
+    closed = (sides[0].behind >= 0).all()
+    assert closed == ((on == 0) | (on == 3)).all()
+    return made
+
+
+def grid(n, mapping, *, turned="right", jitter=0.0, seed=0, around=False):
+    """Triangles between the points of a grid in the unit square, mapped."""
+    rng = np.random.default_rng(seed)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n + (not around)), np.arange(n + 1)))
+    u, v = i / n, j / n
+    for a in (u, v):
+        inner = (a > 0) & (a < 1)
+        a[inner] += jitter / n * rng.uniform(-1, 1, inner.sum())
+    index = np.full((n + 1, n + 1), -1)
+    index[i, j] = np.arange(len(i))
+    if around:
+        index[n] = index[0]
+    a, b, c, d = (
+        part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    )
+    left = {"right": np.zeros(len(a), bool), "left": np.ones(len(a), bool)}.get(
+        turned, rng.random(len(a)) < 0.5
+    )
+    one = np.where(left, (a, b, d), (a, b, c)).T
+    two = np.where(left, (b, c, d), (a, c, d)).T
+    return mapping(u, v), np.vstack((one, two))
+
+
+def graph(f):
+    return lambda u, v: np.column_stack((u, v, f(u, v)))
+
+
+def ball(num, mapping=lambda x: x, seed=0):
+    """The convex hull of points spread over a sphere, mapped."""
+    hull = pytest.importorskip("scipy.spatial").ConvexHull
+    rng = np.random.default_rng(seed)
+    i = np.arange(num) + 0.5
+    z, angle = 1 - 2 * i / num, 2 * np.pi * (i * 0.618034 + rng.uniform())
+    r = np.sqrt(1 - z**2)
+    x = np.column_stack((r * np.cos(angle), r * np.sin(angle), z))
+    x += 0.5 / np.sqrt(num) * rng.uniform(-1, 1, x.shape)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    t = hull(x).simplices
+    inwards = np.linalg.det(x[t]) < 0
+    t[inwards] = t[inwards][:, ::-1]
+    return mapping(x), t
+
+
+@pytest.mark.parametrize("m", range(1, 9))
+def test_skew_structured_meshes(m):
+    """64 pairs, edges that are not Delaunay on both sides: no interior node is needed."""
+    skew = graph(lambda u, v: np.tan(np.radians(25)) * (u + v))
+    for n in range(1, 9):
+        assert filled(grid(n, skew), grid(m, skew)).inner.alpha.size == 0
+
+
+@pytest.mark.parametrize("turned", ("right", "left", "random"))
+@pytest.mark.parametrize("n", ((1, 7), (7, 1), (1, 20), (20, 1), (2, 3), (12, 13), (20, 20)))
+def test_flat(n, turned):
+    flat = graph(lambda u, v: 0 * u)
+    filled(grid(n[0], flat, turned=turned), grid(n[1], flat, turned="random", seed=1))
+
+
+SHAPES = {
+    "saddle": lambda u, v: 0.6 * ((u - 0.5) ** 2 - (v - 0.5) ** 2),
+    "waves": lambda u, v: 0.1 * np.sin(2 * np.pi * u) * np.sin(2 * np.pi * v),
+    "paraboloid": lambda u, v: -1.5 * ((u - 0.5) ** 2 + (v - 0.5) ** 2),
+    "ramp": lambda u, v: 0.3 * np.sin(2 * np.pi * u),
+}
+
+
+@pytest.mark.parametrize("jitter", (0, 0.3))
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("n", ((7, 10), (10, 7), (4, 17), (15, 15)))
+def test_curved(n, shape, jitter):
+    filled(*(grid(k, graph(SHAPES[shape]), jitter=jitter, seed=k + i) for i, k in enumerate(n)))
+
+
+BALLS = {
+    "sphere": lambda x: x,
+    "ellipsoid": lambda x: x * (1.4, 1.0, 0.6),
+    "bumpy": lambda x: x * (1 + 0.12 * np.sin(3 * x[:, :1]) * np.sin(4 * x[:, 1:2] + 1)),
+}
+
+
+@pytest.mark.parametrize("shape", BALLS)
+def test_closed(shape):
+    for seed, (n, m) in enumerate(((30, 20), (30, 200), (300, 40), (150, 170), (14, 15))):
+        filled(ball(n, BALLS[shape], seed), ball(m, BALLS[shape], seed + 10))
+
+
+@pytest.mark.parametrize("n", ((5, 6), (5, 30), (24, 7), (16, 17)))
+def test_tube(n):
+    """The hole for a bush: two rims."""
+
+    def tube(u, v):
+        return np.column_stack((np.cos(2 * np.pi * u), np.sin(2 * np.pi * u), 1.5 * v))
+
+    filled(*(grid(k, tube, around=True) for k in n))
+
+
+def test_hole():
+    """A frame: the walls of its hole lean outwards too."""
+
+    def frame(n):
+        x, t = grid(3 * n, graph(lambda u, v: 0 * u))
+        middle = np.abs(x[t].mean(axis=1)[:, :2] - 0.5).max(axis=1) < 1 / 6
+        used, t = np.unique(t[~middle], return_inverse=True)
+        return x[used], t.reshape(-1, 3)
+
+    for n, m in ((1, 1), (1, 2), (2, 3), (4, 3), (2, 7)):
+        assert filled(frame(n), frame(m)).inner.alpha.size == 0
+
+
+@pytest.mark.parametrize("noise", (0, 1e-12, 1e-6, 1e-3))
+def test_matching(noise):
+    """Three cells for each facet and its twin."""
+    x, t = ball(400, BALLS["ellipsoid"])
+    y = x + noise / 20 * np.random.default_rng(0).uniform(-1, 1, x.shape)
+    made = filled((x, t), (y, t))
+    assert len(made.cells) == 3 * len(t)
+    assert prisms.twins(x, t, y[:-1], t, 0.1) is None
+    assert prisms.twins(x, t, y, t[:, ::-1], 0.1) is None
+
+
+@pytest.mark.parametrize("step", (10, 20, 60))
+def test_cavities(monkeypatch, step):
+    """Cells taken away from a front that got through are replaced with cones."""
+    advance = front.advance
+
+    def lossy(*args):
+        made = advance(*args)
+        return replace(made, cells=np.delete(made.cells, slice(5, None, step), axis=0), left=1)
+
+    monkeypatch.setattr(front, "advance", lossy)
+    made = filled(ball(200), ball(150, seed=1))
+    assert made.inner.alpha.size > 0
+    assert (made.inner.alpha > 0).all() and (made.inner.alpha < 1).all()
+
+
+def test_no_cells(monkeypatch):
+    """A front that made nothing, of large surfaces: given up, not tried for ever."""
+    monkeypatch.setattr(front, "CELLS", 0)
+    sides = side("Γ0", *ball(500)), side("Γ1", ball(400)[0], ball(400)[1][:, ::-1])
+    assert front.construct(front.Problem.between(*sides), slab._place(sides)) is None
+
+
+def test_linear_program():
+    linprog = pytest.importorskip("scipy.optimize").linprog
+    rng = np.random.default_rng(0)
+    for n, m in ((1, 5), (2, 9), (3, 40), (4, 60)):
+        A, b, c = rng.normal(size=(m, n)), rng.uniform(0, 1, m), rng.normal(size=n)
+        z = linear_program(A, b, c, 10.0)
+        exact = linprog(-c, A_ub=A, b_ub=b, bounds=[(-10, 10)] * n)
+        assert (A @ z - b).max() < 1e-12 and abs(c @ z + exact.fun) < 1e-10
+
+
+def test_same_each_time():
+    sides = [ball(300), ball(200, seed=1)]
+    first, second = (filled(*sides).cells for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_compiled_by_many_at_once(tmp_path):
+    """Processes that start together with an empty cache all get the library, and leave one file."""
+    code = (
+        "from mpi4py import MPI\nfrom hypergap_dolfinx.gap.jit import library\n"
+        "assert library().lib.front_fill\n"
+    )
+    env = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    runs = [subprocess.Popen([sys.executable, "-c", code], env=env) for _ in range(2)]
+    assert [run.wait() for run in runs] == [0, 0]
+    assert len(list((tmp_path / "fenics").iterdir())) == 1
+
+
+@pytest.mark.slow
+def test_speed(capsys):
+    """Cells for 100,000 facets a second."""
+    sides = [ball(5000), ball(4600, seed=1)]
+    sides = side("Γ0", *sides[0]), side("Γ1", sides[1][0], sides[1][1][:, ::-1])
+    start = time.process_time()
+    assert front.construct(front.Problem.between(*sides), slab._place(sides)) is not None
+    speed = sum(len(s.triangles) for s in sides) / (time.process_time() - start)
+    with capsys.disabled():
+        print(f"\n{speed:.0f} facets a second")
+    assert speed > 50_000
