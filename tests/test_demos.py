@@ -47,8 +47,8 @@ DEMOS = {
         needs=("matplotlib",),
     ),
     "gap_domain": Demo(
-        pinned={"triangles": 12},
-        pictures=("apart", "gap_domain"),
+        pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
+        pictures=("apart", "gap_domain", "tetrahedra"),
         needs=("pyvista", "matplotlib"),
     ),
     "heat": Demo(
