@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Body, check, comm, inertia, problem, rectangle, tie
-from helpers import sweep
+from helpers import sweep, two_ranks
 
 import meshes
 import meshes.solids
@@ -85,7 +85,7 @@ def test_without(degree, expected):
     assert expected / 3 < stress < 3 * expected
 
 
-@pytest.mark.ranks(adjust=[True])
+@two_ranks(adjust=[True])
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
 @pytest.mark.parametrize("adjust", (True, False))
 def test_free_rings_are_told(adjust, solver):
@@ -96,7 +96,7 @@ def test_free_rings_are_told(adjust, solver):
         p.solve()
 
 
-@pytest.mark.ranks(gap=[0.5], degree=[1])
+@two_ranks(gap=[0.5], degree=[1])
 @pytest.mark.parametrize("gap", (0.5, 0.1, -0.1, -0.5))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_initial_gap(degree, gap):
@@ -115,7 +115,7 @@ def test_initial_gap(degree, gap):
         check(bodies, ties, tied, [(0, BOTTOM, (0, 1))])
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_nodes_at_kinks_stay():
     """A kink that both sides have a node at stays where it is."""
 

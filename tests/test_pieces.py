@@ -26,7 +26,7 @@ from assembly import (
     smooth_traction_error,
     tie,
 )
-from helpers import elasticity, sweep, two_rings
+from helpers import elasticity, sweep, two_ranks, two_rings
 
 import basix.ufl
 import dolfinx
@@ -106,7 +106,7 @@ def tags(body: Body, tag: int, num: int):
     return [part for part in parts if comm.allreduce(len(part))]
 
 
-@pytest.mark.ranks(cells=[(10, 7)], name=["Q1"])
+@two_ranks(cells=[(10, 7)], name=["Q1"])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("cells", ((10, 4), (10, 7), (40, 7)))
 @pytest.mark.parametrize("name", ("Q1", "P2"))

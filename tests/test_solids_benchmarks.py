@@ -104,7 +104,7 @@ def difference(us, references):
     return np.abs(a - b).max() / np.abs(b).max()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(degree=sweep((1, 2), 2))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_same_on_any_number_of_ranks(degree):
     us, references = (

@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from helpers import sweep
 
 import meshes
 import ufl
@@ -343,7 +344,7 @@ def test_scalar():
         assert np.abs(u.x.array - g.x.array).max() < 1e-12
 
 
-@pytest.mark.ranks(n=[(4, 3)], degree=[1])
+@pytest.mark.ranks(n=[(4, 3)], degree=[1], swap=sweep((True, False), 2))
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 @pytest.mark.parametrize("n", ((4, 3), (3, 4), (7, 3)))
