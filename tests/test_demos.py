@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from helpers import thorough
 
+from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
+
 comm = MPI.COMM_WORLD
 FOLDER = Path(__file__).parents[1] / "demos"
 
@@ -150,6 +152,9 @@ def test_demo(name, tmp_path, monkeypatch, capfd):
     if demo.pictures:
         arguments += ["--plot", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", [name, *arguments])
+    if name in LONG:  # a kernel that is called often: half the time
+        options = (["-O1", "-g0"], "test_demo")
+        monkeypatch.setitem(DOLFINX_DEFAULT_JIT_OPTIONS, "cffi_extra_compile_args", options)
     status = 0
     try:
         runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")

@@ -107,6 +107,8 @@ def difference(us, references):
 @pytest.mark.ranks(degree=sweep((1, 2), 2))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_same_on_any_number_of_ranks(degree):
+    if comm.size == 1:
+        pytest.skip("one rank is what several are compared with")
     us, references = (
         sphere.run(c, 0.2 * degree, degree, False)[1].u for c in (comm, MPI.COMM_SELF)
     )
