@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import comm, elasticity, interpolated, raises, two_blocks
+from helpers import comm, elasticity, interpolated, raises, two_blocks, two_ranks
 
 import basix.ufl
 import dolfinx
@@ -57,7 +57,7 @@ def test_facets_out_of_range():
             Tie(other, (V, wrong))
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_duplicate_facets():
     (V, facets), other = two_blocks()
     r = rank_with_facets(facets)
@@ -66,7 +66,7 @@ def test_duplicate_facets():
         Tie((V, wrong), other)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_interior_facets():
     (V, facets), other = two_blocks()
     topology = V.mesh.topology
@@ -93,7 +93,7 @@ def test_lists_of_facets():
     assert len(tie.surfaces[0].facets) == 3
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_branching_facets():
     """Two squares that touch at a corner, with both their edges there."""
     x = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (2, 2)], dtype=float)
@@ -225,7 +225,7 @@ def test_hexahedra():
 # Interfaces
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_surfaces_that_lie_elsewhere():
     sides = two_blocks(spans=((0, 2), (7, 9)))
     with raises(InterfaceError, "^Γ0 and Γ1 don't face each other: .* 5 away.* check the tags"):
@@ -238,7 +238,7 @@ def test_the_same_surface_twice():
         Tie(side, side)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_surfaces_that_fold_over():
     """Γ1 turns back on itself where Γ0 is straight: dΣ changes its sign."""
 
@@ -291,7 +291,7 @@ def loaded(L, V):
     return L + (v[0] + 2 * v[1]) * ufl.dx
 
 
-@pytest.mark.ranks(k=[2])
+@two_ranks(k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 @pytest.mark.parametrize("n", ((3, 5), (8, 6)))
 def test_free_bodies(n, k):
@@ -318,7 +318,7 @@ def test_tie_given_twice():
         TiedProblem(a, L, ties=[tie, tie])
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_solver_that_does_not_converge():
     sides, a, L, tie = arguments()
     options = {"ksp_type": "gmres", "ksp_max_it": 2, "pc_type": "none", "ksp_rtol": 1e-14}
@@ -354,7 +354,7 @@ def test_boundary_condition_on_a_foreign_space():
         TiedProblem(a, L, bcs=bcs, ties=[tie])
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_prescribed_side_1():
     """All of a long Γ1 is held while Γ0 can move: no multiplier is left to tie it."""
     sides = two_blocks((20, 40))
