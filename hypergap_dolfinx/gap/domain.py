@@ -111,7 +111,7 @@ class GapDomain:
                 )
             if curved.any():
                 G[curved] = kernel.curved_gap_matrices(
-                    self.quadrature(2 * (k + g)),
+                    self.quadrature(kernel.curved_rule(self.x.shape[2], k, g)),
                     self.x[curved],
                     self.alpha_vertices[curved],
                     self.normal[curved],

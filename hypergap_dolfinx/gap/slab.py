@@ -19,7 +19,7 @@ from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
-from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
+from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
@@ -75,7 +75,7 @@ def _num_turned(slab: Slab) -> int:
         surface.points(facet.ravel(), X.reshape(-1, 2)).reshape(*facet.shape, 3)
         for surface, facet, X in zip(surfaces, hosts.facets, hosts.X, strict=True)
     )
-    tables = GapElement.with_quadrature(geometry, space, 2 * (k + geometry.degree))
+    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
     N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
     return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
 

@@ -115,7 +115,8 @@ class Surface:
         v = self.x[self.facets]
         if v.shape[1] < 4:
             return ~self.curved
-        return ~self.curved & ~self._is_off(np.abs(v[:, 0] - v[:, 1] - v[:, 2] + v[:, 3]).max(axis=1))
+        twist = np.abs(v[:, 0] - v[:, 1] - v[:, 2] + v[:, 3]).max(axis=1)
+        return ~(self.curved | self._is_off(twist))
 
     def _is_off(self, deviation) -> npt.NDArray[np.bool_]:
         """Whether a distance at each facet is more than round-off."""
