@@ -6,8 +6,8 @@
 #
 # The pressurised cylinder of Giffin (2024), section 3.2, in three dimensions. A hollow sphere under
 # inner pressure is made of two shells with unstructured tetrahedra (or hexahedra in layers) that
-# don't match, tied to each other where they meet. An eighth of it is modelled. The exact solution (Lamé) is known, so this
-# demo shows
+# don't match, tied to each other where they meet. An eighth of it is modelled. The exact solution
+# (Lamé) is known, so this demo shows
 #
 # - that a tie in three dimensions is written like one in the plane,
 # - that displacements, stresses and the traction that the tie transmits converge as they should,
@@ -61,7 +61,7 @@ def exact_displacement(x):
 # ## One level
 #
 # Two shells, a space and an elastic form on each. Cells have the size h in the inner shell and
-# 1.25 h in the outer one; of hexahedra there are 3 along the interface on 2 of the outer shell.
+# 1.25 h in the outer one; of hexahedra there are 4 along the interface on 3 of the outer shell.
 
 
 def create_shells(comm, cell, h, degree, refinements):
@@ -80,7 +80,7 @@ def create_shells(comm, cell, h, degree, refinements):
 def hexahedra(h):
     """Of both shells, cells along the edges of an eighth's three patches, and the layers' radii."""
     m = max(round(0.4 / h), 1)
-    return [(3 * m, np.linspace(a, c, m + 1)), (2 * m, np.linspace(c, b, m + 1))]
+    return [(4 * m, np.linspace(a, c, m + 1)), (3 * m, np.linspace(c, b, m + 1))]
 
 
 def elastic_body(mesh, ft, degree, pressure):
