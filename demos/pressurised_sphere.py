@@ -80,7 +80,7 @@ def create_shells(comm, cell, h, degree, refinements):
 def hexahedra(h):
     """Of both shells, cells along the edges of an eighth's three patches, and the layers' radii."""
     m = max(round(0.4 / h), 1)
-    return [(4 * m, np.linspace(a, c, m + 1)), (3 * m, np.linspace(c, b, m + 1))]
+    return [(4 * m, np.linspace(a, c, 2 * m + 1)), (3 * m, np.linspace(c, b, 2 * m + 1))]
 
 
 def elastic_body(mesh, ft, degree, pressure):

@@ -362,7 +362,7 @@ def _cell_error(topology, name: str) -> str | None:
     cells = topology.cell_name()
     if cells in ("triangle", "quadrilateral", "tetrahedron", "hexahedron"):
         return None
-    return f"{name} lies on cells of kind {cells}; in 3D bodies are tetrahedra or hexahedra."
+    return f"{name} lies on {cells} cells; bodies in space are made of tetrahedra or hexahedra."
 
 
 def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
