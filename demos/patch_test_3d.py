@@ -63,8 +63,8 @@ def sigma(u):
 # ## The assemblies
 #
 # The bars meet in a plane, in one that is skew about both axes, or in two that form a kink. A bar
-# is the image of the unit cube; both have cell edges along the kink. Hexahedra may also be distorted
-# along a plane.
+# is the image of the unit cube; both have cell edges along the kink. Hexahedra may also be
+# distorted along a flat interface.
 
 
 def mappings(shape):

@@ -218,7 +218,7 @@ def test_prisms():
     """Their facets are of two kinds."""
     element = basix.ufl.element("Lagrange", "prism", 1, shape=(3,))
     triangle = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
-    x, cells = np.vstack((triangle, triangle + (0, 0, 1))), np.arange(6)[None]
+    x, cells = np.vstack((triangle, triangle + np.eye(3)[2])), np.arange(6)[None]
     if comm.rank > 0:
         x, cells = x[:0], cells[:0]
     mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
