@@ -214,12 +214,18 @@ def test_mesh_of_a_surface_in_space():
         Tie((V, facets), (V, facets))
 
 
-def test_hexahedra():
-    """Their facets are quadrilaterals, which Σ can't be made from so far."""
-    mesh, ft = meshes.block(comm, (2, 2, 2), cell="hexahedron")
+def test_prisms():
+    """Their facets are of two kinds."""
+    element = basix.ufl.element("Lagrange", "prism", 1, shape=(3,))
+    triangle = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
+    x, cells = np.vstack((triangle, triangle + np.eye(3)[2])), np.arange(6)[None]
+    if comm.rank > 0:
+        x, cells = x[:0], cells[:0]
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     V = fem.functionspace(mesh, ("Lagrange", 1))
-    with raises(InterfaceError, "^Γ0 has quadrilateral facets; 3D interfaces need tetrahedral"):
-        Tie((V, ft.find(meshes.TOP)), (V, ft.find(meshes.BOTTOM)))
+    facets = np.arange(1 - min(comm.rank, 1), dtype=np.int32)
+    with raises(InterfaceError, "^Γ0 lies on prism cells; bodies in space are made of"):
+        Tie((V, facets), (V, facets))
 
 
 # Interfaces

@@ -250,14 +250,6 @@ def test_far_apart():
         Tie(*sides)
 
 
-@pytest.mark.ranks(2)
-def test_hexahedra():
-    mesh, ft = meshes.block(comm, (2, 2, 2), cell="hexahedron")
-    V = fem.functionspace(mesh, ("Lagrange", 1))
-    with raises(InterfaceError, "quadrilateral facets; 3D interfaces need tetrahedral bodies"):
-        Tie((V, ft.find(meshes.LEFT)), (V, ft.find(meshes.RIGHT)))
-
-
 @pytest.mark.ranks
 def test_no_valid_mesh(monkeypatch):
     """Fronts that get nowhere: an error that names the place, on every rank."""

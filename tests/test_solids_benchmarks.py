@@ -16,15 +16,15 @@ from helpers import sweep
 comm = MPI.COMM_WORLD
 
 
-@pytest.mark.parametrize("kind", patch_test_3d.KINDS)
-@pytest.mark.parametrize("name", patch_test_3d.DEGREES)
+@pytest.mark.parametrize("kind", patch_test_3d.KINDS["tetrahedron"])
+@pytest.mark.parametrize("name", patch_test_3d.ELEMENTS["tetrahedron"])
 def test_patch(name, kind):
     """Both tests to round-off; some of the cases (all of them with the demo)."""
     worst = 0.0
     cases = [case for case in patch_test_3d.cases() if case[1:3] == (name, kind)]
     cases = [case for case in cases if case[5] == (case[4][0] > case[4][1])]
-    for test, degrees, mesh, shape, ratio, swap in sweep(cases, 4):
-        case = (patch_test_3d.DEGREES[degrees], mesh, shape, ratio, swap, test)
+    for test, elements, mesh, shape, ratio, swap in sweep(cases, 4):
+        case = (patch_test_3d.pair(elements), mesh, shape, ratio, swap, test)
         worst = max(worst, *patch_test_3d.solve(comm, *case))
     print(worst)
     assert worst <= 1e-11

@@ -92,7 +92,9 @@ def integration_entities(mesh, facets):
     owned = facets[facets < topology.index_map(2).size_local]
     to_cells, to_facets = topology.connectivity(2, 3), topology.connectivity(3, 2)
     cells = to_cells.array[to_cells.offsets[owned]]
-    local = np.argmax(to_facets.array.reshape(-1, 4)[cells] == owned[:, None], axis=1)
+    num_facets = np.diff(to_facets.offsets)[0]
+    facets_of = to_facets.array.reshape(-1, num_facets)[cells]
+    local = np.argmax(facets_of == owned[:, None], axis=1)
     return np.column_stack((cells, local)).astype(np.int32).ravel()
 
 

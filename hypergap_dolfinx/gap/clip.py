@@ -431,10 +431,10 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
         InterfaceError: They have nothing in common, or other parts are left of one than of the
             other.
     """
-    sides = side0, side1
-    alone = differing(*sides)
+    alone = differing(side0, side1)
     if not any(alone):
-        return [sides]
+        return [(side0, side1)]
+    sides = side0, side1 = side0.in_halves(), side1.in_halves()
     lengths = [
         np.linalg.norm(side.x[loop] - np.roll(side.x[loop], 1, axis=0), axis=1).mean()
         for side, loops in zip(sides, alone, strict=True)

@@ -3,7 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet."""
+"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet.
+
+A triangular facet is its own piece. A quadrilateral has four that meet at its middle, on which
+functions of the trace's degree do (``quadrilaterals``), or is cut into two halves, which need twice
+the degree to have all that the facet has, but may be cut up further.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.gap.surface import Surface, unit_normals
 from hypergap_dolfinx.gap.triangulation import loops, neighbours, project
 
@@ -33,11 +39,48 @@ class Side:
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
 
     @classmethod
-    def of(cls, surface: Surface, facets: npt.NDArray[np.intp]) -> "Side":
-        """The piece of a surface that some whole facets make up."""
-        vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
-        X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
-        return cls(surface, surface.x[vertices], triangles.reshape(-1, 3), facets, X)
+    def of(cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False) -> "Side":
+        """The piece of a surface that some whole facets make up.
+
+        Args:
+            surface: Γ_i.
+            facets: Numbers of the facets, ``(num_facets,)``.
+            halves: Whether quadrilaterals are cut into two triangles, to be cut up further, and
+                not into four.
+        """
+        vertices, corners = np.unique(surface.facets[facets], return_inverse=True)
+        x, corners = surface.x[vertices], corners.reshape(len(facets), -1)
+        if corners.shape[1] == 3:
+            X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
+            return cls(surface, x, corners, facets, X)
+        places, pieces = HALVES if halves else QUARTERS
+        if not halves:
+            middles = len(x) + np.arange(len(facets))
+            x = np.vstack((x, surface.points(facets, np.tile(places[4], (len(facets), 1)))))
+            corners = np.column_stack((corners, middles))
+        return cls(
+            surface,
+            x,
+            corners[:, pieces].reshape(-1, 3),
+            np.repeat(facets, len(pieces)),
+            np.tile(places[pieces], (len(facets), 1, 1)),
+        )
+
+    def in_halves(self) -> "Side":
+        """The same whole facets, to be cut up; vertices of facets keep their numbers."""
+        if self.surface.facets.shape[1] == 3:
+            return self
+        return Side.of(self.surface, np.unique(self.facets), halves=True)
+
+    @property
+    def degree(self) -> int:
+        """Degree of functions on the triangles that have what the facets' have."""
+        degree = self.surface.element.degree
+        if self.surface.facets.shape[1] == 3:
+            return degree
+        places, pieces = QUARTERS
+        quarters = (self.X[:, None] == places[pieces]).all(axis=(2, 3)).any(axis=1)
+        return degree if quarters.all() else 2 * degree
 
     @property
     def arrays(self) -> tuple[npt.NDArray, ...]:

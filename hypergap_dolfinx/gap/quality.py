@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.gap.domain import GapDomain
-from hypergap_dolfinx.gap.surface import Surface, thinness
-from hypergap_dolfinx.gap.triangulation import neighbours
+from hypergap_dolfinx.gap.surface import SAME_NODE, Surface, normals_by_area, thinness
+from hypergap_dolfinx.gap.triangulation import edge_ends, neighbours
 
 SAG = 1e-5
 """Distance of curved facets from straight ones, in their lengths, that is taken for straight.
@@ -76,9 +76,7 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
         return None
     sags = []
     for surface in surfaces:
-        X = surface.geometry.points
-        straight = np.column_stack((1 - X.sum(axis=1), X)) @ surface.x[surface.facets]
-        sag = np.linalg.norm(surface.nodes - straight, axis=2).max(axis=1)
+        sag = np.linalg.norm(surface.nodes - surface.straight_nodes, axis=2).max(axis=1)
         sags.append(np.where(surface.curved, sag, 0))
     curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
     if all(curved) or not any(curved):
@@ -137,8 +135,10 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     if n == 2:  # where the sides overlap in part, the ends of Γ_i are cut facets
         own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
         some &= area > WHOLE * domain.surfaces[i].size[own]
+    if n == 3:
+        v = _whole_facets(domain, i, base, on[base], v)
     v, facet, area = v[some], facet[some], area[some]
-    ratio, width = _widths(v, other.x[other.facets[facet]])
+    ratio, width = _widths(v, other.x[other.facets[facet][:, :n]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
     value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
     order = np.argsort(value)
@@ -146,6 +146,19 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     if not len(total):
         return 0.0
     return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
+
+
+def _whole_facets(domain: GapDomain, i: int, base, on, v):
+    """In the place of a quarter of a quadrilateral half of all of it, as of the other side's."""
+    surface = domain.surfaces[i]
+    if surface.facets.shape[1] < 4:
+        return v
+    X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
+    hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
+    middle = np.abs(X - 0.5).max(axis=2) < SAME_NODE  # (base, vertex)
+    own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
+    whole = surface.x[surface.facets[own][:, :3]]
+    return np.where(middle.any(axis=1)[:, None, None], whole, v)
 
 
 def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
@@ -173,8 +186,7 @@ def outlines(surface0: Surface, surface1: Surface) -> str | None:
     worst = off1 if off1[0] >= off0[0] else off0
     if worst[0] <= 0:
         return None
-    v = surface1.x[surface1.facets]
-    twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum()
+    twice = np.linalg.norm(normals_by_area(surface1.x[surface1.facets]), axis=1).sum()
     share = 200 * max(area0, area1) / twice
     return (
         f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
@@ -187,9 +199,9 @@ class _Rim:
     """The edges at which a surface in space ends."""
 
     def __init__(self, surface: Surface):
-        behind = neighbours(surface.facets, surface.name, surface.x)
+        behind = neighbours(surface.polygons, surface.name, surface.x)
         f, k = np.nonzero(behind < 0)
-        start, end = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
+        start, end = edge_ends(surface, f, k)
         self.x = surface.x[start]  # (edge, 3)
         self.t = surface.x[end] - self.x
         self.length = np.linalg.norm(self.t, axis=1)

@@ -18,9 +18,9 @@ import basix
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
-from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
 from hypergap_dolfinx.gap.clip import clip
-from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
+from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
@@ -66,17 +66,9 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
 def _num_turned(slab: Slab) -> int:
     """How many cells are turned over somewhere, with the surfaces' curved geometry."""
     surfaces = [side.surface for side in slab.sides]
-    g = max(surface.geometry.degree for surface in surfaces)
-    k = max(surface.element.degree for surface in surfaces)
-    geometry, space = (
-        basix.create_element(
-            basix.ElementFamily.P,
-            basix.CellType.tetrahedron,
-            degree,
-            basix.LagrangeVariant.equispaced,
-        )
-        for degree in (g, k)
-    )
+    k = max(side.degree for side in slab.sides)
+    geometry = geometry_element(surfaces, k).basix_element
+    space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
     each = np.arange(len(slab.cells))
     hosts = slab.hosts(geometry.points, each)
     alpha = hosts.alpha[..., None]
@@ -84,7 +76,7 @@ def _num_turned(slab: Slab) -> int:
         surface.points(facet.ravel(), X.reshape(-1, 2)).reshape(*facet.shape, 3)
         for surface, facet, X in zip(surfaces, hosts.facets, hosts.X, strict=True)
     )
-    tables = GapElement.with_quadrature(geometry, space, 2 * (k + g))
+    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
     N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
     return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
 
@@ -96,7 +88,8 @@ def fill(sides: tuple[Side, Side]) -> Slab:
         InterfaceError: Their boundaries don't match; there is no valid mesh.
     """
     problem = front.Problem.between(*sides)
-    straight = not any(side.surface.curved[side.facets].any() for side in sides)
+    degree = max(side.degree for side in sides)
+    straight = geometry_element([side.surface for side in sides], degree).degree == 1
 
     def num_bad(filling: front.Filling) -> int:
         return 0 if straight else _num_turned(_slab(sides, filling))
@@ -176,6 +169,6 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=group1,
         covered=covered,
-        degree=max(surface0.element.degree, surface1.element.degree),
+        degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
     )

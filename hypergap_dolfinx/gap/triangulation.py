@@ -23,12 +23,12 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     Edge k of a facet goes from its vertex k to vertex k + 1.
 
     Args:
-        facets: Vertices of each facet, ``(num_facets, 3)``.
+        facets: Vertices of each facet, one after the other, ``(num_facets, 3)`` or ``(…, 4)``.
         name: What messages call the surface.
         x: Vertex coordinates.
 
     Returns:
-        ``(num_facets, 3)``.
+        As ``facets``.
 
     Raises:
         InterfaceError: More than two facets meet in an edge.
@@ -46,7 +46,14 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
         )
     at = np.minimum(np.searchsorted(key[order], b * n + a), len(key) - 1)
     other = order[at]
-    return np.where(key[other] == b * n + a, other // 3, -1).reshape(-1, 3)
+    return np.where(key[other] == b * n + a, other // facets.shape[1], -1).reshape(facets.shape)
+
+
+def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Where edges of facets start and end; their numbers count on around the facet."""
+    polygons = surface.polygons
+    num = polygons.shape[1]
+    return polygons[facet, k % num], polygons[facet, (k + 1) % num]
 
 
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
@@ -65,10 +72,10 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     g = behind[f, k]
     n0, n1 = surface.normals[f], surface.normals[g]
     turn = np.arctan2(np.linalg.norm(np.cross(n0, n1), axis=1), np.einsum("ei,ei->e", n0, n1))
-    a, b = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
-    # The vertices opposite, and the edges there that don't touch this one
-    opposite = np.column_stack((surface.facets[f].sum(axis=1), surface.facets[g].sum(axis=1)))
-    opposite = opposite - (a + b)[:, None]
+    a, b = edge_ends(surface, f, k)
+    # A vertex opposite in each facet, and the edges there that don't touch this one
+    m = np.argmax(behind[g] == f[:, None], axis=1)
+    opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
     t = surface.x[b] - surface.x[a]
     t /= np.linalg.norm(t, axis=1, keepdims=True)
     noise = NOISE * np.abs(surface.x).max() / surface.size.min()
@@ -94,9 +101,9 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
     """Which edges of a surface run along edges of the other one."""
     (f, k), (g, m) = edges, other_edges
-    a, b = surface.x[surface.facets[f, k]], surface.x[surface.facets[f, (k + 1) % 3]]
-    start = other.x[other.facets[g, m]]
-    t = other.x[other.facets[g, (m + 1) % 3]] - start
+    a, b = (surface.x[end] for end in edge_ends(surface, f, k))
+    start, end = (other.x[end] for end in edge_ends(other, g, m))
+    t = end - start
     length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
     near = np.empty(len(f), dtype=bool)
     chunk = max(1, 2_000_000 // max(1, len(g)))
@@ -122,7 +129,7 @@ def facing_pieces(surface0: Surface, surface1: Surface):
         InterfaceError: The surfaces branch or don't face each other.
     """
     surfaces = (surface0, surface1)
-    behind = [neighbours(s.facets, s.name, s.x) for s in surfaces]
+    behind = [neighbours(s.polygons, s.name, s.x) for s in surfaces]
     lines = [kinks(s, b) for s, b in zip(surfaces, behind, strict=True)]
     pieces = []
     for i, surface in enumerate(surfaces):
