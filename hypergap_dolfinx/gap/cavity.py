@@ -54,6 +54,12 @@ def unmatched(cells, outer) -> npt.NDArray[np.integer]:
     return faces[count[which] == 1]
 
 
+def is_whole(cells, outer) -> bool:
+    """Whether each face has a cell on each side, or one cell and a triangle of the boundary."""
+    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
+    return bool((np.unique(face_keys(faces), return_counts=True)[1] == 2).all())
+
+
 def fill(mesh: Cells, outer, place: Place):
     """Fill what is missing.
 

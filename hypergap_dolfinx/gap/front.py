@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap import cavity, prisms
+from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.pieces import Side
@@ -262,7 +262,9 @@ class Filling:
 
 
 def construct(
-    problem: Problem, place: Place, num_bad: Callable[[Filling], int] = lambda _: 0
+    problem: Problem,
+    place: Place,
+    margins: Callable[[Filling], npt.NDArray[np.float64]] | None = None,
 ) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
@@ -271,33 +273,47 @@ def construct(
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
-        num_bad: How many of the cells are of no use though their vertices' simplices are: curved
-            ones. The cells with the fewest are taken.
+        margins: How far cells are from being turned over though their vertices' simplices aren't:
+            curved ones. Those that are (not positive) are swapped for others. Where some stay, the
+            cells with the fewest are taken.
 
     Returns:
         The cells, None if there are none.
     """
+    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
+
+    def swapped(filling: Filling, outer) -> tuple[int, Filling]:
+        if margins is None:
+            return 0, filling
+        heights = np.append(alpha, [host[0] for host in filling.hosts])
+
+        def of_cells(cells):
+            return margins(Filling(cells, filling.hosts))
+
+        cells = swaps.improve(filling.cells, heights, of_cells)
+        if cells is not filling.cells and cavity.is_whole(cells, outer):
+            filling = Filling(cells, filling.hosts)
+        return int((margins(filling) <= 0).sum()), filling
+
     for variant in (None, *VARIANTS):
         front = advance(problem, *variant) if variant else twinned(problem)
         if front is None:
             continue
+        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         if not front.is_valid:
             fronts.append(front)
             continue
-        filling = Filling(front.cells, [])
-        bad = num_bad(filling)
+        bad, filling = swapped(Filling(front.cells, []), outer)
         if not bad:
             return filling
         found.append((bad, filling))
-    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     for front in sorted(fronts, key=lambda front: front.left):
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
         made = cavity.fill(mesh, outer, place)
-        if made is not None:
-            filling = Filling(made[0].cells, made[1])
-            bad = num_bad(filling)
+        if made is not None and cavity.is_whole(made[0].cells, outer):
+            bad, filling = swapped(Filling(made[0].cells, made[1]), outer)
             if not bad:
                 return filling
             found.append((bad, filling))

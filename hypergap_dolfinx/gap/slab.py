@@ -62,8 +62,8 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)))
 
 
-def _num_turned(slab: Slab) -> int:
-    """How many cells are turned over somewhere, with the surfaces' curved geometry."""
+def _margins(slab: Slab) -> npt.NDArray[np.float64]:
+    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge²."""
     surfaces = [side.surface for side in slab.sides]
     g = max(surface.geometry.degree for surface in surfaces)
     k = max(surface.element.degree for surface in surfaces)
@@ -85,7 +85,9 @@ def _num_turned(slab: Slab) -> int:
     )
     tables = GapElement.with_quadrature(geometry, space, 2 * (k + g))
     N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
-    return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
+    v = slab.x[slab.cells]
+    scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
+    return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
 
 
 def fill(sides: tuple[Side, Side]) -> Slab:
@@ -97,10 +99,10 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     problem = front.Problem.between(*sides)
     straight = not any(side.surface.curved[side.facets].any() for side in sides)
 
-    def num_bad(filling: front.Filling) -> int:
-        return 0 if straight else _num_turned(_slab(sides, filling))
+    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
+        return _margins(_slab(sides, filling))
 
-    filling = front.construct(problem, _place(sides), num_bad)
+    filling = front.construct(problem, _place(sides), None if straight else margins)
     if filling is None:
         raise InterfaceError(
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
