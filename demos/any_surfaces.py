@@ -377,42 +377,47 @@ def layer(nodes, t, outwards, thickness=0.02):
 
 
 # +
+def sorted_edges(triangles):
+    """Their edges, each once, and how many triangles have it."""
+    pairs = np.sort(triangles[:, [(0, 1), (1, 2), (0, 2)]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0, return_counts=True)
+
+
 def fits(domain):
     """Whether Σ has the facets of both sides and walls between their rims as its boundary.
 
     And whether each face inside of it has two cells.
     """
-    x, alpha = domain.x[:, :4], domain.alpha_vertices
-    inside = (alpha > 0) & (alpha < 1)
-    places = [np.unique(x[inside], axis=0), *(surface.x for surface in domain.surfaces)]
-    start = np.cumsum([0] + [len(p) for p in places])
-    cells = np.empty(alpha.shape, dtype=int)
-    for i, part in enumerate((inside, alpha == 0, alpha == 1)):
-        if part.any():
-            cells[part] = start[i] + cKDTree(places[i]).query(x[part])[1]
+    topology = domain.mesh.topology
+    cells = topology.connectivity(3, 0).array.reshape(-1, 4)
     faces = np.sort(cells[:, [(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)]].reshape(-1, 3), axis=1)
     faces, count = np.unique(faces, axis=0, return_counts=True)
+    if count.max() > 2:
+        return False
     outer = faces[count == 1]
-    on = np.repeat(np.arange(3), np.diff(start))  # where each vertex is
-    rims, at_ends = [], np.zeros(len(outer), dtype=bool)
+    on, vertex = np.full((2, cells.max() + 1), -1)  # the side that a vertex is on, its number there
     for i, surface in enumerate(domain.surfaces):
-        facets = np.sort(start[i + 1] + surface.facets, axis=1)
-        end = (on[outer] == i + 1).all(axis=1)
-        if not np.array_equal(outer[end], np.unique(facets, axis=0)):
+        part = domain.alpha_vertices == i
+        on[cells[part]] = i
+        vertex[cells[part]] = cKDTree(surface.x).query(domain.x[:, :4][part])[1]
+    walls = outer[(on[outer] != on[outer[:, :1]]).any(axis=1)]
+    along, once = sorted_edges(walls)
+    if (on[walls] < 0).any() or once[on[along[:, 0]] == on[along[:, 1]]].max(initial=1) > 1:
+        return False
+    for i, surface in enumerate(domain.surfaces):
+        found = np.sort(vertex[outer[(on[outer] == i).all(axis=1)]], axis=1)
+        facets = np.sort(surface.facets, axis=1)
+        if not np.array_equal(found[np.lexsort(found.T[::-1])], np.unique(facets, axis=0)):
             return False
-        at_ends |= end
-        pairs = np.sort(facets[:, [(0, 1), (1, 2), (0, 2)]].reshape(-1, 2), axis=1)
-        edges, twice = np.unique(pairs, axis=0, return_counts=True)
-        rims.append(edges[twice == 1])
-    walls = outer[~at_ends]
-    pairs = np.sort(walls[:, [(0, 1), (1, 2), (0, 2)]].reshape(-1, 2), axis=1)
-    ends = on[pairs]
-    along, twice = np.unique(pairs[ends[:, 0] == ends[:, 1]], axis=0, return_counts=True)
-    rims = np.unique(np.vstack(rims), axis=0)
-    # Where both sides have a kink, Σ ends and starts anew: two walls at each edge
-    kinked = len(np.unique(domain.patch)) > 1
-    walled = np.array_equal(along[twice == 1], rims) and (kinked or twice.max(initial=1) == 1)
-    return count.max() == 2 and (on[walls] > 0).all() and walled
+        edges, twice = sorted_edges(facets)
+        walled = np.sort(vertex[along[(on[along] == i).all(axis=1)]], axis=1)
+        walled, times = np.unique(walled, axis=0, return_counts=True)
+        # Where both sides have a kink, Σ ends and starts anew
+        if not np.array_equal(walled[times == 1], edges[twice == 1]):
+            return False
+        if (times > 1).any() and len(np.unique(domain.patch)) == 1:
+            return False
+    return True
 
 
 def stands_up(domain):
@@ -462,7 +467,9 @@ if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--degree", type=int, choices=(1, 2), help="of all; by default of each other")
+    parser.add_argument(
+        "--degree", type=int, choices=(1, 2), help="of all; by default of each other"
+    )
     parser.add_argument("--json", help="write the rows to this file")
     args = parser.parse_args()
     run(args.seed, 1)  # compiles what isn't
@@ -477,8 +484,8 @@ if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
         print(f"{name:12} {valid[name]} of {number}")
     each = np.array([row["seconds"] / row["facets"] for row in rows])
     print(f"all          {sum(valid.values())} of {len(rows)}, "
-          f"{sum(row.get('interior', 0) > 0 for row in rows)} with interior nodes; seconds a facet: "
-          f"{np.median(each):.1e} in the median, {each.max():.1e} at most")  # fmt: skip
+          f"{sum(row.get('interior', 0) > 0 for row in rows)} with interior nodes; "
+          f"{np.median(each):.1e} s a facet in the median, {each.max():.1e} at most")  # fmt: skip
     if args.json:
         with open(args.json, "w") as file:
             json.dump(rows, file, indent=1)

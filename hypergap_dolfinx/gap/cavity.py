@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FACES, areas, face_keys
+from hypergap_dolfinx.gap.metric import FACES, FLAT, areas, face_keys
 from hypergap_dolfinx.graph import components
 
 INSET = 0.02  # least share of α that an interior node keeps from both surfaces
@@ -37,6 +37,12 @@ class Cells:
     """Unit normals at the vertices, from Γ0 to Γ1."""
     cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
+
+    def flat(self) -> npt.NDArray[np.bool_]:
+        """Which cells are flat or inverted, ``(num_cells,)``."""
+        v = self.cells
+        D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
+        return ~(D > FLAT * scale)
 
 
 def unmatched(cells, outer) -> npt.NDArray[np.integer]:
@@ -82,6 +88,8 @@ def fill(mesh: Cells, outer, place: Place):
         number = len(mesh.x) + len(nodes)
         cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
         nodes.append(node)
+    if not nodes:
+        return mesh, []
     x, alpha, normals, hosts = zip(*nodes, strict=True)
     return Cells(
         np.vstack((mesh.x, *x)),

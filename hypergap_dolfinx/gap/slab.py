@@ -9,6 +9,10 @@ Surfaces are taken apart into smooth pieces that face each other; a front of fli
 between two pieces.
 """
 
+import logging
+import time
+from collections import Counter
+
 from mpi4py import MPI
 
 import numpy as np
@@ -20,10 +24,13 @@ from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
+from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 def _place(sides: tuple[Side, Side]) -> Place:
@@ -111,6 +118,30 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     return _slab(sides, filling)
 
 
+def summary(slabs: list[Slab]) -> str:
+    """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
+
+    A cell's quality is its D over its longest edge squared: 1 of a cube's corner with a base on one
+    side, 0 if it is flat. Kinds tell how many vertices are on Γ0, on Γ1 and between them.
+    """
+    D: list[npt.NDArray[np.float64]] = []
+    kinds: Counter[tuple[int, int]] = Counter()
+    for slab in slabs:
+        value, scale = areas(slab.x[slab.cells], slab.alpha[slab.cells], slab.normal)
+        D.append(value / scale)
+        alpha = slab.alpha[slab.cells]
+        number = np.column_stack([part.sum(axis=1) for part in (alpha == 0, alpha == 1)])
+        kind, count = np.unique(number, axis=0, return_counts=True)
+        kinds.update(dict(zip(map(tuple, kind.tolist()), count.tolist(), strict=True)))
+    quality = np.concatenate(D)
+    each = [f"{count} ({a}, {b})" for (a, b), count in sorted(kinds.items(), reverse=True)]
+    inner = sum(slab.inner.alpha.size for slab in slabs)
+    return (
+        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; {len(slabs)} pieces; "
+        f"quality {quality.min():.2g} at worst, {quality.mean():.2g} in the mean"
+    )
+
+
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
 
@@ -127,6 +158,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
             for which there is no valid mesh.
         RuntimeError: There is no C compiler.
     """
+    start = time.perf_counter()
     group0, group1 = facing_pieces(surface0, surface1)
     sides = [
         (
@@ -146,6 +178,8 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     raise_on_all(comm, str(error) if error else None, kind)
     slabs = [Slab(pair, *part) for pair, part in zip(sides, comm.bcast(result), strict=True)]
 
+    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
+        LOG.info("Σ has %s; %.2g s", summary(slabs), time.perf_counter() - start)
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 

@@ -116,9 +116,9 @@ def _of_edge(a, b, ring, corners, alpha) -> Iterator[Swap]:
     if d is None or len(polygon) < len(ring):  # at the boundary
         return
     for triangles in _triangulations(polygon):
-        edges = {tuple(sorted(pair)) for c, d, e in triangles for pair in ((c, d), (d, e), (e, c))}
-        sides = {tuple(sorted(pair)) for pair in zip(polygon, polygon[1:] + polygon[:1])}
-        if all(_may_be_edge(*edge, alpha) for edge in edges - sides):
+        edges = {_pair(*ends) for c, d, e in triangles for ends in ((c, d), (d, e), (e, c))}
+        sides = {_pair(*ends) for ends in zip(polygon, polygon[1:] + polygon[:1], strict=True)}
+        if all(_may_be_edge(c, d, alpha) for c, d in edges - sides):
             above = [(c, d, e, b) for c, d, e in triangles]
             yield tuple(ring), above + [(d, c, e, a) for c, d, e in triangles]
 
@@ -132,6 +132,10 @@ def _triangulations(polygon: list[int]) -> Iterator[list[Cell]]:
         for left in _triangulations(polygon[: k + 1]):
             for right in _triangulations(polygon[k:]):
                 yield [(polygon[0], polygon[k], polygon[-1]), *left, *right]
+
+
+def _pair(a: int, b: int) -> tuple[int, int]:
+    return min(a, b), max(a, b)
 
 
 def _is_odd(v, w) -> bool:
