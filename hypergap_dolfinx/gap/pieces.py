@@ -135,7 +135,9 @@ class Side:
             points: ``(num_points, 3)``.
             seed: Triangle where the search starts, ``(num_points,)``.
         """
-        return project(self.x, self.triangles, self.behind, points, seed)
+        # Curved: cells would turn over where what is projected jumps from one facet to the next
+        normals = self.vertex_normals if self.surface.curved[self.facets].any() else None
+        return project(self.x, self.triangles, self.behind, points, seed, normals)
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Reference coordinates in the host facet of points of triangles.

@@ -9,6 +9,10 @@ Surfaces are taken apart into smooth pieces that face each other and cut to what
 common; a front of flips fills the slab between two pieces.
 """
 
+import logging
+import time
+from collections import Counter
+
 from mpi4py import MPI
 
 import numpy as np
@@ -21,10 +25,13 @@ from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
 from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
+from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 def _place(sides: tuple[Side, Side]) -> Place:
@@ -63,8 +70,8 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)))
 
 
-def _num_turned(slab: Slab) -> int:
-    """How many cells are turned over somewhere, with the surfaces' curved geometry."""
+def _margins(slab: Slab) -> npt.NDArray[np.float64]:
+    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge²."""
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
     geometry = geometry_element(surfaces, k).basix_element
@@ -78,7 +85,9 @@ def _num_turned(slab: Slab) -> int:
     )
     tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
     N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
-    return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
+    v = slab.x[slab.cells]
+    scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
+    return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
 
 
 def fill(sides: tuple[Side, Side]) -> Slab:
@@ -91,16 +100,40 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     degree = max(side.degree for side in sides)
     straight = geometry_element([side.surface for side in sides], degree).degree == 1
 
-    def num_bad(filling: front.Filling) -> int:
-        return 0 if straight else _num_turned(_slab(sides, filling))
+    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
+        return _margins(_slab(sides, filling))
 
-    filling = front.construct(problem, _place(sides), num_bad)
+    filling = front.construct(problem, _place(sides), None if straight else margins)
     if filling is None:
         raise InterfaceError(
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
     return _slab(sides, filling)
+
+
+def summary(slabs: list[Slab]) -> str:
+    """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
+
+    A cell's quality is its D over its longest edge squared: 1 of a cube's corner with a base on one
+    side, 0 if it is flat. Kinds tell how many vertices are on Γ0, on Γ1 and between them.
+    """
+    D: list[npt.NDArray[np.float64]] = []
+    kinds: Counter[tuple[int, int]] = Counter()
+    for slab in slabs:
+        value, scale = areas(slab.x[slab.cells], slab.alpha[slab.cells], slab.normal)
+        D.append(value / scale)
+        alpha = slab.alpha[slab.cells]
+        number = np.column_stack([part.sum(axis=1) for part in (alpha == 0, alpha == 1)])
+        kind, count = np.unique(number, axis=0, return_counts=True)
+        kinds.update(dict(zip(map(tuple, kind.tolist()), count.tolist(), strict=True)))
+    quality = np.concatenate(D)
+    each = [f"{count} ({a}, {b})" for (a, b), count in sorted(kinds.items(), reverse=True)]
+    inner = sum(slab.inner.alpha.size for slab in slabs)
+    return (
+        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; {len(slabs)} pieces; "
+        f"quality {quality.min():.2g} at worst, {quality.mean():.2g} in the mean"
+    )
 
 
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
@@ -118,6 +151,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         InterfaceError: Surfaces that don't face each other, or for which there is no valid mesh.
         RuntimeError: There is no C compiler.
     """
+    start = time.perf_counter()
     group0, group1 = facing_pieces(surface0, surface1)
     sides = [
         (
@@ -147,6 +181,8 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     for slab in slabs:
         np.add.at(covered, slab.sides[1].facets, slab.sides[1].shares)
 
+    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
+        LOG.info("Σ has %s; %.2g s", summary(slabs), time.perf_counter() - start)
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 

@@ -20,7 +20,7 @@ class Slab:
     """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
 
     sides: tuple[Side, Side]
-    cells: npt.NDArray[np.int64]
+    cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
     inner: Hosts
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""

@@ -289,7 +289,9 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
     nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
     vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
-    centre = x[cell_nodes].mean(axis=1)
+    # Of the vertices: in a thin cell, nodes of curved edges may lie beyond the facet's plane
+    corners = [dofs[0] for dofs in cell_geometry.entity_dofs[0]]
+    centre = x[cell_nodes[:, corners]].mean(axis=1)
     v = x[nodes[:, 0][:, vertex_nodes]]
     turn = (np.einsum("fi,fi->f", unit_normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
     each = np.arange(len(facets))

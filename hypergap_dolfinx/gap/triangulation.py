@@ -15,6 +15,7 @@ from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
+NEWTON = 6  # steps to where a line along a surface's normals meets it
 
 
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -240,7 +241,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
     return found
 
 
-def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed):
+def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, normals=None):
     """Walk over a surface from a facet to the one that a point projects into.
 
     Beyond a boundary the last facet is extrapolated.
@@ -251,18 +252,37 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         behind: The facets' neighbours.
         points: Points, ``(num_points, 3)``.
         seed: Where the walk starts, ``(num_points,)``.
+        normals: At the vertices: points then go along what these are in the mean between them, and
+            points near each other to places near each other. By default along the facets' normals,
+            which jump from one to the next.
 
     Returns:
         Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
     """
     origin = x[facets[:, 0]]
     inverse = np.linalg.pinv((x[facets[:, 1:]] - origin[:, None]).transpose(0, 2, 1))
-    facet, best = np.array(seed, dtype=np.intp), np.full(len(points), -np.inf)
+
+    def flat(f, p):
+        return np.einsum("pvi,pi->pv", inverse[f], p - origin[f])
+
+    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat)
+    if normals is None:
+        return host, X
+
+    def smooth(f, p):
+        return _along_normals(x[facets[f]], normals[facets[f]], p, flat(f, p))
+
+    return _walk(behind, points, host, smooth)
+
+
+def _walk(behind: npt.NDArray, points, facet, coordinates):
+    """The facets that points lie in, and coordinates(facet, point) there."""
+    best, facet = np.full(len(points), -np.inf), facet.copy()
     host, X = facet.copy(), np.zeros((len(points), 2))
     active = np.arange(len(points))
     for _ in range(100):
         f = facet[active]
-        at = np.einsum("pvi,pi->pv", inverse[f], points[active] - origin[f])
+        at = coordinates(f, points[active])
         weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
         inside = weights.min(axis=1)
         better = inside > best[active]
@@ -279,3 +299,28 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         if not len(active):
             break
     return host, X
+
+
+def _along_normals(v, n, points, X) -> npt.NDArray[np.float64]:
+    """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
+
+    Args:
+        v: Vertices of each point's triangle, ``(num_points, 3, 3)``.
+        n: Normals there.
+        points: ``(num_points, 3)``.
+        X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
+    """
+    dv, dn = v[:, 1:] - v[:, :1], n[:, 1:] - n[:, :1]
+    z = np.column_stack((X, np.zeros(len(X))))  # coordinates, and how far off
+    size = np.linalg.norm(dv, axis=2).max(axis=1)
+    for _ in range(NEWTON):
+        normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
+        off = v[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dv) + z[:, 2:] * normal - points
+        J = np.concatenate((dv + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
+        bad = np.abs(np.linalg.det(J)) < 1e-6 * size**2
+        J[bad] = np.eye(3)
+        z = z - np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
+        z[bad] = np.nan
+    with np.errstate(invalid="ignore"):
+        fine = (np.linalg.norm(off, axis=1) < 1e-6 * size) & (np.abs(z[:, :2] - X).max(axis=1) < 1)
+    return np.where(fine[:, None], z[:, :2], X)
