@@ -91,7 +91,9 @@ class Cutting:
             Whether it could be made.
         """
         crossing = [
-            (a, b) for a, b in self.apex if a < b and (b, a) in self.apex and self._cross(a, b, u, v)
+            (a, b)
+            for a, b in self.apex
+            if a < b and (b, a) in self.apex and self._cross(a, b, u, v)
         ]
         for _ in range(FLIPS * len(self.points) ** 2):
             if not crossing:

@@ -33,7 +33,7 @@ class Rim:
     length: float
     """Length of the loops."""
     shared: npt.NDArray[np.float64]
-    """Parameters of coincident nodes, from 0 to 1: a wall ends there. Infinite if there are none."""
+    """Parameters of coincident nodes, from 0 to 1, where walls end; infinite if there are none."""
 
     def walls(self, n0: int, shift, weights) -> npt.NDArray[np.intp]:
         """Triangles between the loops.
