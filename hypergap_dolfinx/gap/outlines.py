@@ -14,8 +14,8 @@ from hypergap_dolfinx.gap.pieces import Side
 
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 1e-7
-"""Distance of outlines, in lengths of their edges, that is none: files have 8 digits."""
+OFF = 1e-8
+"""Distance of outlines, in lengths of their edges, that is none."""
 NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
 FACING = -0.3
@@ -151,7 +151,7 @@ def meetings(edges: Edges, others: Edges, snap: float) -> Meetings:
     return Meetings(e, s, o, r)
 
 
-def _meetings(edges: Edges, others: Edges, e, o, snap: float):
+def _meetings(edges: Edges, others: Edges, e, o, snap: float) -> tuple[npt.NDArray, ...]:
     """The meetings of some pairs of edges."""
     t = edges.b[e] - edges.a[e]
     length = np.linalg.norm(t, axis=1)
@@ -159,7 +159,9 @@ def _meetings(edges: Edges, others: Edges, e, o, snap: float):
     m = np.cross(edges.normal[e], t)
     m /= np.linalg.norm(m, axis=1, keepdims=True)
     # In the plane of the edge: along it, and to its left
-    p, q = (np.column_stack([_dot(y[o] - edges.a[e], v) for v in (t, m)]) for y in (others.a, others.b))
+    p, q = (
+        np.column_stack([_dot(y[o] - edges.a[e], v) for v in (t, m)]) for y in (others.a, others.b)
+    )
     d = q - p
     size = np.maximum(np.linalg.norm(d, axis=1), 1e-300)
 
@@ -180,10 +182,10 @@ def _meetings(edges: Edges, others: Edges, e, o, snap: float):
     for on, at, s in ((a_on, a_at, 0.0), (b_on, b_at, 1.0)):
         parts.append((on, np.full(len(e), s), np.clip(at / size, 0, 1)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        r = p[:, 1] / (p[:, 1] - q[:, 1])
-        s = (p[:, 0] + r * d[:, 0]) / length
-        cross = (p[:, 1] * q[:, 1] < 0) & (s > 0) & (s < 1)
-    parts.append((cross & ~(p_on | q_on | a_on | b_on), s, r))
+        share = p[:, 1] / (p[:, 1] - q[:, 1])
+        where = (p[:, 0] + share * d[:, 0]) / length
+        cross = (p[:, 1] * q[:, 1] < 0) & (where > 0) & (where < 1)
+    parts.append((cross & ~(p_on | q_on | a_on | b_on), where, share))
     return tuple(
         np.concatenate(arrays)
         for arrays in zip(*((e[on], s[on], o[on], r[on]) for on, s, r in parts), strict=True)
