@@ -21,7 +21,7 @@ from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.surface import lagrange_element, unit_normals
 
 NEAR = 1e-3  # distance of flat facets, over the smaller one's size, at which they touch
-BULGES = 2  # the same of curved ones, in heights of the curved surface over the flat facet
+BULGES = 2  # the same of curved ones, in heights over the facet that turns tell of
 FACING = np.pi / 3  # angle by which normals may miss being opposite, if a distance is given
 TILT = np.pi / 36  # the same by default, for flat facets; curved ones may turn more
 TURNS = 0.75  # how much more, in sums of both facets' turns
@@ -69,7 +69,7 @@ class _Boundary:
     facet: npt.NDArray[np.intp]
     """Number among all ranks' facets of the space, ``(num,)``."""
     bulge: npt.NDArray[np.float64]
-    """How far the curved surface is from the simplex, ``(num,)``."""
+    """How far the curved surface may be from the simplex, ``(num,)``."""
     turn: npt.NDArray[np.float64]
     """How much the curved surface turns from simplex to simplex, ``(num,)``."""
 
@@ -85,7 +85,7 @@ class _Boundary:
 
     def boxes(self, distance: float | None) -> npt.NDArray[np.float64]:
         """Lower and upper corners of boxes that meet where simplices may touch, ``(num, 2, n)``."""
-        reach = BULGES * self.bulge + NEAR * self.size if distance is None else distance
+        reach = self.bulge + NEAR * self.size if distance is None else distance
         reach = np.broadcast_to(reach, len(self.x))[:, None]
         return np.stack((self.x.min(axis=1) - reach, self.x.max(axis=1) + reach), axis=1)
 
@@ -237,9 +237,11 @@ def _bodies(facets: _Facets) -> list[_Boundary]:
     inwards = np.einsum("fi,fi->f", unit_normals(x), x.mean(axis=1) - facets.inside[facet]) < 0
     x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
     bulge, turn = _curvature(x, nodes)
-    own = facets.bulge[facet]
+    # Of facets that are curved themselves it is known
+    known = facets.bulge[facet]
     size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    boundary = _Boundary(x, facet, np.maximum(bulge, own), np.maximum(turn, 8 * own / size))
+    turn = np.maximum(turn, 8 * known / np.where(size > 0, size, 1))
+    boundary = _Boundary(x, facet, np.maximum(BULGES * bulge, known), turn)
     part = facets.part[facet]
     lowest = []
     for p in range(int(part.max(initial=-1)) + 1):
@@ -345,7 +347,7 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np
     n0, n1 = a.normals, b.normals
     if distance is None:
         limit = np.minimum(TILT + TURNS * (a.turn + b.turn), FACING)
-        reach = BULGES * np.maximum(a.bulge, b.bulge) + NEAR * np.minimum(a.size, b.size)
+        reach = np.maximum(a.bulge, b.bulge) + NEAR * np.minimum(a.size, b.size)
     else:
         limit, reach = np.full(len(n0), FACING), np.full(len(n0), distance)
     touch = np.einsum("pi,pi->p", n0, n1) < -np.cos(limit)
