@@ -282,7 +282,11 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
         np.maximum.at(turn, at, theta)
         # A triangle of a sphere is as far from it as its three edges' turns add up to
         (np.maximum if n == 2 else np.add).at(bulge, at, sag)
-    return bulge, turn
+    # Of triangles it is uneven: narrow ones hardly turn
+    smooth, around = theta > 0, bulge.copy()
+    np.maximum.at(around, f[smooth], bulge[g[smooth]])
+    np.maximum.at(around, g[smooth], bulge[f[smooth]])
+    return around, turn
 
 
 def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):

@@ -178,7 +178,7 @@ def test_nested_shells(degree):
     radii = (0.5, 0.8, 1.2, 2)
     options = {"octant": False, "degree": degree}
     spaces, tags = [], []
-    for (inner, outer), h in zip(pairwise(radii), (0.35, 0.6, 0.45), strict=True):
+    for (inner, outer), h in zip(pairwise(radii), (0.2, 0.7, 0.25), strict=True):
         mesh, ft = meshes.spherical_shell(comm, h, inner, outer, **options)
         spaces.append(fem.functionspace(mesh, ("Lagrange", 1)))
         tags.append(ft)
