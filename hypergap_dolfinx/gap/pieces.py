@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from hypergap_dolfinx.gap.surface import Surface, unit_normals
 from hypergap_dolfinx.gap.triangulation import loops, neighbours, project
 
@@ -37,6 +38,19 @@ class Side:
         vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
         X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
         return cls(surface, surface.x[vertices], triangles.reshape(-1, 3), facets, X)
+
+    @property
+    def arrays(self) -> tuple[npt.NDArray, ...]:
+        """All but the surface."""
+        return self.x, self.triangles, self.facets, self.X
+
+    @property
+    def shares(self) -> npt.NDArray[np.float64]:
+        """Part of its facet that each triangle is, ``(num_triangles,)``."""
+        e, f = self.X[:, 1] - self.X[:, 0], self.X[:, 2] - self.X[:, 0]
+        facet = self.surface.geometry.cell_type
+        whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
+        return np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / whole
 
     @cached_property
     def behind(self) -> npt.NDArray[np.intp]:

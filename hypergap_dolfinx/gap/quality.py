@@ -13,7 +13,6 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.surface import Surface, thinness
-from hypergap_dolfinx.gap.triangulation import neighbours
 
 SAG = 1e-5
 """Distance of curved facets from straight ones, in their lengths, that is taken for straight.
@@ -28,13 +27,8 @@ facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 tim
 with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
 error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
 Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
-OFF = 1e-3
-"""Distance between the sides' outlines, in lengths of their edges, that is taken for none."""
-
 WHOLE = 0.99
 """Part of a facet's length from which it counts as not cut."""
-CORNER = np.radians(80)
-"""What an outline turns by, from one edge to the next, where it has a corner."""
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -52,7 +46,6 @@ def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
     found = (
         distance(domain),
         straight_facets(domain.surfaces),
-        outlines(*domain.surfaces),
         uneven_facets(domain, sides),
     )
     return [line for line in found if line]
@@ -160,78 +153,3 @@ def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
         f"Γ1's facets are {value:.2g} times narrower one way than those of Γ0 and than its own "
         f"cells are deep: λ oscillates, displacements hardly do. To trust λ, {advice}."
     )
-
-
-def outlines(surface0: Surface, surface1: Surface) -> str | None:
-    """In space the sides end at the same place, as far as straight edges can tell."""
-    if surface0.gdim == 2:
-        return None
-    rims = _Rim(surface0), _Rim(surface1)
-    if not all(len(rim.x) for rim in rims):
-        return None
-    (off0, area0), (off1, area1) = rims[0].off(rims[1]), rims[1].off(rims[0])
-    worst = off1 if off1[0] >= off0[0] else off0
-    if worst[0] <= 0:
-        return None
-    v = surface1.x[surface1.facets]
-    twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum()
-    share = 200 * max(area0, area1) / twice
-    return (
-        f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
-        f"lies {share:.2g} % of Γ1's area, tied as if it were on both sides. Make both end at the "
-        "same place."
-    )
-
-
-class _Rim:
-    """The edges at which a surface in space ends."""
-
-    def __init__(self, surface: Surface):
-        behind = neighbours(surface.facets, surface.name, surface.x)
-        f, k = np.nonzero(behind < 0)
-        start, end = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
-        self.x = surface.x[start]  # (edge, 3)
-        self.t = surface.x[end] - self.x
-        self.length = np.linalg.norm(self.t, axis=1)
-        self.normal = surface.normals[f]
-        beside = np.where(behind[f] < 0, f[:, None], behind[f])
-        cosine = np.einsum("ei,eki->ek", self.normal, surface.normals[beside])
-        self.bend = np.arccos(np.clip(cosine, -1, 1)).max(axis=1, initial=0)  # to the next facets
-        # An arc's distance from its chord is its length times an eighth of what it turns by; what
-        # turns by more than a pentagon does is a corner, where both outlines have a node
-        edge_at = np.full(len(surface.x), -1)
-        edge_at[start] = np.arange(len(start))
-        following = edge_at[end]
-        unit = self.t / self.length[:, None]
-        cosine = np.einsum("ei,ei->e", unit, unit[following])
-        turn = np.arccos(np.clip(cosine, -1, 1))
-        turn[turn > CORNER] = 0
-        self.sag = self.length * turn / 8
-        np.maximum.at(self.sag, following, self.length[following] * turn / 8)
-
-    def off(self, other: "_Rim"):
-        """How far this rim's nodes lie off another one's edges, along the surface.
-
-        Returns:
-            The largest distance beyond what is explained by straight edges of curved rims, that
-            distance in all, and the place; and the area between the rims.
-        """
-        worst, area = (-np.inf, 0.0, self.x[0]), 0.0
-        for c in range(0, len(self.x), 256):
-            part = slice(c, c + 256)
-            y = self.x[part, None]
-            s = np.einsum("pei,ei->pe", y - other.x, other.t) / other.length**2
-            apart = y - (other.x + np.clip(s, 0, 1)[..., None] * other.t)
-            edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-            apart = apart[np.arange(len(apart)), edge]
-            n = other.normal[edge]
-            height = np.einsum("pi,pi->p", apart, n)
-            distance = np.linalg.norm(apart - height[:, None] * n, axis=1)
-            # A gap is fine; a facet's normal knows its direction as well as facets bend
-            explained = 2 * np.maximum(self.sag[part], other.sag[edge])
-            explained += np.abs(height) * (other.bend[edge] + self.bend[part])
-            beyond = distance - explained - OFF * np.maximum(self.length[part], other.length[edge])
-            area += (np.where(beyond > 0, distance, 0) * self.length[part]).sum()
-            p = beyond.argmax()
-            worst = max(worst, (beyond[p], distance[p], self.x[c + p]), key=lambda w: w[0])
-        return worst, area

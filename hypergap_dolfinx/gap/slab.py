@@ -5,8 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
 
-Surfaces are taken apart into smooth pieces that face each other; a front of flips fills the slab
-between two pieces.
+Surfaces are taken apart into smooth pieces that face each other and cut to what both sides have in
+common; a front of flips fills the slab between two pieces.
 """
 
 from mpi4py import MPI
@@ -19,6 +19,7 @@ from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
@@ -121,8 +122,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         The cells, the same on every rank.
 
     Raises:
-        InterfaceError: Surfaces that don't face each other or don't end at the same place, or
-            for which there is no valid mesh.
+        InterfaceError: Surfaces that don't face each other, or for which there is no valid mesh.
         RuntimeError: There is no C compiler.
     """
     group0, group1 = facing_pieces(surface0, surface1)
@@ -136,13 +136,23 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     result, error = None, None
     if comm.rank == 0:
         try:
-            slabs = [fill(pair) for pair in sides]
-            result = [(slab.cells, slab.inner) for slab in slabs]
+            pairs = [common for pair in sides for common in clip(*pair)]
+            slabs = [fill(pair) for pair in pairs]
+            arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
+            result = [
+                (*part, slab.cells, slab.inner) for part, slab in zip(arrays, slabs, strict=True)
+            ]
         except (InterfaceError, RuntimeError) as e:
             error = e
     kind = comm.bcast(type(error) if error else InterfaceError)
     raise_on_all(comm, str(error) if error else None, kind)
-    slabs = [Slab(pair, *part) for pair, part in zip(sides, comm.bcast(result), strict=True)]
+    slabs = [
+        Slab((Side(surface0, *own), Side(surface1, *other)), *part)
+        for own, other, *part in comm.bcast(result)
+    ]
+    covered = np.zeros(len(surface1.facets))
+    for slab in slabs:
+        np.add.at(covered, slab.sides[1].facets, slab.sides[1].shares)
 
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
@@ -165,7 +175,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         normal=np.vstack([slab.normal for slab in slabs]),
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=group1,
-        covered=np.ones(len(group1)),
+        covered=covered,
         degree=max(surface0.element.degree, surface1.element.degree),
         hosts=hosts,
     )
