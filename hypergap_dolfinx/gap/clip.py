@@ -232,15 +232,16 @@ class Cut:
             self.segments[triangle].append((u, v))
             self.path.append((u, v))
 
-    def follow(self, other: "Cut", twins: dict[int, int]):
+    def follow(self, other: "Cut", outline: list[list[int]], twins: dict[int, int]):
         """Draw the other piece's outline, where it lies inside.
 
         Args:
             other: The other piece.
+            outline: Loops of its nodes.
             twins: Nodes of the own outline at the same place as nodes of the other one.
         """
         own = {pair for loop in self.outline() for pair in pairwise([*loop, loop[0]])}
-        parts = [pair for loop in other.outline() for pair in pairwise([loop[0], *loop[::-1]])]
+        parts = [pair for loop in outline for pair in pairwise([loop[0], *loop[::-1]])]
         if not parts:
             return
         crossing = []
@@ -443,8 +444,9 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
     snap = SNAP * float(min(lengths))
     cuts = Cut(side0, alone[0], snap), Cut(side1, alone[1], snap)
     twins = _meet(cuts, snap)
+    outlines = [cut.outline() for cut in cuts]
     for i in (0, 1):
-        cuts[i].follow(cuts[1 - i], twins[i])
+        cuts[i].follow(cuts[1 - i], outlines[1 - i], twins[i])
     kept = [cuts[i].kept(sides[1 - i]) for i in (0, 1)]
     if kept[0] is None or kept[1] is None:
         raise InterfaceError(

@@ -7,7 +7,7 @@
 
 from collections.abc import Sequence
 
-NARROW = 1e-11  # sine of the angles between two edges that no flip makes
+NARROW = 1e-11  # sine of the largest angle of a triangle that no flip makes
 FLIPS = 50  # times the number of points squared at which flipping is given up
 
 
@@ -38,9 +38,10 @@ class Cutting:
     def _turns_left(self, a: int, b: int, c: int) -> bool:
         """Whether three points are counterclockwise, and clearly so."""
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
-        ux, uy, vx, vy = bx - ax, by - ay, cx - ax, cy - ay
-        size = ((ux * ux + uy * uy) * (vx * vx + vy * vy)) ** 0.5
-        return ux * vy - uy * vx > NARROW * size
+        squares = [(bx - ax) ** 2 + (by - ay) ** 2, (cx - bx) ** 2 + (cy - by) ** 2]
+        squares.append((ax - cx) ** 2 + (ay - cy) ** 2)
+        _, *lengths = sorted(squares, reverse=True)  # at the largest angle
+        return self._sine(a, b, c) > NARROW * (lengths[0] * lengths[1]) ** 0.5
 
     def triangles(self) -> list[tuple[int, int, int]]:
         """All triangles, each from its lowest vertex on."""
@@ -81,8 +82,7 @@ class Cutting:
     def _is_convex(self, a: int, b: int) -> bool:
         """Whether the edge may be flipped."""
         c, d = self.apex[a, b], self.apex[b, a]
-        left = self._turns_left
-        return left(a, d, c) and left(d, b, c) and left(c, a, d) and left(b, c, d)
+        return self._turns_left(a, d, c) and self._turns_left(d, b, c)
 
     def fix(self, u: int, v: int) -> bool:
         """Make a segment an edge, and keep it one.

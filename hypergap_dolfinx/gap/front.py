@@ -23,8 +23,12 @@ GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in t
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
 VISITS = 30_000_000  # the same, times edges
-VARIANTS = ((True, False), (True, True), (False, False), (False, True))
-"""Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
+VARIANTS = (
+    *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
+    *((False, False, 1e-8), (False, True, 1e-8)),
+)
+"""Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
+gets through is taken. Facets that are cut may be narrower than a displacement."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -145,15 +149,16 @@ class Front:
         return self.left == 0 and not any(self.wrong)
 
 
-def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
+def advance(problem: Problem, weighted: bool, reverse: bool, share: float = 1.0) -> Front:
     """Let a front run from one surface to the other.
 
     Args:
         problem: The surfaces.
         weighted: Whether weights make the surfaces' edges locally regular.
         reverse: Whether it goes from Γ1 to Γ0.
+        share: By what share of the problem's shift Γ1 is displaced.
     """
-    module = library()
+    module, shift = library(), share * problem.shift
     lib, ffi = module.lib, module.ffi
 
     def pointer(array):
@@ -170,7 +175,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
     y = x - x.mean(axis=0)
     vertices = np.zeros((n, 10))
     vertices[:, :3] = y[order]
-    y[n0:] += sign * problem.shift
+    y[n0:] += sign * shift
     vertices[:, 3:6] = y[order]
     vertices[:, :6] /= problem.size
     vertices[:, 6:9] = sign * problem.normals[order]
@@ -185,7 +190,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
         sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
         lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
     weights = vertices[number, 9] * problem.size**2
-    walls = problem.walls(sign * problem.shift, weights)
+    walls = problem.walls(sign * shift, weights)
     start = np.ascontiguousarray(np.vstack((start, number[walls])))
     end = np.ascontiguousarray(end)
     max_cells = CELLS * (len(start) + len(end)) + 100
