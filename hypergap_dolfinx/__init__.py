@@ -11,6 +11,7 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
 from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.touching import find_touching
 
 __all__ = [
     "InterfaceError",
@@ -19,5 +20,6 @@ __all__ = [
     "SolveError",
     "Tie",
     "TiedProblem",
+    "find_touching",
 ]
 __version__ = "0.1.0"
