@@ -25,7 +25,7 @@ SWEEPS = 3000  # of the search for weights, before it is given up; fewer if ther
 VISITS = 30_000_000  # the same, times edges
 VARIANTS = ((True, False), (True, True), (False, False), (False, True))
 """Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
-REOPENINGS = 10  # of the mesh, to cone cells that stay turned over
+REOPENINGS = 5  # of the mesh, to cone cells that stay turned over
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 

@@ -131,7 +131,11 @@ class Slab:
             host[on], at[on] = self._own_facet(i, vertices, weights, on)
             away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
             first, which = _same(vertices, weights, away)
-            found, there = side.project(x[away][first], host[away][first])
+            # From what lies around the point: other cells that have it find the same
+            around = np.where(support[None], vertices[:, None], -1)[away][first]
+            seed = np.where(around >= 0, self.seeds[i][around], -1).max(axis=1)
+            seed = np.where(seed >= 0, seed, host[away][first])
+            found, there = side.project(x[away][first], seed)
             host[away], at[away] = found[which], there[which]
             facets.append(side.facets[host])
             X.append(side.in_facets(host.ravel(), at.reshape(-1, 2)).reshape(at.shape))
