@@ -104,8 +104,13 @@ def ball(rng, h, mapping):
 
 
 def capsule(x):
-    """A cylinder with half balls at its ends."""
-    return x * np.array((0.5, 0.5, 0.5)) + np.array((0, 0, 0.7)) * np.tanh(4 * x[:, 2:])
+    """A cylinder with half balls at its ends: its length goes as the angle from the pole."""
+    angle = np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2])
+    s = (angle / np.pi - 0.5) * (np.pi / 2 + 1.4)  # from the equator, with radius ½
+    turn = np.sign(s) * np.maximum(np.abs(s) - 0.7, 0) / 0.5
+    axis = np.clip(s, -0.7, 0.7) + 0.5 * np.sin(turn)
+    unit = x[:, :2] / np.maximum(np.sin(angle), 1e-300)[:, None]
+    return np.column_stack((0.5 * np.cos(turn)[:, None] * unit, -axis))
 
 
 def bumpy(x):

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import basix
-from hypergap_dolfinx.gap import front, prisms, slab
-from hypergap_dolfinx.gap.cavity import linear_program
+from hypergap_dolfinx.gap import front, prisms, slab, swaps
+from hypergap_dolfinx.gap.cavity import is_whole, linear_program
 from hypergap_dolfinx.gap.metric import FACES, areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.surface import Surface
@@ -173,6 +173,26 @@ def test_matching(noise):
     assert len(made.cells) == 3 * len(t)
     assert prisms.twins(x, t, y[:-1], t, 0.1) is None
     assert prisms.twins(x, t, y, t[:, ::-1], 0.1) is None
+
+
+def test_swaps():
+    """A sliver in a pile of cells goes; cells that are wanted stay."""
+    made = filled(ball(200), ball(150, seed=1))
+    n0 = len(made.sides[0].x)
+    alpha = (np.arange(len(made.x)) >= n0).astype(float)
+    normals = np.vstack((made.sides[0].vertex_normals, -made.sides[1].vertex_normals))
+
+    def quality(cells):
+        D, scale = areas(made.x[cells], alpha[cells], normals[cells].sum(axis=1))
+        return D / scale
+
+    bound = np.quantile(quality(made.cells), 0.02)
+    cells = swaps.improve(made.cells, alpha, lambda c: quality(c) - bound)
+    before, after = quality(made.cells), quality(cells)
+    assert (after <= bound).sum() < 0.7 * (before <= bound).sum() and after.min() >= before.min()
+    outer = np.vstack((made.sides[0].triangles, n0 + made.sides[1].triangles))
+    assert is_whole(cells, outer)
+    np.testing.assert_array_equal(swaps.improve(cells, alpha, quality), cells)
 
 
 @pytest.mark.parametrize("step", (10, 20, 60))

@@ -29,7 +29,7 @@ VARIANTS = (
 )
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
-REOPENINGS = 10  # of the mesh, to cone cells that stay turned over
+REOPENINGS = 5  # of the mesh, to cone cells that stay turned over
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 

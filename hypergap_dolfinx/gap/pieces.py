@@ -19,7 +19,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.gap.surface import Surface, unit_normals
-from hypergap_dolfinx.gap.triangulation import loops, neighbours, project
+from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 
@@ -135,9 +135,23 @@ class Side:
             points: ``(num_points, 3)``.
             seed: Triangle where the search starts, ``(num_points,)``.
         """
-        # Curved: cells would turn over where what is projected jumps from one facet to the next
-        normals = self.vertex_normals if self.surface.curved[self.facets].any() else None
-        return project(self.x, self.triangles, self.behind, points, seed, normals)
+        curved = self.surface.curved[self.facets].any()
+        refine = self._on_curved if curved else None
+        return project(self.x, self.triangles, self.behind, points, seed, refine)
+
+    def _on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
+        """Where points project on the curved facets, not to jump from one to the next."""
+        element = self.surface.geometry
+        nodes = self.surface.nodes[self.facets[triangle]]
+        edges = self.X[triangle, 1:] - self.X[triangle, :1]  # (point, ξ_j, X_i)
+
+        def geometry(xi):
+            values = element.tabulate(1, self.in_facets(triangle, xi))[..., 0]  # (1 + i, p, node)
+            x, *dx = (np.einsum("pa,pai->pi", value, nodes) for value in values)
+            return x, edges @ np.stack(dx, axis=1)
+
+        normals = self.vertex_normals[self.triangles[triangle]]
+        return along_normals(geometry, normals, points, xi)
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Reference coordinates in the host facet of points of triangles.

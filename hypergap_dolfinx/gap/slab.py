@@ -100,8 +100,19 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     degree = max(side.degree for side in sides)
     straight = geometry_element([side.surface for side in sides], degree).degree == 1
 
+    num_vertices = len(problem.x)
+    known: dict[bytes, float] = {}  # most cells are looked at many times
+
     def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
-        return _margins(_slab(sides, filling))
+        data = np.ascontiguousarray(filling.cells, dtype=np.int64).tobytes()
+        keys = [data[i : i + 32] for i in range(0, len(data), 32)]
+        value = np.array([known.get(key, np.nan) for key in keys])
+        new = np.isnan(value)
+        if new.any():
+            value[new] = _margins(_slab(sides, filling.with_cells(filling.cells[new])))
+            lasting = new & (filling.cells < num_vertices).all(axis=1)  # not of interior vertices
+            known.update((keys[i], value[i]) for i in np.flatnonzero(lasting))
+        return value
 
     filling = front.construct(problem, _place(sides), None if straight else margins)
     if filling is None:

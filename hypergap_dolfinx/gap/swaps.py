@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import numpy.typing as npt
 
-ROUNDS = 30  # of swaps, before what is left is left
-AROUND = 7  # cells around an edge that are swapped at most
+ROUNDS = 12  # of swaps, before what is left is left
+AROUND = 6  # cells around an edge that are swapped at most
 
 Cell = tuple[int, ...]
 Swap = tuple[tuple[int, ...], list[Cell]]

@@ -15,6 +15,7 @@ from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
+FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
 NEWTON = 6  # steps to where a line along a surface's normals meets it
 
 
@@ -241,7 +242,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
     return found
 
 
-def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, normals=None):
+def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, refine=None):
     """Walk over a surface from a facet to the one that a point projects into.
 
     Beyond a boundary the last facet is extrapolated.
@@ -252,35 +253,33 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         behind: The facets' neighbours.
         points: Points, ``(num_points, 3)``.
         seed: Where the walk starts, ``(num_points,)``.
-        normals: At the vertices: points then go along what these are in the mean between them, and
-            points near each other to places near each other. By default along the facets' normals,
-            which jump from one to the next.
+        refine: ``refine(facet, points, X)``: better coordinates than those on straight facets, with
+            which a second walk goes on.
 
     Returns:
         Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
     """
-    origin = x[facets[:, 0]]
-    inverse = np.linalg.pinv((x[facets[:, 1:]] - origin[:, None]).transpose(0, 2, 1))
+    origin, d, e = x[facets[:, 0]], *(x[facets[:, k]] - x[facets[:, 0]] for k in (1, 2))
+    dd, de, ee = (np.einsum("fi,fi->f", a, b) for a, b in ((d, d), (d, e), (e, e)))
+    det = np.maximum(dd * ee - de**2, 1e-300)
 
     def flat(f, p):
-        return np.einsum("pvi,pi->pv", inverse[f], p - origin[f])
+        y = p - origin[f]
+        yd, ye = np.einsum("pi,pi->p", y, d[f]), np.einsum("pi,pi->p", y, e[f])
+        return np.column_stack((ee[f] * yd - de[f] * ye, dd[f] * ye - de[f] * yd)) / det[f, None]
 
-    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat)
-    if normals is None:
+    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)
+    if refine is None:
         return host, X
-
-    def smooth(f, p):
-        return _along_normals(x[facets[f]], normals[facets[f]], p, flat(f, p))
-
-    return _walk(behind, points, host, smooth)
+    return _walk(behind, points, host, lambda f, p: refine(f, p, flat(f, p)), FURTHER)
 
 
-def _walk(behind: npt.NDArray, points, facet, coordinates):
+def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
     """The facets that points lie in, and coordinates(facet, point) there."""
     best, facet = np.full(len(points), -np.inf), facet.copy()
     host, X = facet.copy(), np.zeros((len(points), 2))
     active = np.arange(len(points))
-    for _ in range(100):
+    for _ in range(steps):
         f = facet[active]
         at = coordinates(f, points[active])
         weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
@@ -301,26 +300,32 @@ def _walk(behind: npt.NDArray, points, facet, coordinates):
     return host, X
 
 
-def _along_normals(v, n, points, X) -> npt.NDArray[np.float64]:
+def along_normals(surface, n, points, X) -> npt.NDArray[np.float64]:
     """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
 
+    Other than the facets' normals these don't jump from one facet to the next, so points near each
+    other get to places near each other.
+
     Args:
-        v: Vertices of each point's triangle, ``(num_points, 3, 3)``.
-        n: Normals there.
+        surface: Takes ``X`` to places, ``(num_points, 3)``, and their derivatives,
+            ``(num_points, 2, 3)``.
+        n: Normals at the vertices of each point's triangle, ``(num_points, 3, 3)``.
         points: ``(num_points, 3)``.
         X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
     """
-    dv, dn = v[:, 1:] - v[:, :1], n[:, 1:] - n[:, :1]
+    dn = n[:, 1:] - n[:, :1]
     z = np.column_stack((X, np.zeros(len(X))))  # coordinates, and how far off
-    size = np.linalg.norm(dv, axis=2).max(axis=1)
+    done = np.zeros(len(X), dtype=bool)
     for _ in range(NEWTON):
+        x, dx = surface(z[:, :2])
         normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
-        off = v[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dv) + z[:, 2:] * normal - points
-        J = np.concatenate((dv + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
-        bad = np.abs(np.linalg.det(J)) < 1e-6 * size**2
-        J[bad] = np.eye(3)
+        off = x + z[:, 2:] * normal - points
+        square = np.einsum("pji,pji->p", dx, dx)
+        done = np.einsum("pi,pi->p", off, off) < 1e-20 * square
+        if done.all():
+            break
+        J = np.concatenate((dx + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
+        J[np.abs(np.linalg.det(J)) < 1e-6 * square] = np.eye(3)
         z = z - np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
-        z[bad] = np.nan
-    with np.errstate(invalid="ignore"):
-        fine = (np.linalg.norm(off, axis=1) < 1e-6 * size) & (np.abs(z[:, :2] - X).max(axis=1) < 1)
-    return np.where(fine[:, None], z[:, :2], X)
+        z[:, :2] = np.clip(z[:, :2], X - 1, X + 1)
+    return np.where(done[:, None], z[:, :2], X)
