@@ -162,7 +162,8 @@ class Cut:
 
     def edges(self) -> tuple[list[tuple], Edges]:
         """The outline's edges: their places on the vertices' edges, and where they are in space."""
-        places, ends = [], []
+        places: list[tuple] = []
+        ends: list[tuple[int, int]] = []
         for loop in self.loops:
             for a, b in pairwise([*loop, loop[0]]):
                 nodes = self.between(a, b)
