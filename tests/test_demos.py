@@ -38,6 +38,8 @@ class Demo:
     slow: bool = False
     status: int = 0
     """Exit status."""
+    script: str = ""
+    """Its file, if not by its name."""
 
 
 DEMOS = {
@@ -84,6 +86,12 @@ DEMOS = {
         needs=("gmsh",),
         slow=True,
     ),
+    "patch_test_3d_hexahedra": Demo(
+        "--cell hexahedron",
+        below={"*.l2": 1e-11, "*.stress": 1e-11},
+        script="patch_test_3d",
+        slow=True,
+    ),
     "pressurised_cylinder": Demo(
         "--degree 2 --levels 2",
         {"1.l2": 3.240e-5, "1.stress": 2.866e-3, "1.traction": 7.757e-4},
@@ -96,6 +104,11 @@ DEMOS = {
         accuracy=0.1,  # Gmsh's mesh
         pictures=("gap_domain", "deformed", "traction"),
         needs=("gmsh",),
+    ),
+    "pressurised_sphere_hexahedra": Demo(
+        "--degree 1 --levels 1 --cell hexahedron --fused",
+        {"0.l2": 6.931e-3, "0.stress": 0.13386, "0.traction": 4.308e-2, "0.fused.l2": 7.748e-3},
+        script="pressurised_sphere",
     ),
     "read_meshes": Demo(
         pinned={"l2": 3.797e-5, "stress": 2.131e-3, "concentration": 3.0096},
@@ -157,7 +170,7 @@ def test_demo(name, tmp_path, monkeypatch, capfd):
         monkeypatch.setitem(DOLFINX_DEFAULT_JIT_OPTIONS, "cffi_extra_compile_args", options)
     status = 0
     try:
-        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+        runpy.run_path(str(FOLDER / f"{demo.script or name}.py"), run_name="__main__")
     except SystemExit as exit:
         status = exit.code or 0
     assert status == demo.status
