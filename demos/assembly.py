@@ -4,8 +4,8 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# AS1 is the assembly that CAD programs are tested with: a plate, two brackets, a rod, and eight nuts
-# and six bolts that hold them together. Its 18 parts come from a STEP file (Gmsh's wheel has it).
+# AS1 is the assembly that CAD programs are tested with: a plate, two brackets, a rod, and six bolts
+# and eight nuts that hold them together. Its 18 parts come from a STEP file (Gmsh's wheel has it).
 # This demo shows
 #
 # - parts that are meshed one by one, each with its own cell size and material,
@@ -41,7 +41,7 @@ FILE = Path(sys.prefix) / "share/doc/gmsh/examples/boolean/as1-tu-203.stp"
 comm = MPI.COMM_WORLD
 
 # Newtons and millimetres: the plate and the brackets are of aluminium, all else is of steel. The
-# plate is held at both ends, the rod is pushed down and aside.
+# plate is held at both sides, the rod is pushed down and aside.
 
 ALUMINIUM, STEEL = (70e3, 0.33), (210e3, 0.3)
 MATERIALS = {"plate": ALUMINIUM, "l-bracket": ALUMINIUM, "rod": STEEL, "bolt": STEEL, "nut": STEEL}
@@ -83,12 +83,12 @@ def load(V, dx):
 
 
 def held(V):
-    """The plate's ends: the brackets and nuts are between them, the rod is above."""
+    """The plate's sides, of 150 mm distance; no facet that is tied comes near them."""
 
-    def on_end(x):
-        return (np.isclose(x[0], 0) | np.isclose(x[0], 180)) & (x[2] < 20.1)
+    def on_side(x):
+        return np.isclose(x[1], 0, atol=1e-6) | np.isclose(x[1], 150)
 
-    dofs = fem.locate_dofs_topological(V, 2, dmesh.locate_entities_boundary(V.mesh, 2, on_end))
+    dofs = fem.locate_dofs_topological(V, 2, dmesh.locate_entities_boundary(V.mesh, 2, on_side))
     return fem.dirichletbc(np.zeros(3, dtype=default_scalar_type), dofs, V)
 
 
@@ -99,8 +99,8 @@ def integral(form):
 
 # ## Tied
 #
-# A form on each part, and a tie for each two that touch. Γ1 is where cells are larger; where they are
-# alike, the materials decide.
+# A form on each part, and a tie for each two that touch. Γ1 is where cells are larger; where they
+# are alike, the materials decide.
 
 
 def tied(factor, degree):
@@ -145,8 +145,8 @@ def fused(factor, degree):
 
 # ## What comes out
 #
-# The reactions are what the forms leave at the plate's ends. They balance the load if each tie hands
-# on what acts on it.
+# The reactions are what the forms leave at the plate's sides. They balance the load if each tie
+# hands on what acts on it.
 
 
 def balance(model, us):
