@@ -28,7 +28,7 @@ with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The
 error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
 Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
 WHOLE = 0.99
-"""Part of a facet's length from which it counts as not cut."""
+"""Part of a facet's length or area from which it counts as not cut."""
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -127,9 +127,12 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     E = v[:, 1:] - v[:, :1]
     area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
     some = area > 0
-    if n == 2:  # where the sides overlap in part, the ends of Γ_i are cut facets
-        own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
-        some &= area > WHOLE * domain.surfaces[i].size[own]
+    # Where the sides overlap in part, facets of Γ_i are cut
+    own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
+    w = domain.surfaces[i].x[domain.surfaces[i].facets[own]]
+    if w.shape[1] == n:
+        E = w[:, 1:] - w[:, :1]
+        some &= area > WHOLE * np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
