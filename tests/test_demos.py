@@ -77,6 +77,11 @@ DEMOS = {
         needs=("slepc4py",),
     ),
     "own_system": Demo("--levels 2", {"0.l2": 5.402e-5, "1.l2": 6.759e-6}, {"1.iterations": 180}),
+    "partial_overlap": Demo(
+        "--degree 1",
+        {"*.ok": True},
+        {"*.l2": 5e-3},
+    ),
     "patch_test": Demo(
         below={"*.l2": 1e-12, "*.stress": 1e-12}, pictures=("patch_test",), slow=True
     ),

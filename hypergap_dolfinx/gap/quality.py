@@ -28,7 +28,7 @@ with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The
 error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
 Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
 WHOLE = 0.99
-"""Part of a facet's length from which it counts as not cut."""
+"""Part of a facet's length or area from which it counts as not cut."""
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -125,10 +125,14 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     E = v[:, 1:] - v[:, :1]
     area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
     some = area > 0
-    if n == 2:  # where the sides overlap in part, the ends of Γ_i are cut facets
+    # Where the sides overlap in part, facets of Γ_i are cut
+    if n == 2:
         own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
         some &= area > WHOLE * domain.surfaces[i].size[own]
-    if n == 3:
+    else:
+        X = domain.hosts.X[i][base, :4][on[base]].reshape(-1, 3, 2)
+        corner = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE
+        some &= (corner | _middles(X)).all(axis=1)
         v = _whole_facets(domain, i, base, on[base], v)
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet][:, :n]])
@@ -141,6 +145,11 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
 
 
+def _middles(X) -> npt.NDArray[np.bool_]:
+    """Which vertices are middles of quadrilaterals, ``(num_bases, 3)``."""
+    return np.abs(X - 0.5).max(axis=2) < SAME_NODE
+
+
 def _whole_facets(domain: GapDomain, i: int, base, on, v):
     """In the place of a quarter of a quadrilateral half of all of it, as of the other side's."""
     surface = domain.surfaces[i]
@@ -148,7 +157,7 @@ def _whole_facets(domain: GapDomain, i: int, base, on, v):
         return v
     X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
     hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
-    middle = np.abs(X - 0.5).max(axis=2) < SAME_NODE  # (base, vertex)
+    middle = _middles(X)
     own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
     whole = surface.x[surface.facets[own][:, :3]]
     return np.where(middle.any(axis=1)[:, None, None], whole, v)

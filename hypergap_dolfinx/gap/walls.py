@@ -82,7 +82,7 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     if len(loops0) != len(loops1):
         raise InterfaceError(
             f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: in 3D both sides must cover the same part of the interface."
+            f"{side1.x.mean(axis=0)}: do the surfaces have the same shape there?"
         )
     found = []
     for loop1 in loops1:
@@ -152,7 +152,7 @@ def _arc(x) -> npt.NDArray[np.float64]:
 
 
 def _check_apart(side0: Side, loop0, side1: Side, loop1):
-    """Partial overlap would need the surfaces' intersection: not in 3D."""
+    """Outlines that match, or were cut to match, are near each other."""
     x0, x1 = side0.x[loop0], side1.x[loop1]
     t = np.roll(x0, -1, axis=0) - x0
     length = np.linalg.norm(t, axis=1)
@@ -171,7 +171,5 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
             worst = distance.argmax()
             raise InterfaceError(
                 f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "in 3D both sides must cover the same part of the interface. Give only the facets "
-                "of the common part; to have some, split the larger surface along the outline of "
-                "the other in the mesher."
+                "do the surfaces have the same shape there?"
             )
