@@ -322,7 +322,7 @@ def test_sphere(swap):
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_rates(degree, swap):
-    hs = (0.1, 0.05) if degree == 1 else (0.2, 0.1)
+    hs = (0.2 * degree, 0.1 * degree)
     rows = [sphere.run(comm, h, degree, swap, cell="hexahedron")[0] for h in hs]
     rates = [np.log2(rows[0][name] / rows[1][name]) for name in ("l2", "stress", "traction")]
     print(rates)
