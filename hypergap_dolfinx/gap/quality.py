@@ -86,26 +86,29 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
 
 
 def _widths(v, w):
-    """Where simplices are narrowest compared with others.
+    """Where facets are narrowest compared with others, by the spread of their vertices.
 
     Args:
-        v: Vertices of each simplex, ``(num, d + 1, n)``.
+        v: Vertices of each facet, ``(num, num_vertices, n)``.
         w: Vertices of the one to compare it with.
 
     Returns:
-        How many times as wide the other is in that direction, and the simplex' own width in it,
+        How many times as wide the other is in that direction, and the facet's own width in it,
         ``(num,)`` each.
     """
-    d = v.shape[1] - 1
-    corners = np.vstack((np.zeros(d), np.eye(d))) - 1 / (d + 1)
-    L = np.linalg.cholesky(corners.T @ corners)  # of the covariance of the reference vertices
-    E, F = ((a[:, 1:] - a[:, :1]) for a in (v, w))  # (simplex, d, n)
-    metric = np.linalg.inv(E @ E.transpose(0, 2, 1))
-    A = np.linalg.inv(L) @ metric @ (E @ F.transpose(0, 2, 1)) @ L
-    squares, U = np.linalg.eigh(A @ A.transpose(0, 2, 1))
-    covector = U[:, :, -1] @ np.linalg.inv(L)
-    square = np.einsum("si,sij,sj->s", covector, metric, covector)
-    return np.sqrt(squares[:, -1]), 1 / (L[0, 0] * np.sqrt(square))
+    n = v.shape[2]
+    plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
+
+    def spread(x):
+        y = (x - x.mean(axis=1, keepdims=True)) @ plane
+        return y.transpose(0, 2, 1) @ y / x.shape[1]
+
+    inverse = np.linalg.inv(np.linalg.cholesky(spread(v)))
+    squares, U = np.linalg.eigh(inverse @ spread(w) @ inverse.transpose(0, 2, 1))
+    direction = np.einsum("sij,si->sj", inverse, U[:, :, -1])
+    # Of an edge, a right triangle or a square of width 1
+    unit = {2: 1 / 4, 3: 2 / 9, 4: 1 / 4}[v.shape[1]]
+    return np.sqrt(squares[:, -1]), 1 / (np.sqrt(unit) * np.linalg.norm(direction, axis=1))
 
 
 def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
@@ -135,7 +138,7 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
         some &= (corner | _middles(X)).all(axis=1)
         v = _whole_facets(domain, i, base, on[base], v)
     v, facet, area = v[some], facet[some], area[some]
-    ratio, width = _widths(v, other.x[other.facets[facet][:, :n]])
+    ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
     value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
     order = np.argsort(value)
@@ -151,16 +154,15 @@ def _middles(X) -> npt.NDArray[np.bool_]:
 
 
 def _whole_facets(domain: GapDomain, i: int, base, on, v):
-    """In the place of a quarter of a quadrilateral half of all of it, as of the other side's."""
+    """In the place of quarters of quadrilaterals these themselves."""
     surface = domain.surfaces[i]
-    if surface.facets.shape[1] < 4:
-        return v
     X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
     hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
     middle = _middles(X)
+    if surface.facets.shape[1] < 4 or not middle.any(axis=1).all():
+        return v
     own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
-    whole = surface.x[surface.facets[own][:, :3]]
-    return np.where(middle.any(axis=1)[:, None, None], whole, v)
+    return surface.x[surface.facets[own]]
 
 
 def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
