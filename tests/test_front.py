@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import basix
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap import front, prisms, slab, swaps
 from hypergap_dolfinx.gap.cavity import is_whole, linear_program
 from hypergap_dolfinx.gap.metric import FACES, areas
@@ -256,3 +257,28 @@ def test_speed(capsys):
     with capsys.disabled():
         print(f"\n{speed:.0f} facets a second")
     assert speed > 50_000
+
+
+def test_folded_facets():
+    """No cells fit on a curved facet that is folded: told with the place."""
+    P2 = basix.create_element(
+        basix.ElementFamily.P,
+        basix.CellType.triangle,
+        2,
+        basix.LagrangeVariant.equispaced,
+    )
+    flat = graph(lambda u, v: 0 * u)
+    sides = [side("Γ0", *grid(2, flat)), side("Γ1", *grid(3, flat))]
+    X = np.column_stack((1 - P2.points.sum(axis=1), P2.points))
+    for i, one in enumerate(sides):
+        nodes = X @ one.surface.nodes
+        if i == 0:
+            inner = one.behind[0].argmax()  # an edge that has a facet behind it
+            k, away = (5, 3, 4)[inner], one.x[one.triangles[0, inner]]
+            nodes[0, k] = away + 0.05 * (nodes[0, k] - away)
+        t = one.surface.facets if i == 0 else one.surface.facets[:, ::-1]
+        nodes = nodes if i == 0 else nodes[:, [2, 1, 0, 5, 4, 3]]
+        surface = replace(one.surface, facets=t, nodes=nodes, geometry=P2)
+        sides[i] = Side.of(surface, np.arange(len(t)))
+    with pytest.raises(InterfaceError, match=r"a curved facet of Γ0 at .* is folded"):
+        slab.fill(tuple(sides))

@@ -90,11 +90,26 @@ def _margins(slab: Slab) -> npt.NDArray[np.float64]:
     return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
 
 
+def _check_folded(side: Side):
+    """Curved facets that are folded have cells that are turned over whatever is beyond them."""
+    surface, element = side.surface, side.surface.geometry
+    points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
+    dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
+    for facet, normal in zip(side.facets, side.normals, strict=True):
+        d, e = (derivatives @ surface.nodes[facet] for derivatives in dX)
+        if (np.cross(d, e) @ normal <= 0).any():
+            raise InterfaceError(
+                f"a curved facet of {surface.name} at {surface.nodes[facet].mean(axis=0)} is "
+                "folded: its middle nodes are too far off; refine the mesh there or straighten it."
+            )
+
+
 def fill(sides: tuple[Side, Side]) -> Slab:
     """Cells between two facing pieces.
 
     Raises:
-        InterfaceError: Their boundaries don't match; there is no valid mesh.
+        InterfaceError: Their boundaries don't match; curved facets are folded; there is no valid
+            mesh.
     """
     problem = front.Problem.between(*sides)
     degree = max(side.degree for side in sides)
@@ -120,6 +135,9 @@ def fill(sides: tuple[Side, Side]) -> Slab:
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
+    if not straight and (margins(filling) <= 0).any():
+        for side in sides:
+            _check_folded(side)
     return _slab(sides, filling)
 
 

@@ -78,8 +78,10 @@ class Slab:
         total = np.zeros_like(self.x)
         for i, side in enumerate(self.sides):
             unit = (1 - 2 * i) * side.normals
+            corner = self.offsets[i] + side.triangles.ravel()
             for k in range(3):
-                np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
+                each = np.repeat(unit[:, k], 3)
+                total[:, k] += np.bincount(corner, each, minlength=len(total))
             if self.inner.alpha.size:
                 total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
