@@ -41,6 +41,7 @@ DEMOS = {
     "any_surfaces": Demo("--scenes 20 --seed 2000", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
         below={"*.balance": 1e-10},
+        pictures=("assembly", "deformed"),
         needs=("gmsh",),
         slow=True,
     ),
