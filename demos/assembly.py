@@ -103,9 +103,9 @@ def integral(form):
 # are alike, the materials decide.
 
 
-def tied(factor, degree):
+def tied(factor, degree, geometry):
     """The assembly's parts, each with a mesh of its own."""
-    parts = parts_of_assembly(comm, FILE, factor, degree=degree)
+    parts = parts_of_assembly(comm, FILE, factor, degree=geometry)
     names = [name for name, _ in parts]
     V = [fem.functionspace(mesh, ("Lagrange", degree, (3,))) for _, mesh in parts]
     a = []
@@ -132,9 +132,9 @@ def make_ties(V, moduli):
 # where two meet. The materials are functions on it.
 
 
-def fused(factor, degree):
+def fused(factor, degree, geometry):
     """The assembly in one mesh."""
-    names, mesh, part = fused_assembly(comm, FILE, factor, degree=degree)
+    names, mesh, part = fused_assembly(comm, FILE, factor, degree=geometry)
     V, Q = (fem.functionspace(mesh, e) for e in (("Lagrange", degree, (3,)), ("DG", 0)))
     E, nu = fem.Function(Q), fem.Function(Q)
     for i, name in enumerate(names):
@@ -181,10 +181,10 @@ def forget_peak():
         pass
 
 
-def run(make, factor, degree):
+def run(make, factor, degree, geometry):
     """One row of the table, and the displacements."""
     times = [time.perf_counter()]
-    model, V, moduli = make(factor, degree)
+    model, V, moduli = make(factor, degree, geometry)
     times.append(time.perf_counter())
     forget_peak()
     before = memory("VmRSS")
@@ -243,6 +243,7 @@ def main():
     parser.add_argument("--size", type=float, nargs="+", default=[1.0], metavar="FACTOR",
                         help="cell sizes over the parts' thicknesses")  # fmt: skip
     parser.add_argument("--fused", action="store_true", help="also on one mesh of all parts")
+    parser.add_argument("--curved", action="store_true", help="cells of degree 2 are curved")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
@@ -251,6 +252,7 @@ def main():
             print(f"left out: {FILE}, which Gmsh's wheel has, is missing")
         return
 
+    geometry = args.degree if args.curved else 1
     rows = []
     if comm.rank == 0:
         print(
@@ -259,12 +261,12 @@ def main():
         )
     for factor in args.size:
         progress.show(comm, f"size {factor}")
-        row, us = run(tied, factor, args.degree)
+        row, us = run(tied, factor, args.degree, geometry)
         progress.show(comm)
         if comm.rank == 0:
             print_row(row, "tied")
         if args.fused:
-            row["fused"], _ = run(fused, factor, args.degree)
+            row["fused"], _ = run(fused, factor, args.degree, geometry)
             if comm.rank == 0:
                 print_row(row["fused"], "fused")
         rows.append(row)

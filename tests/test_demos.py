@@ -44,6 +44,12 @@ class Demo:
 
 DEMOS = {
     "any_surfaces": Demo("--scenes 20 --seed 2000", {"*.valid": 1}, needs=("scipy",)),
+    "assembly": Demo(
+        below={"*.balance": 1e-10},
+        pictures=("assembly", "deformed"),
+        needs=("gmsh",),
+        slow=True,
+    ),
     "error_against_run_time": Demo(
         "--scene cylinder --degrees 2 --levels 2 --repeats 1",
         {"rows.0.l2": 3.359e-6, "rows.2.l2": 4.201e-7, "rows.3.stress": 1.738e-4},
