@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tetrahedra between two facing pieces: α, normals, and where their points lie on both sides."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.straight import NONE, marked, on_straight
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class Slab:
     """``(num_cells, 4)``."""
     inner: Hosts
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
+    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges on which geometry nodes lie though the surfaces are curved, ``(num_edges, 2)``."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -111,8 +114,8 @@ class Slab:
     def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
         """Where points of the reference tetrahedron lie on both surfaces.
 
-        Nodes of Γ0 and Γ1 are found in their own facet. A node between them is projected: a walk
-        over the surface, from a facet at the cell, ends in the nearest one.
+        Nodes of Γ0 and Γ1 are found in their own facet. A node between them or on a straight edge
+        is projected: a walk over the surface, from a facet at the cell, ends in the nearest one.
 
         Args:
             points: Reference points, ``(num_points, 3)``.
@@ -123,11 +126,12 @@ class Slab:
         vertices = self.cells[cells]  # (cell, vertex)
         alpha = self.alpha[vertices] @ weights.T
         x = weights @ self.x[vertices]  # (cell, point, i)
+        moved = on_straight(marked(vertices, self.straight), points)
         facets, X = [], []
         for i, side in enumerate(self.sides):
             support = weights != 0  # (point, vertex)
             off = self.alpha[vertices] != i  # (cell, vertex)
-            on = ~(off[:, None] & support).any(axis=2)  # (cell, point)
+            on = ~(off[:, None] & support).any(axis=2) & ~moved  # (cell, point)
             host = np.broadcast_to(self._seed(i)[cells][:, None], alpha.shape).copy()
             at = np.zeros((*alpha.shape, 2))
             host[on], at[on] = self._own_facet(i, vertices, weights, on)
