@@ -144,8 +144,9 @@ def fill(sides: tuple[Side, Side]) -> Slab:
 def summary(slabs: list[Slab]) -> str:
     """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
 
-    A cell's quality is its D over its longest edge squared: 1 of a cube's corner with a base on one
-    side, 0 if it is flat. Kinds tell how many vertices are on Γ0, on Γ1 and between them.
+    A cell's quality is its D over what it would be at best: the cosine between a base and n, or the
+    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on Γ0
+    and on Γ1; others are between them.
     """
     D: list[npt.NDArray[np.float64]] = []
     kinds: Counter[tuple[int, int]] = Counter()
