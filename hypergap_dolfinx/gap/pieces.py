@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
+from hypergap_dolfinx.gap.search import Tree
 from hypergap_dolfinx.gap.surface import Surface, unit_normals
 from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
@@ -123,6 +124,11 @@ class Side:
         t, total = self.triangles, self.triangles.sum(axis=1)
         q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
         return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Its triangles, to be searched."""
+        return Tree(self.x[self.triangles], self.normals)
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
