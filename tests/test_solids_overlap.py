@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import comm, sweep
 from test_clip import placed
+from scipy.sparse.linalg import spsolve
 from test_solids_interfaces import NU, errors, linear, stress
 
 import basix
@@ -37,39 +38,42 @@ def linear_stress():
 def free_load(tie, i, V):
     """A source whose work is that of the linear field's traction on the free part of a side."""
     surfaces = tie.domain.surfaces
-    own, other = (Side.of(s, np.arange(len(s.facets))) for s in (surfaces[i], surfaces[1 - i]))
-    pair = (own, other) if i == 0 else (other, own)
-    parts = [(own.facets, own.X, 1.0)]
-    parts += [(p[i].facets, p[i].X, -1.0) for p in clip(*pair)]
-    points, weights = basix.make_quadrature(basix.CellType.triangle, 4)
+    whole = [Side.of(s, np.arange(len(s.facets))) for s in surfaces]
+    surface, own = surfaces[i], whole[i].in_halves()
+    parts = [(own, 1.0), *((pair[i], -1.0) for pair in clip(*whole))]
+    points, weights = basix.make_quadrature(basix.CellType.triangle, 6)
     load = np.zeros((V.dofmap.index_map.size_local, 3))
-    surface = surfaces[i]
-    for facets, X, sign in parts:
-        at = X[:, :1] + np.einsum("qj,tji->tqi", points, X[:, 1:] - X[:, :1])
-        phi = surface.element.tabulate(0, at.reshape(-1, 2))[0, :, :, 0]
-        phi = phi.reshape(len(X), len(points), -1)
-        v = surface.x[surface.facets[facets]]
-        area = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])  # times the normal
-        t = sign * (area @ linear_stress()) * np.linalg.det(X[:, 1:] - X[:, :1])[:, None]
-        values = np.einsum("q,tqa,ti->tai", weights, phi, t)
-        np.add.at(load, surface.dofs[facets], values)
+    for part, sign in parts:
+        edges = part.X[:, 1:] - part.X[:, :1]
+        at = (part.X[:, :1] + points @ edges).reshape(-1, 2)
+        shape = (len(part.X), len(points), -1)
+        phi = surface.element.tabulate(0, at)[0, :, :, 0].reshape(shape)
+        d = surface.geometry.tabulate(1, at)[1:, :, :, 0].reshape(2, *shape)
+        d, e = np.einsum("jtqa,tai->jtqi", d, surface.nodes[part.facets])
+        N = np.cross(d, e)  # the area with its normal, as to its length
+        N *= np.copysign(1.0, np.einsum("tqi,ti->tq", N, part.normals))[..., None]
+        dA = sign * np.abs(np.linalg.det(edges))[:, None] * weights
+        values = np.einsum("tq,tqa,tqi->tai", dA, phi, N @ linear_stress())
+        np.add.at(load, surface.dofs[part.facets], values)
     mass = fem.form(ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V)) * ufl.dx)
     M = fem.assemble_matrix(mass).to_scipy()
-    from scipy.sparse.linalg import spsolve
-
     source = fem.Function(V)
     source.x.array[:] = spsolve(M.tocsc(), load.ravel())
     return source
 
 
-def solve(scene, degree, swap, n=((4, 4, 2), (3, 3, 2))):
+CELLS = {"tets": ("tetrahedron",) * 2, "hexes": ("hexahedron",) * 2}
+CELLS |= {"on tets": ("tetrahedron", "hexahedron"), "on hexes": ("hexahedron", "tetrahedron")}
+
+
+def solve(scene, degree, swap, cells="tets", shape=lambda x: x, n=((4, 4, 2), (3, 3, 2))):
     """Errors of displacement, stress (L²) and traction (largest)."""
-    bodies = (
-        meshes.block(comm, n[0], lambda x: x - (0, 0, 1), cell="tetrahedron"),
-        meshes.block(comm, n[1], lambda x: placed(*scene)(x / (1, 1, 2)), cell="tetrahedron"),
-    )
-    sides, forms, loads = [], [], []
-    for (mesh, ft), tag in zip(bodies, (meshes.FRONT, meshes.BACK), strict=True):
+    places = (lambda x: x - (0, 0, 1)), (lambda x: placed(*scene)(x / (1, 1, 2)))
+    sides, forms, loads, bodies = [], [], [], []
+    for tag, cell, count, place in zip(
+        (meshes.FRONT, meshes.BACK), CELLS[cells], n, places, strict=True
+    ):
+        mesh, ft = meshes.block(comm, count, lambda x, place=place: shape(place(x)), cell=cell)
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         exact = stress(ufl.as_vector(linear(ufl.SpatialCoordinate(mesh))))
@@ -78,6 +82,7 @@ def solve(scene, degree, swap, n=((4, 4, 2), (3, 3, 2))):
         forms.append(ufl.inner(stress(u), ufl.sym(ufl.grad(v))) * ufl.dx)
         loads.append(ufl.dot(ufl.dot(exact, ufl.FacetNormal(mesh)), v) * ds)
         sides.append((V, ft.find(tag)))
+        bodies.append((mesh, ft))
     tie = Tie(*(sides[::-1] if swap else sides))
     for i, (V, _) in enumerate(sides):
         source = free_load(tie, 1 - i if swap else i, V)

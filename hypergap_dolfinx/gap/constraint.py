@@ -84,7 +84,8 @@ def create_constraint(
             in eq. (22), or take (1 − α) u₀ + α u₁.
 
     Returns:
-        B_i = R_Aᵀ G R_i.
+        B_i = R_Aᵀ G R_i. Of narrow cells, whose G has large entries that cancel each other in the
+        product, the factors of G = Dᵀ D are multiplied first: (D R_A)ᵀ (D R_i).
     """
     comm = domain.mesh.comm
     dofmap, hosts = domain.space.dofmap, domain.hosts
@@ -143,17 +144,29 @@ def create_constraint(
 
     global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
     G_e = domain.gap_matrices()
+    narrow, D_e = domain.narrow_cells()
+    G_e[narrow] = 0
     rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
     columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
     G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)
+    num_points = D_e.shape[0] * D_e.shape[1]
+    start = sum(comm.allgather(num_points)[: comm.rank])
+    point = np.repeat(start + np.arange(num_points), cell_dofs.shape[1])
+    columns_e = np.repeat(global_dofs[narrow], D_e.shape[1], axis=0)
+    D = coo_matrix(comm, (num_points, owned), point, columns_e, D_e)
+    DR_A = D.matMult(R_A)
     B = []
     for R_i in R_B:
-        GR = G.matMult(R_i)
+        GR, DR = G.matMult(R_i), D.matMult(R_i)
         B.append(R_A.transposeMatMult(GR))
-        GR.destroy()
+        part = DR_A.transposeMatMult(DR)
+        B[-1].axpy(1.0, part)
+        for matrix in (GR, DR, part):
+            matrix.destroy()
         if R_i not in R:
             R_i.destroy()
-    G.destroy()
+    for matrix in (G, D, DR_A):
+        matrix.destroy()
     return Constraint(tuple(B), R, R_A, dofs, patch, rows)
 
 

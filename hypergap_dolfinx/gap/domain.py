@@ -33,6 +33,11 @@ NOUGHT = 1e-13
 7e-16 of a zero with degree 5, and 4e-15 with degree 10."""
 
 
+NARROW = 30.0
+"""How much farther a cell reaches along the surfaces than it is wide from which its matrix is
+multiplied by factors: there round-off is that many times as large."""
+
+
 @dataclass(frozen=True)
 class GapDomain:
     """Σ: simplices with nodes (x, α), and where its nodes lie on the bodies' surfaces.
@@ -121,6 +126,23 @@ class GapDomain:
             error = str(e)
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
+
+
+    def narrow_cells(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """Cells whose matrices have large entries that cancel each other, and factors of these.
+
+        Returns:
+            The cells, ``(num_narrow,)``, and D with G_ab = Σ_p D_pa D_pb,
+            ``(num_narrow, num_points, num_nodes)``.
+        """
+        n, k = self.x.shape[2], self.element.degree
+        element = self.quadrature(kernel.curved_rule(n, k, self.geometry.degree))
+        middle = kernel.GapElement.with_quadrature(self.geometry, self.element, 0)
+        _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
+        narrow = np.flatnonzero((np.abs(v) > NARROW).any(axis=(1, 2)))
+        N, v = kernel.geometry_at_points(element, self.x[narrow], self.alpha_vertices[narrow])
+        weight = np.sqrt(element.weights * np.linalg.norm(N, axis=2))
+        return narrow, weight[..., None] * kernel.alpha_derivatives(element, v)
 
 
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:

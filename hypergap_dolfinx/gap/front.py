@@ -327,7 +327,7 @@ class _Workshop:
 def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
-    Else what the one leaves that gets farthest is filled with cones.
+    If none does, what the one leaves that gets farthest is filled with cones.
 
     Args:
         problem: The surfaces.
@@ -360,13 +360,13 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
         if not found[-1][0]:
             return filling
     for front, filling in sorted(fronts, key=lambda pair: pair[0].left):
+        if found:
+            break
         shop = workshop(front)
         made = shop.coned(filling, filling.mesh.flat())
         if made is not None:
             made = shop.swapped(made)
             found.append((shop.num_bad(made), made, shop))
-            if not found[-1][0]:
-                return made
     if not found:
         return None
     _, filling, shop = min(found, key=lambda entry: entry[0])

@@ -15,10 +15,12 @@ from functools import cache
 from pathlib import Path
 
 import cffi
+import numpy as np
+import numpy.typing as npt
 
 from dolfinx.jit import get_options
 
-NAMES = ("predicates.h", "weights.c", "front.c", "advance.c", "check.c", "program.c")
+NAMES = ("predicates.h", "weights.c", "front.c", "advance.c", "check.c", "bases.c", "program.c")
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
@@ -26,6 +28,10 @@ int front_fill(int n0, int n1, const double *vertices, int num_start, const int 
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts);
+int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
+                int *found);
+int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,
+               const int *cells, int *bases);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
 """
@@ -56,6 +62,12 @@ def library():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def as_ints(array: npt.NDArray):
+    """An array as C's ``int *``; what it points to lives as long as it does."""
+    array = np.ascontiguousarray(array, dtype=np.int32)
+    return library().ffi.from_buffer("int[]", array)
 
 
 def _compile(name: str, source: str, path: Path):

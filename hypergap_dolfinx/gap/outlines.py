@@ -11,15 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.search import FACING
 
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 1e-8
+OFF = 1e-10
 """Distance of outlines, in lengths of their edges, that is none."""
 NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
-FACING = -0.3
-"""Cosine between normals of surfaces that face each other, at most."""
 PAIRS = 1_000_000
 """Pairs that are looked at in one go."""
 ROUND_OFF = 1e-12
@@ -209,23 +208,13 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
         ``(num_points,)`` and ``(num_points, 3)``.
     """
     host, weights = np.full(len(points), -1), np.zeros((len(points), 3))
-    x = side.x[side.triangles]
-    middle, radius = x.mean(axis=1), np.linalg.norm(x - x.mean(axis=1)[:, None], axis=2).max(axis=1)
-    chunk = max(1, PAIRS // len(x))
-    for c in range(0, len(points), chunk):
-        part = slice(c, c + chunk)
-        apart = points[part, None] - middle
-        height = np.einsum("pfi,fi->pf", apart, side.normals)
-        square = np.einsum("pfi,pfi->pf", apart, apart) - height**2
-        facing = normals[part] @ side.normals.T < FACING
-        # Where normals lean, a point high above is seen from farther off
-        p, f = np.nonzero((square <= (1.01 * radius + 0.5 * np.abs(height)) ** 2) & facing)
-        at, t = _feet(side, f, points[c + p])
-        inside = at.min(axis=1) >= -ROUND_OFF
-        p, f, at, t = p[inside] + c, f[inside], at[inside], np.abs(t[inside])
-        order = np.lexsort((t, p))
-        first = order[np.unique(p[order], return_index=True)[1]]
-        host[p[first]], weights[p[first]] = f[first], at[first]
+    p, f = side.tree.candidates(points, normals)
+    at, t = _feet(side, f, points[p])
+    inside = at.min(axis=1, initial=np.inf) >= -ROUND_OFF
+    p, f, at, t = p[inside], f[inside], at[inside], np.abs(t[inside])
+    order = np.lexsort((t, p))
+    first = order[np.unique(p[order], return_index=True)[1]]
+    host[p[first]], weights[p[first]] = f[first], at[first]
     return host, weights
 
 

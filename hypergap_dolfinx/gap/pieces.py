@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
-from hypergap_dolfinx.gap.surface import Surface, unit_normals
+from hypergap_dolfinx.gap.search import Tree
+from hypergap_dolfinx.gap.surface import Surface, lengths, unit_normals
 from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
@@ -39,7 +40,9 @@ class Side:
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
 
     @classmethod
-    def of(cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False) -> "Side":
+    def of(
+        cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False, behind=None
+    ) -> "Side":
         """The piece of a surface that some whole facets make up.
 
         Args:
@@ -47,12 +50,20 @@ class Side:
             facets: Numbers of the facets, ``(num_facets,)``.
             halves: Whether quadrilaterals are cut into two triangles, to be cut up further, and
                 not into four.
+            behind: Neighbours of all facets of the surface, if they are known.
         """
-        vertices, corners = np.unique(surface.facets[facets], return_inverse=True)
-        x, corners = surface.x[vertices], corners.reshape(len(facets), -1)
+        corners = surface.facets[facets]
+        used = np.zeros(len(surface.x), dtype=bool)
+        used[corners] = True
+        x, corners = surface.x[used], (np.cumsum(used) - 1)[corners]
         if corners.shape[1] == 3:
             X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
-            return cls(surface, x, corners, facets, X)
+            side = cls(surface, x, corners, facets, X)
+            if behind is not None:
+                number = np.full(len(surface.facets) + 1, -1)  # and none of what there isn't
+                number[facets] = np.arange(len(facets))
+                side.__dict__["behind"] = number[behind[facets]]
+            return side
         places, pieces = HALVES if halves else QUARTERS
         if not halves:
             middles = len(x) + np.arange(len(facets))
@@ -96,6 +107,11 @@ class Side:
         return np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / whole
 
     @cached_property
+    def is_whole(self) -> bool:
+        """Whether each triangle is a facet with the same coordinates."""
+        return self.surface.facets.shape[1] == 3 and bool((self.X == CORNERS).all())
+
+    @cached_property
     def behind(self) -> npt.NDArray[np.intp]:
         """The triangle behind each edge of each triangle, −1 at the rim, ``(num_triangles, 3)``."""
         return neighbours(self.triangles, self.surface.name, self.x)
@@ -113,8 +129,7 @@ class Side:
         for i in range(3):
             each = np.repeat(self.normals[:, i], 3)
             total[:, i] = np.bincount(corner, each, minlength=len(total))
-        length = np.sqrt(np.einsum("vi,vi->v", total, total))
-        return total / np.maximum(length, 1e-300)[:, None]
+        return total / np.maximum(lengths(total), 1e-300)[:, None]
 
     @cached_property
     def inner_edges(self) -> npt.NDArray[np.intp]:
@@ -123,6 +138,11 @@ class Side:
         t, total = self.triangles, self.triangles.sum(axis=1)
         q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
         return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Its triangles, to be searched."""
+        return Tree(self.x[self.triangles], self.normals)
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
@@ -163,6 +183,8 @@ class Side:
         Returns:
             ``(num_points, 2)``.
         """
+        if self.is_whole:
+            return np.array(xi)
         X = self.X[triangle]
         return X[:, 0] + np.einsum("pj,pji->pi", xi, X[:, 1:] - X[:, :1])
 

@@ -24,6 +24,7 @@ from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.clip import clip
+from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.pieces import Side
@@ -143,8 +144,9 @@ def fill(sides: tuple[Side, Side]) -> Slab:
 def summary(slabs: list[Slab]) -> str:
     """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
 
-    A cell's quality is its D over its longest edge squared: 1 of a cube's corner with a base on one
-    side, 0 if it is flat. Kinds tell how many vertices are on Γ0, on Γ1 and between them.
+    A cell's quality is its D over what it would be at best: the cosine between a base and n, or the
+    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on Γ0
+    and on Γ1; others are between them.
     """
     D: list[npt.NDArray[np.float64]] = []
     kinds: Counter[tuple[int, int]] = Counter()
@@ -166,6 +168,15 @@ def summary(slabs: list[Slab]) -> str:
     )
 
 
+def _no_compiler() -> str | None:
+    """Why this rank has no C, if it hasn't: all look for facets in it, not only the first one."""
+    try:
+        library()
+    except RuntimeError as error:
+        return str(error)
+    return None
+
+
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
 
@@ -182,16 +193,17 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         RuntimeError: There is no C compiler.
     """
     start = time.perf_counter()
-    group0, group1 = facing_pieces(surface0, surface1)
-    sides = [
-        (
-            Side.of(surface0, np.flatnonzero(group0 == g)),
-            Side.of(surface1, np.flatnonzero(group1 == g)),
-        )
-        for g in range(int(group1.max()) + 1)
-    ]
-    result, error = None, None
+    surfaces = surface0, surface1
+    groups, behind = facing_pieces(*surfaces)
+    result, slabs, error = None, [], None
     if comm.rank == 0:
+        sides = [
+            tuple(
+                Side.of(surface, np.flatnonzero(group == g), behind=behind_i)
+                for surface, group, behind_i in zip(surfaces, groups, behind, strict=True)
+            )
+            for g in range(int(groups[1].max()) + 1)
+        ]
         try:
             pairs = [common for pair in sides for common in clip(*pair)]
             slabs = [fill(pair) for pair in pairs]
@@ -204,13 +216,18 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
             error = e
     kind = comm.bcast(type(error) if error else InterfaceError)
     raise_on_all(comm, str(error) if error else None, kind)
-    slabs = [
-        Slab((Side(surface0, *own), Side(surface1, *other)), *part)
-        for own, other, *part in comm.bcast(result)
-    ]
+    if comm.size > 1:
+        result = comm.bcast(result)
+        raise_on_all(comm, _no_compiler(), RuntimeError)
+    if comm.rank > 0:
+        slabs = [
+            Slab((Side(surface0, *own), Side(surface1, *other)), *part)
+            for own, other, *part in result
+        ]
     covered = np.zeros(len(surface1.facets))
     for slab in slabs:
-        np.add.at(covered, slab.sides[1].facets, slab.sides[1].shares)
+        facet = slab.sides[1].facets
+        covered += np.bincount(facet, slab.sides[1].shares, minlength=len(covered))
 
     if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
         LOG.info("Σ has %s; %.2g s", summary(slabs), time.perf_counter() - start)
@@ -218,6 +235,8 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
     def hosts(points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
+        if len(slabs) == 1:
+            return slabs[0].hosts(points, cells)
         order = np.argsort(cells, kind="stable")
         parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
         found = Hosts.concatenate(
@@ -235,7 +254,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         cells=np.vstack([slab.cells + start for slab, start in zip(slabs, offsets)]),
         normal=np.vstack([slab.normal for slab in slabs]),
         rank=np.concatenate([slab.rank for slab in slabs]),
-        patch=group1,
+        patch=groups[1],
         covered=covered,
         degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,

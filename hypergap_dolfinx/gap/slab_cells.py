@@ -12,8 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.jit import as_ints, library
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.straight import NONE, marked, on_straight
+from hypergap_dolfinx.gap.straight import NONE, have
+from hypergap_dolfinx.gap.surface import lengths
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Slab:
     inner: Hosts
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges on which geometry nodes lie though the surfaces are curved, ``(num_edges, 2)``."""
+    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -63,16 +65,35 @@ class Slab:
         return found[0], found[1]
 
     @cached_property
-    def bases(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def bases(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """The facet of each side that is a face of the cell, −1 where there is none."""
-        found = []
+        bases = np.empty((2, len(self.cells)), dtype=np.int32)
         for i, side in enumerate(self.sides):
-            base = np.full(len(self.cells), -1)
-            on = self.alpha[self.cells] == i
-            three = np.flatnonzero(on.sum(axis=1) == 3)
-            face = self.cells[three][on[three]].reshape(-1, 3) - self.offsets[i]
-            base[three] = find(side.triangles, face)
-            found.append(base)
+            facets = side.triangles + self.offsets[i]
+            status = library().lib.find_bases(
+                len(self.alpha),
+                as_ints(self.alpha == i),
+                len(facets),
+                as_ints(facets),
+                len(self.cells),
+                as_ints(self.cells),
+                as_ints(bases[i]),
+            )
+            if status:
+                raise MemoryError("no memory for the cells of the gap domain")
+        return bases[0], bases[1]
+
+    @cached_property
+    def beside(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """A facet of each side at each cell: at a vertex on it, else at an interior one."""
+        found = []
+        for i, seeds in enumerate(self.seeds):
+            beside = np.full(len(self.cells), -1)
+            for own in (np.where(self.alpha == i, seeds, -1), seeds):
+                for k in range(4):
+                    left = np.flatnonzero(beside < 0)
+                    beside[left] = own[self.cells[left, k]]
+            found.append(beside)
         return found[0], found[1]
 
     @cached_property
@@ -87,29 +108,21 @@ class Slab:
                 total[:, k] += np.bincount(corner, each, minlength=len(total))
             if self.inner.alpha.size:
                 total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
-        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-        normal = total[self.cells].sum(axis=1)
+        total /= np.maximum(lengths(total), 1e-300)[:, None]
+        normal = sum(total[self.cells[:, k]] for k in range(4))
         for i, side in enumerate(self.sides):
-            base = self.bases[i] >= 0
+            base = np.flatnonzero(self.bases[i] >= 0)
             normal[base] = (1 - 2 * i) * side.normals[self.bases[i][base]]
-        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        return normal / lengths(normal)[:, None]
 
     @property
     def rank(self) -> npt.NDArray[np.int32]:
         """Owner of a facet beside each cell, ``(num_cells,)``."""
-        rank = np.full(len(self.cells), -1, dtype=np.int32)
-        for i, side in enumerate(self.sides):
-            facet = np.where(self.bases[i] >= 0, self.bases[i], self._seed(i))
-            left = rank < 0 if i == 0 else self.bases[1] >= 0
-            rank[left] = side.surface.owner[side.facets[facet]][left]
+        facet = np.where(self.bases[0] >= 0, self.bases[0], self.beside[0])
+        rank = self.sides[0].surface.owner[self.sides[0].facets[facet]]
+        on1 = np.flatnonzero(self.bases[1] >= 0)
+        rank[on1] = self.sides[1].surface.owner[self.sides[1].facets[self.bases[1][on1]]]
         return rank
-
-    def _seed(self, i: int) -> npt.NDArray[np.intp]:
-        """A facet of a side at each cell."""
-        seed = self.seeds[i][self.cells]
-        # A vertex on the side itself before an interior one
-        prefer = np.where(self.alpha[self.cells] == i, 2, 0) + (seed >= 0)
-        return np.take_along_axis(seed, prefer.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
         """Where points of the reference tetrahedron lie on both surfaces.
@@ -123,86 +136,122 @@ class Slab:
         """
         weights = np.column_stack((1 - points.sum(axis=1), points))
         weights[np.abs(weights) < 1e-12] = 0
-        vertices = self.cells[cells]  # (cell, vertex)
-        alpha = self.alpha[vertices] @ weights.T
-        x = weights @ self.x[vertices]  # (cell, point, i)
-        moved = on_straight(marked(vertices, self.straight), points)
+        shape = len(cells), len(points)
+        found = Hosts(
+            np.empty(shape),
+            (np.empty(shape, np.intp), np.empty(shape, np.intp)),
+            (np.empty((*shape, 2)), np.empty((*shape, 2))),
+        )
+        count = (weights > 0).sum(axis=1)
+        for point in np.flatnonzero(count == 1):
+            self._at_vertices(cells, int(weights[point].argmax()), found, point)
+        for number in range(2, 5):
+            if (count == number).any():
+                self._between(cells, weights, count == number, found)
+        return found
+
+    @cached_property
+    def _vertices(self) -> Hosts:
+        """Where the vertices lie, ``(num_vertices, 1)``; −1 of Γ0's on Γ1 and the reverse."""
+        num, num_inner = len(self.alpha), self.inner.alpha.size
         facets, X = [], []
         for i, side in enumerate(self.sides):
-            support = weights != 0  # (point, vertex)
-            off = self.alpha[vertices] != i  # (cell, vertex)
-            on = ~(off[:, None] & support).any(axis=2) & ~moved  # (cell, point)
-            host = np.broadcast_to(self._seed(i)[cells][:, None], alpha.shape).copy()
-            at = np.zeros((*alpha.shape, 2))
-            host[on], at[on] = self._own_facet(i, vertices, weights, on)
-            away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
-            first, which = _same(vertices, weights, away)
+            at = np.zeros((num, 2))
+            triangle, corner = self.seeds[i], np.full(num, -1)
+            corner[self.offsets[i] + side.triangles.ravel()] = np.arange(side.triangles.size)
+            own = np.flatnonzero(corner >= 0)
+            at[own] = side.X.reshape(-1, 2)[corner[own]]
+            facet = np.where(triangle >= 0, side.facets[triangle], -1)
+            if num_inner:
+                at[-num_inner:] = side.in_facets(self.inner.facets[i][0], self.inner.X[i][0])
+            facets.append(facet)
+            X.append(at)
+        return Hosts(self.alpha, (facets[0], facets[1]), (X[0], X[1]))
+
+    def _at_vertices(self, cells, k: int, found: Hosts, point):
+        """Fill in the hosts of one vertex of each cell."""
+        vertex = self.cells[cells, k]
+        found.alpha[:, point] = self.alpha[vertex]
+        for i, side in enumerate(self.sides):
+            facet = self._vertices.facets[i][vertex]
+            found.X[i][:, point] = self._vertices.X[i][vertex]
+            other = np.flatnonzero(facet < 0)
+            facet[other] = side.facets[self.beside[i][cells[other]]]
+            found.facets[i][:, point] = facet
+
+    def _between(self, cells, weights, some, found: Hosts):
+        """Fill in the hosts of points between as many vertices each; what cells share once.
+
+        Args:
+            cells: ``(num_cells,)``.
+            weights: Of the vertices, ``(num_points, 4)``.
+            some: Which points, ``(num_points,)``.
+            found: The hosts of all points.
+        """
+        number = int((weights[some][0] > 0).sum())
+        support = np.argsort(weights[some] == 0, axis=1, kind="stable")[:, :number]
+        w = np.take_along_axis(weights[some], support, axis=1)  # (point, vertex)
+        v = self.cells[cells][:, support].reshape(-1, number)
+        w = np.broadcast_to(w, (len(cells), *w.shape)).reshape(-1, number)
+        first, which = _same(v, w)
+        v, w, cell = v[first], w[first], np.repeat(cells, some.sum())[first]
+        shape = len(cells), int(some.sum())
+        alpha, moved = self.alpha[v], have(v, self.straight)
+        x = np.einsum("nv,nvi->ni", w, self.x[v])
+        found.alpha[:, some] = np.einsum("nv,nv->n", w, alpha)[which].reshape(shape)
+        for i, side in enumerate(self.sides):
+            on, off = (alpha == i).all(axis=1) & ~moved, (alpha == 1 - i).all(axis=1)
+            triangle, xi = self.beside[i][cell], np.zeros((len(v), 2))
+            triangle[on], xi[on] = self._own_facet(i, v[on], w[on])
             # From what lies around the point: other cells that have it find the same
-            around = np.where(support[None], vertices[:, None], -1)[away][first]
-            seed = np.where(around >= 0, self.seeds[i][around], -1).max(axis=1)
-            seed = np.where(seed >= 0, seed, host[away][first])
-            found, there = side.project(x[away][first], seed)
-            host[away], at[away] = found[which], there[which]
-            facets.append(side.facets[host])
-            X.append(side.in_facets(host.ravel(), at.reshape(-1, 2)).reshape(at.shape))
-        # An interior vertex has the hosts that gave it its place
-        interior = (self.alpha[vertices] > 0) & (self.alpha[vertices] < 1)
-        for point in np.flatnonzero(weights.max(axis=1) == 1):
-            c = np.flatnonzero(interior[:, weights[point].argmax()])
-            if len(c):
-                own = vertices[c, weights[point].argmax()] - sum(len(s.x) for s in self.sides)
-                for i, side in enumerate(self.sides):
-                    triangle = self.inner.facets[i][0, own]
-                    facets[i][c, point] = side.facets[triangle]
-                    X[i][c, point] = side.in_facets(triangle, self.inner.X[i][0, own])
-        return Hosts(alpha, (facets[0], facets[1]), (X[0], X[1]))
+            seed = self.seeds[i][v].max(axis=1)
+            away = ~on & ~off
+            triangle[away], xi[away] = side.project(
+                x[away], np.where(seed >= 0, seed, triangle)[away]
+            )
+            found.facets[i][:, some] = side.facets[triangle][which].reshape(shape)
+            found.X[i][:, some] = side.in_facets(triangle, xi)[which].reshape(*shape, 2)
 
-    def _own_facet(self, i: int, vertices, weights, on):
-        """Facets and reference coordinates of points on Γ_i itself."""
+    def _own_facet(self, i: int, vertices, weights):
+        """Triangles and coordinates in them of points between vertices of Γ_i itself."""
         side = self.sides[i]
-        cell, point = np.nonzero(on)
-        w = weights[point]
-        v = np.where(w != 0, vertices[cell] - self.offsets[i], -1)  # what the point lies between
-        facet = np.empty(len(v), dtype=np.intp)
-        count = (w != 0).sum(axis=1)
-        for n in (1, 2, 3):
-            mine = count == n
-            corners = v[mine][w[mine] != 0].reshape(-1, n)
-            if n == 1:
-                facet[mine] = self.seeds[i][corners[:, 0] + self.offsets[i]]
-            else:
-                facet[mine] = find(side.triangles, corners)
-        lost = facet < 0  # an edge through the slab with both ends on Γ_i
-        facet[lost] = self._seed_of(i, v[lost])
-        # Weight of each of the facet's vertices
-        match = side.triangles[facet][:, :, None] == v[:, None, :]
-        bary = (match * w[:, None, :]).sum(axis=2)
-        X = bary[:, 1:]
+        v = vertices - self.offsets[i]
+        triangle = find(side.triangles, v)
+        lost = triangle < 0  # an edge through the slab with both ends on Γ_i
+        triangle[lost] = self.seeds[i][vertices[lost].max(axis=1)]
+        # Weight of each of the triangle's vertices
+        match = side.triangles[triangle][:, :, None] == v[:, None, :]
+        X = (match * weights[:, None, :]).sum(axis=2)[:, 1:]
         if lost.any():
-            x = np.einsum("pv,pvi->pi", w[lost], side.x[np.maximum(v[lost], 0)])
-            facet[lost], X[lost] = side.project(x, facet[lost])
-        return facet, X
-
-    def _seed_of(self, i: int, v):
-        return self.seeds[i][v.max(axis=1) + self.offsets[i]]
+            x = np.einsum("nv,nvi->ni", weights[lost], side.x[v[lost]])
+            triangle[lost], X[lost] = side.project(x, triangle[lost])
+        return triangle, X
 
 
-def _same(vertices, weights, some):
-    """Points of cells that are one, by their vertices and weights.
+def _same(vertices, weights):
+    """Points that are one, by their vertices and weights.
 
     Args:
-        vertices: ``(num_cells, 4)``.
-        weights: Of the vertices at the points of each cell, ``(num_points, 4)``.
-        some: Which points, ``(num_cells, num_points)``.
+        vertices: ``(num_points, 2)``, or 3 or 4.
+        weights: As many.
 
     Returns:
         Where each is met first, and the number of each point's.
     """
-    cell, point = np.nonzero(some)
+    number = vertices.shape[1]
+    if number == 4:  # inside of a cell
+        return np.arange(len(vertices)), np.arange(len(vertices))
     values, code = np.unique(np.round(weights, 9), return_inverse=True)
-    code = code.reshape(weights.shape)[point]
-    key = np.where(weights[point] != 0, vertices[cell] * len(values) + code, -1)
+    key = vertices * len(values) + code.reshape(weights.shape)
     key.sort(axis=1)
+    size = int(key.max(initial=0)) + 1
+    if size**number < 2**63:
+        _, first, which = np.unique(
+            np.ravel_multi_index(tuple(key.T), (size,) * number),
+            return_index=True,
+            return_inverse=True,
+        )
+        return first, which
     order = np.lexsort(key.T)
     new = np.ones(len(order), dtype=bool)
     new[1:] = (key[order[1:]] != key[order[:-1]]).any(axis=1)
@@ -212,30 +261,27 @@ def _same(vertices, weights, some):
 
 
 def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
-    """A triangle that has the given vertices, two or three of them; −1 where there is none.
+    """The first triangle that has the given vertices, −1 where there is none.
 
     Args:
         triangles: ``(num_triangles, 3)``.
-        corners: ``(num, 2)`` or ``(num, 3)``.
+        corners: ``(num, 2)`` or ``(num, 3)``; if more none has them.
 
     Returns:
         ``(num,)``.
     """
-    if not len(corners):
-        return np.empty(0, dtype=np.intp)
-    n = int(max(triangles.max(), corners.max())) + 1
-    each = np.arange(len(triangles))
-    if corners.shape[1] == 3:
-        lots, facet = [np.sort(triangles, axis=1)], each
-    else:
-        lots = [np.sort(triangles[:, [k, (k + 1) % 3]], axis=1) for k in range(3)]
-        facet = np.tile(each, 3)
-
-    def key(v):
-        return np.ravel_multi_index(tuple(v.T.astype(np.int64)), (n,) * v.shape[1])
-
-    known = key(np.vstack(lots))
-    order = np.argsort(known, kind="stable")
-    wanted = key(np.sort(corners, axis=1))
-    at = order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)]
-    return np.where(known[at] == wanted, facet[at], -1)
+    num, size = corners.shape
+    found = np.full(num, -1, dtype=np.int32)
+    if num and size < 4:
+        status = library().lib.find_facets(
+            int(max(triangles.max(), corners.max())) + 1,
+            len(triangles),
+            as_ints(triangles),
+            size,
+            num,
+            as_ints(corners),
+            as_ints(found),
+        )
+        if status:
+            raise MemoryError("no memory for the cells of the gap domain")
+    return found.astype(np.intp)

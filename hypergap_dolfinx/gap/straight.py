@@ -24,6 +24,23 @@ Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
 not positive where they are somewhere."""
 
 
+def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
+    """Whether two of some vertices are the ends of one of some edges.
+
+    Args:
+        vertices: ``(num, num_vertices)``.
+        edges: ``(num_edges, 2)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    if not len(edges):
+        return np.zeros(len(vertices), dtype=bool)
+    i, j = np.triu_indices(vertices.shape[1], 1)
+    pairs = np.stack((vertices[:, i], vertices[:, j]), axis=2)
+    return np.isin(_keys(pairs), _keys(edges)).any(axis=1)
+
+
 def marked(cells: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
     """Which edges of cells are among some.
 

@@ -87,8 +87,7 @@ class Surface:
     def size(self) -> npt.NDArray[np.float64]:
         """Longest edge of each facet, ``(num_facets,)``."""
         v = self.x[self.polygons]
-        edges = v - np.roll(v, 1, axis=1)
-        return np.linalg.norm(edges, axis=2).max(axis=1)
+        return np.max([lengths(v[:, k] - v[:, k - 1]) for k in range(v.shape[1])], axis=0)
 
     @cached_property
     def normals(self) -> npt.NDArray[np.float64]:
@@ -98,6 +97,8 @@ class Surface:
     @cached_property
     def straight_nodes(self) -> npt.NDArray[np.float64]:
         """Where the geometry nodes are that the vertices alone would give, as ``nodes``."""
+        if len(self.geometry.points) == self.facets.shape[1]:
+            return self.nodes
         linear = basix.create_element(basix.ElementFamily.P, self.geometry.cell_type, 1)
         return tabulate(linear, self.geometry.points) @ self.x[self.facets]
 
@@ -152,13 +153,18 @@ def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.column_stack((1 - X.sum(axis=1), X))
 
 
+def lengths(vectors) -> npt.NDArray[np.float64]:
+    """Lengths of vectors, ``(num, n)``: sums over a short axis are slow in NumPy's own norm."""
+    return np.sqrt(np.einsum("vi,vi->v", vectors, vectors))
+
+
 def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Unit normals of facets with the given vertices, ``(num, num_vertices, n)``.
 
     They point to the right of an edge, and up from a counterclockwise triangle.
     """
     normal = normals_by_area(v)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    length = lengths(normal)[:, None]
     return normal / np.where(length > 0, length, 1)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
+from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface, lengths
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
@@ -36,19 +36,21 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
         InterfaceError: More than two facets meet in an edge.
     """
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
-    n = len(x)
-    key = a * n + b
-    order = np.argsort(key, kind="stable")
-    twice = np.flatnonzero(np.diff(key[order]) == 0)
+    key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
+    order = np.argsort(key)
+    key = key[order]
+    same = key[1:] // 2 == key[:-1] // 2  # as the next one
+    twice = np.flatnonzero(key[1:] == key[:-1])
     if len(twice):
         at = order[twice[0]]
         raise InterfaceError(
             f"{name} branches at {(x[a[at]] + x[b[at]]) / 2}: more than two facets meet in an "
             "edge there (make one tie for each branch)."
         )
-    at = np.minimum(np.searchsorted(key[order], b * n + a), len(key) - 1)
-    other = order[at]
-    return np.where(key[other] == b * n + a, other // facets.shape[1], -1).reshape(facets.shape)
+    behind = np.full(len(a), -1)
+    one, two = order[:-1][same], order[1:][same]
+    behind[one], behind[two] = two // facets.shape[1], one // facets.shape[1]
+    return behind.reshape(facets.shape)
 
 
 def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -73,22 +75,27 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
     g = behind[f, k]
     n0, n1 = surface.normals[f], surface.normals[g]
-    turn = np.arctan2(np.linalg.norm(np.cross(n0, n1), axis=1), np.einsum("ei,ei->e", n0, n1))
+    turn = np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
+    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
+    limit = TURN + noise
+    if turn.max(initial=0) <= limit:  # it is a plane
+        return f[:0], k[:0]
     a, b = edge_ends(surface, f, k)
     # A vertex opposite in each facet, and the edges there that don't touch this one
     m = np.argmax(behind[g] == f[:, None], axis=1)
     opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
     t = surface.x[b] - surface.x[a]
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
-    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
-    candidate = np.flatnonzero(turn > TURN + noise)
+    t /= lengths(t)[:, None]
     ends = np.concatenate((a, b))
     order = np.argsort(ends, kind="stable")
     offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
     beside = np.zeros(len(turn))
-    for side in (0, 1):
+    for side, few in ((0, True), (1, True), (0, False), (1, False)):
+        # On a smooth surface few edges are candidates any more after a look at the first ones
+        candidate = np.flatnonzero((turn > limit) & (turn <= KINK) & (turn > STANDS_OUT * beside))
         p = opposite[candidate, side]
         count = offsets[p + 1] - offsets[p]
+        count = np.minimum(count, 2) if few else count
         e = np.repeat(candidate, count)
         start = np.repeat(offsets[p] - np.cumsum(count) + count, count)
         other = order[start + np.arange(len(e))] % len(a)
@@ -96,7 +103,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         e, other = e[apart], other[apart]
         parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
         np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > KINK) | (turn > np.maximum(STANDS_OUT * beside, TURN + noise))
+    kink = (turn > KINK) | (turn > np.maximum(STANDS_OUT * beside, limit))
     return f[kink], k[kink]
 
 
@@ -125,19 +132,22 @@ def facing_pieces(surface0: Surface, surface1: Surface):
     A piece ends at its surface's boundary, and where both surfaces have a kink.
 
     Returns:
-        The number of the pair of pieces that each facet belongs to, for both surfaces.
+        The number of the pair of pieces that each facet belongs to, for both surfaces, and the
+        facets' neighbours, for both.
 
     Raises:
         InterfaceError: The surfaces branch or don't face each other.
     """
     surfaces = (surface0, surface1)
     behind = [neighbours(s.polygons, s.name, s.x) for s in surfaces]
-    lines = [kinks(s, b) for s, b in zip(surfaces, behind, strict=True)]
+    lines = [kinks(surface0, behind[0])]
+    if len(lines[0][0]):  # else it doesn't matter where the other one has some
+        lines.append(kinks(surface1, behind[1]))
     pieces = []
     for i, surface in enumerate(surfaces):
         f, k = np.nonzero(behind[i] >= 0)
         joined = np.ones(behind[i].shape, dtype=bool)
-        if all(len(line[0]) for line in lines):
+        if len(lines) == 2 and len(lines[1][0]):
             on = _on_lines(surface, lines[i], surfaces[1 - i], lines[1 - i])
             e, m = (part[on] for part in lines[i])
             joined[e, m] = False
@@ -155,7 +165,13 @@ def facing_pieces(surface0: Surface, surface1: Surface):
         own, theirs = np.arange(num[i]), votes.argmax(axis=1)
         pairs.append((own, num[0] + theirs) if i == 0 else (theirs, num[0] + own))
     group = components(sum(num), *(np.concatenate(part) for part in zip(*pairs, strict=True)))
-    return group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]
+    return (group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]), behind
+
+
+def _centres(surface: Surface, facets=slice(None)) -> npt.NDArray[np.float64]:
+    """Means of the vertices of facets, ``(num_facets, 3)``."""
+    v = surface.facets[facets]
+    return sum(surface.x[v[:, k]] for k in range(v.shape[1])) / v.shape[1]
 
 
 def _opposite(surface: Surface, pieces, other: Surface):
@@ -170,24 +186,25 @@ def _opposite(surface: Surface, pieces, other: Surface):
         order[np.unique(np.linspace(a, b - 1, SAMPLES).astype(np.intp))] for a, b in pairwise(start)
     ]
     samples = np.concatenate(picks)
-    centres = other.x[other.facets].mean(axis=1)
+    centres, middles = _centres(other), _centres(surface, samples)
     found = np.empty(len(samples), dtype=np.intp)
     agree = np.empty(len(samples), dtype=bool)
-    chunk = max(1, 2_000_000 // len(centres))
+    centre, normal = centres.T.copy(), other.normals.T.copy()
+    chunk = max(1, 50_000 // len(centres))
     for c in range(0, len(samples), chunk):
-        s = samples[c : c + chunk]
-        middle = surface.x[surface.facets[s]].mean(axis=1)
-        distance = np.linalg.norm(middle[:, None] - centres, axis=2)
-        cosine = surface.normals[s] @ other.normals.T
-        agree[c : c + chunk] = cosine[np.arange(len(s)), distance.argmin(axis=1)] > 0
-        turned = distance * np.where(cosine < -0.5, 1, np.where(cosine < 0, 4, 1e6))
-        found[c : c + chunk] = turned.argmin(axis=1)
+        part = slice(c, c + chunk)
+        square = sum((centre[i] - middles[part, i, None]) ** 2 for i in range(3))
+        cosine = surface.normals[samples[part]] @ normal
+        agree[part] = cosine[np.arange(len(cosine)), square.argmin(axis=1)] > 0
+        square[cosine >= -0.5] *= 16  # what is turned away counts as farther off
+        square[cosine >= 0] *= 1e10
+        found[part] = square.argmin(axis=1)
     if agree.mean() > 0.5:
         raise InterfaceError(
             "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
             "wrong side of its body, or the same surface given twice?"
         )
-    apart = surface.x[surface.facets[samples]].mean(axis=1) - centres[found]
+    apart = middles - centres[found]
     distance = np.linalg.norm(apart, axis=1).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
     if distance > reach:
@@ -219,6 +236,8 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
         InterfaceError: Two parts of the surface touch in one vertex only.
     """
     f, k = np.nonzero(behind < 0)
+    if not len(f):
+        return []
     start, end = facets[f, k], facets[f, (k + 1) % 3]
     count = np.bincount(start, minlength=len(x))
     if (count > 1).any():
@@ -226,9 +245,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
             f"{name} touches itself in a single vertex at {x[count.argmax()]}; tie the parts "
             "there with ties of their own."
         )
-    following = np.full(len(x), -1)
-    following[start] = end
-    after = following.tolist()
+    after = dict(zip(start.tolist(), end.tolist(), strict=True))
     left, found = set(start.tolist()), []
     for first in start.tolist():
         if first not in left:
@@ -237,7 +254,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
         while node in left:
             left.remove(node)
             loop.append(node)
-            node = after[node]
+            node = after.get(node)
         found.append(np.array(loop))
     return found
 

@@ -1,0 +1,113 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which triangles of a surface a point may lie above or below."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FACING = -0.3
+"""Cosine between normals of surfaces that face each other, at most."""
+LEANS = 0.5
+"""Tangent of the angle by which the way to a point may lean from a triangle's normal."""
+BUNCH = 4
+"""Triangles in a tree's smallest parts, a power of two."""
+CURVE = 10
+"""Bits for each axis of the curve along which triangles are sorted."""
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Parts of a surface: balls around them, and cones around their normals."""
+
+    middle: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+    axis: npt.NDArray[np.float64]
+    angle: npt.NDArray[np.float64]
+
+    def halved(self) -> "_Parts":
+        """Two parts after each other made one."""
+        even, odd = slice(None, None, 2), slice(1, None, 2)
+        middle = (self.middle[even] + self.middle[odd]) / 2
+        axis = self.axis[even] + self.axis[odd]
+        axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+        radius, angle = np.zeros(len(middle)), np.zeros(len(middle))
+        for part in (even, odd):
+            off = np.linalg.norm(self.middle[part] - middle, axis=1)
+            radius = np.maximum(radius, off + self.radius[part])
+            cosine = np.einsum("ni,ni->n", self.axis[part], axis)
+            angle = np.maximum(angle, np.arccos(np.clip(cosine, -1, 1)) + self.angle[part])
+        return _Parts(middle, radius, axis, angle)
+
+    def may_face(self, part, points, normals) -> npt.NDArray[np.bool_]:
+        """Which parts may have triangles that face points, each its own: none is missed."""
+        axis, angle = self.axis[part], self.angle[part]
+        facing = np.arccos(np.clip(-np.einsum("pi,pi->p", axis, normals), -1, 1))
+        apart = points - self.middle[part]
+        distance = np.linalg.norm(apart, axis=1)
+        radius = (1.01 + LEANS) * self.radius[part]  # as of the triangles in ``candidates``
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = np.arccos(np.clip(np.abs(np.einsum("pi,pi->p", apart, axis)) / distance, 0, 1))
+            width = np.arcsin(np.minimum(radius / distance, 1))
+        near = (distance <= radius) | (way <= angle + width + np.arctan(LEANS) + 0.01)
+        return near & (facing <= np.arccos(-FACING) + angle + 0.01)
+
+
+class Tree:
+    """Triangles, halved and halved again along a curve that fills space."""
+
+    def __init__(self, x: npt.NDArray[np.float64], normals: npt.NDArray[np.float64]):
+        """Triangles by their corners, ``(num_triangles, 3, 3)``, and their unit normals."""
+        middle = x.mean(axis=1)
+        radius = np.linalg.norm(x - middle[:, None], axis=2).max(axis=1)
+        low = middle.min(axis=0)
+        scale = (2**CURVE - 1) / max(float(np.ptp(middle, axis=0).max()), 1e-300)
+        grid = ((middle - low) * scale).astype(np.int64)
+        code = np.zeros(len(x), dtype=np.int64)
+        for bit in range(CURVE):
+            for axis in range(3):
+                code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
+        order = np.argsort(code, kind="stable")
+        num = 1 << int(np.ceil(np.log2(max(len(x), BUNCH))))
+        order = order[np.minimum(np.arange(num), len(x) - 1)]
+        self.triangles = order.reshape(-1, BUNCH).copy()
+        self.triangles.ravel()[len(x) :] = -1  # the last one again: it counts once
+        self.middle, self.radius, self.normals = middle, radius, normals
+        parts = _Parts(middle[order], radius[order], normals[order], np.zeros(num))
+        self.levels: list[_Parts] = []
+        while len(parts.middle) > 1:
+            parts = parts.halved()
+            if len(parts.middle) <= len(self.triangles):
+                self.levels.append(parts)
+
+    def candidates(self, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Points and triangles that they may lie above or below.
+
+        Args:
+            points: ``(num_points, 3)``.
+            normals: Of the surface that they are on, which faces the triangles'.
+
+        Returns:
+            The pairs' points and triangles, ``(num_pairs,)``.
+        """
+        size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        normals = normals / size
+        p, part = np.arange(len(points)), np.zeros(len(points), dtype=np.intp)
+        for level in self.levels[::-1]:
+            keep = level.may_face(part, points[p], normals[p])
+            p, part = p[keep], part[keep]
+            if level is not self.levels[0]:
+                p, part = np.repeat(p, 2), (2 * part[:, None] + (0, 1)).ravel()
+        p, f = np.repeat(p, BUNCH), self.triangles[part].ravel()
+        p, f = p[f >= 0], f[f >= 0]
+        apart = points[p] - self.middle[f]
+        height = np.einsum("pi,pi->p", apart, self.normals[f])
+        square = np.einsum("pi,pi->p", apart, apart) - height**2
+        # Where normals lean, a point high above is seen from farther off
+        near = square <= (1.01 * self.radius[f] + LEANS * np.abs(height)) ** 2
+        near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING
+        return p[near], f[near]
