@@ -189,15 +189,21 @@ def _opposite(surface: Surface, pieces, other: Surface):
     centres, middles = _centres(other), _centres(surface, samples)
     found = np.empty(len(samples), dtype=np.intp)
     agree = np.empty(len(samples), dtype=bool)
-    centre, normal = centres.T.copy(), other.normals.T.copy()
+    origin = centres.mean(axis=0)
+    centre, normal = (centres - origin).T.copy(), other.normals.T.copy()
+    own = (centre**2).sum(axis=0)
     chunk = max(1, 50_000 // len(centres))
     for c in range(0, len(samples), chunk):
         part = slice(c, c + chunk)
-        square = sum((centre[i] - middles[part, i, None]) ** 2 for i in range(3))
+        middle = middles[part] - origin
+        square = own - 2 * middle @ centre
+        square += (middle**2).sum(axis=1)[:, None]
+        np.maximum(square, 0, out=square)
         cosine = surface.normals[samples[part]] @ normal
         agree[part] = cosine[np.arange(len(cosine)), square.argmin(axis=1)] > 0
-        square[cosine >= -0.5] *= 16  # what is turned away counts as farther off
-        square[cosine >= 0] *= 1e10
+        # What is turned away counts as farther off
+        np.multiply(square, 16, out=square, where=cosine >= -0.5)
+        np.multiply(square, 1e10, out=square, where=cosine >= 0)
         found[part] = square.argmin(axis=1)
     if agree.mean() > 0.5:
         raise InterfaceError(
