@@ -143,8 +143,8 @@ class Slab:
             (np.empty((*shape, 2)), np.empty((*shape, 2))),
         )
         count = (weights > 0).sum(axis=1)
-        for point in np.flatnonzero(count == 1):
-            self._at_vertices(cells, int(weights[point].argmax()), found, point)
+        if (count == 1).any():
+            self._at_vertices(cells, weights.argmax(axis=1), count == 1, found)
         for number in range(2, 5):
             if (count == number).any():
                 self._between(cells, weights, count == number, found)
@@ -168,16 +168,25 @@ class Slab:
             X.append(at)
         return Hosts(self.alpha, (facets[0], facets[1]), (X[0], X[1]))
 
-    def _at_vertices(self, cells, k: int, found: Hosts, point):
-        """Fill in the hosts of one vertex of each cell."""
-        vertex = self.cells[cells, k]
-        found.alpha[:, point] = self.alpha[vertex]
-        for i, side in enumerate(self.sides):
-            facet = self._vertices.facets[i][vertex]
-            found.X[i][:, point] = self._vertices.X[i][vertex]
-            other = np.flatnonzero(facet < 0)
-            facet[other] = side.facets[self.beside[i][cells[other]]]
-            found.facets[i][:, point] = facet
+    def _at_vertices(self, cells, local, some, found: Hosts):
+        """Fill in the hosts of points at the cells' vertices.
+
+        Args:
+            cells: ``(num_cells,)``.
+            local: The vertex at each point, ``(num_points,)``.
+            some: Which points, ``(num_points,)``.
+            found: The hosts of all points.
+        """
+        vertices = self.cells[cells]
+        for point in np.flatnonzero(some):
+            vertex = vertices[:, local[point]]
+            found.alpha[:, point] = self.alpha[vertex]
+            for i, side in enumerate(self.sides):
+                facet = self._vertices.facets[i][vertex]
+                other = np.flatnonzero(facet < 0)
+                facet[other] = side.facets[self.beside[i][cells[other]]]
+                found.facets[i][:, point] = facet
+                found.X[i][:, point] = self._vertices.X[i][vertex]
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.
