@@ -48,7 +48,7 @@ int front_check(int n0, int n, const double *vertices, int num_cells, const int 
                 int num_outer, const int *outer, int *counts)
 {
   const int sides[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
-  Points points = {n0, n, (const Vertex *)vertices};
+  Points points = {n0, n, (const Vertex *)vertices, FLAT};
   counts[0] = counts[1] = 0;
   // Nearly all faces are met twice, so the table is half full at most
   unsigned size = 64;
