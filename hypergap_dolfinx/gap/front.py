@@ -30,7 +30,7 @@ VARIANTS = (
 )
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
-THIN = 1e-6
+THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first. Between edges that are parallel but for
 1e-8, as of a block turned by that, they cost all digits of λ."""
 REOPENINGS = 5  # of the mesh, to cone cells that stay turned over
