@@ -15,8 +15,8 @@ from hypergap_dolfinx.gap.search import FACING
 
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 1e-10
-"""Distance of outlines, in lengths of their edges, that is none."""
+OFF = 5e-10
+"""Distance of outlines, in lengths of their edges, that is none: so far off the outline is then."""
 NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
 PAIRS = 1_000_000
