@@ -80,6 +80,19 @@ class GapCells:
     """Degree of the φ_a that have on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
+    straight: npt.NDArray[np.bool_] | None = None
+    """Which edges of each tetrahedron stay straight, ``(num_cells, 6)``; None if none has to."""
+
+
+def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:
+    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
+    shape = hosts.alpha.shape
+    x0, x1 = (
+        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
+        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
+    )
+    alpha = hosts.alpha[..., None]
+    return (1 - alpha) * x0 + alpha * x1
 
 
 def geometry_element(surfaces: Sequence[Surface], degree: int):

@@ -21,9 +21,10 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
-from hypergap_dolfinx.gap.cells import Hosts, geometry_element
+from hypergap_dolfinx.gap.cells import Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.quadrilaterals import middle_rows
 from hypergap_dolfinx.gap.slab import mesh_slab
+from hypergap_dolfinx.gap.straight import straightened
 from hypergap_dolfinx.gap.strip import mesh_strip
 from hypergap_dolfinx.gap.surface import LAST_DIGITS, SAME_NODE, STRAIGHT, Surface, tabulate
 
@@ -126,7 +127,6 @@ class GapDomain:
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
-
     def narrow_cells(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Cells whose matrices have large entries that cancel each other, and factors of these.
 
@@ -162,7 +162,10 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     if g > 1:
         cells, first = _number_nodes(gap.cells, _lattice(coordinates.basix_element), g)
         hosts = gap.hosts(points, np.arange(len(cells)))
-        x = _interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
+        x = interpolate_geometry(surfaces, hosts)
+        if gap.straight is not None:
+            x = straightened(x, points, gap.straight, gap.x[gap.cells])
+        x = x.reshape(-1, tdim)[first]
     nodes = x if comm.rank == 0 else np.empty((0, tdim))
 
     def stay(comm, num_parts, cell_types, cells):
@@ -202,17 +205,6 @@ def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
     deviation = np.abs(weights @ x[:, : n + 1] - x).max(axis=(1, 2))
     size = np.ptp(x, axis=1).max(axis=1)
     return deviation > STRAIGHT * size + LAST_DIGITS * magnitude
-
-
-def _interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
-    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
-    shape = hosts.alpha.shape
-    x0, x1 = (
-        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
-        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
-    )
-    alpha = hosts.alpha[..., None]
-    return (1 - alpha) * x0 + alpha * x1
 
 
 def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int64]:

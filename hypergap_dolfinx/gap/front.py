@@ -6,7 +6,7 @@
 """Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
@@ -29,7 +30,6 @@ VARIANTS = (
 )
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
-REOPENINGS = 5  # of the mesh, to cone cells that stay turned over
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -265,6 +265,8 @@ class Filling:
     """The cells; interior vertices are numbered behind the others."""
     hosts: list[tuple]
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
+    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
 
     @property
     def cells(self) -> npt.NDArray[np.integer]:
@@ -273,7 +275,7 @@ class Filling:
 
     def with_cells(self, cells) -> "Filling":
         """Other cells between the same vertices."""
-        return Filling(replace(self.mesh, cells=cells), self.hosts)
+        return replace(self, mesh=replace(self.mesh, cells=cells))
 
 
 Margins = Callable[[Filling], npt.NDArray[np.float64]]
@@ -309,35 +311,30 @@ class _Workshop:
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
         return filling.with_cells(cells) if whole else filling
 
-    def reopened(self, filling: Filling) -> Filling:
-        """Cones in the place of cells that stay turned over, as long as they get fewer."""
-        for _ in range(REOPENINGS):
-            if self.margins is None:
-                break
-            bad = self.margins(filling) <= 0
-            for shared in (4, 3, 2, 1):  # the cells alone, then with more of those around them
-                ends = np.isin(filling.cells, filling.cells[bad]).sum(axis=1)
-                made = self.coned(filling, bad if shared == 4 else ends >= shared)
-                made = made and self.swapped(made)
-                if made and self.num_bad(made) < bad.sum():
-                    filling = made
-                    break
-            else:
-                break
-        return filling
+    def straightened(self, filling: Filling) -> Filling:
+        """Straight edges where cells stay turned over."""
+        margins = self.margins
+        if margins is None:
+            return filling
+
+        def with_straight(cells, edges):
+            return margins(replace(filling.with_cells(cells), straight=edges))
+
+        edges = straighten(filling.cells, filling.mesh.alpha, with_straight)
+        return replace(filling, straight=edges)
 
 
 def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
-    Else what the one leaves that gets farthest is filled with cones.
+    If none does, what the one leaves that gets farthest is filled with cones.
 
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
         margins: Tells cells that are turned over though their vertices' simplices aren't: curved
-            ones. They are swapped for others, or replaced with cones. Where some stay, the cells
-            with the fewest are taken.
+            ones. They are swapped for others. Where some stay, the cells with the fewest are taken
+            and edges of these made straight.
 
     Returns:
         The cells, None if there are none.
@@ -363,14 +360,14 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
         if not found[-1][0]:
             return filling
     for front, filling in sorted(fronts, key=lambda pair: pair[0].left):
+        if found:
+            break
         shop = workshop(front)
         made = shop.coned(filling, filling.mesh.flat())
         if made is not None:
             made = shop.swapped(made)
             found.append((shop.num_bad(made), made, shop))
-            if not found[-1][0]:
-                return made
     if not found:
         return None
     _, filling, shop = min(found, key=lambda entry: entry[0])
-    return shop.reopened(filling)
+    return shop.straightened(filling)

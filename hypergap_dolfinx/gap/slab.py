@@ -22,13 +22,14 @@ import basix
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
-from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
+from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
+from hypergap_dolfinx.gap.straight import marked, straightened
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces
 
@@ -68,7 +69,7 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
     f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
     X0, X1 = (np.array([h[2][i] for h in filling.hosts]).reshape(1, -1, 2) for i in (0, 1))
-    return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)))
+    return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)), filling.straight)
 
 
 def _margins(slab: Slab) -> npt.NDArray[np.float64]:
@@ -79,14 +80,11 @@ def _margins(slab: Slab) -> npt.NDArray[np.float64]:
     space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
     each = np.arange(len(slab.cells))
     hosts = slab.hosts(geometry.points, each)
-    alpha = hosts.alpha[..., None]
-    x0, x1 = (
-        surface.points(facet.ravel(), X.reshape(-1, 2)).reshape(*facet.shape, 3)
-        for surface, facet, X in zip(surfaces, hosts.facets, hosts.X, strict=True)
-    )
-    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
-    N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
     v = slab.x[slab.cells]
+    x = interpolate_geometry(surfaces, hosts)
+    x = straightened(x, geometry.points, marked(slab.cells, slab.straight), v)
+    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
+    N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
     return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
 
@@ -120,8 +118,9 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     known: dict[bytes, float] = {}  # most cells are looked at many times
 
     def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
-        data = np.ascontiguousarray(filling.cells, dtype=np.int64).tobytes()
-        keys = [data[i : i + 32] for i in range(0, len(data), 32)]
+        marks = marked(filling.cells, filling.straight) @ (1 << np.arange(6))
+        data = np.column_stack((filling.cells, marks)).astype(np.int64).tobytes()
+        keys = [data[i : i + 40] for i in range(0, len(data), 40)]
         value = np.array([known.get(key, np.nan) for key in keys])
         new = np.isnan(value)
         if new.any():
@@ -161,8 +160,10 @@ def summary(slabs: list[Slab]) -> str:
     quality = np.concatenate(D)
     each = [f"{count} ({a}, {b})" for (a, b), count in sorted(kinds.items(), reverse=True)]
     inner = sum(slab.inner.alpha.size for slab in slabs)
+    straight = sum(len(slab.straight) for slab in slabs)
     return (
-        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; {len(slabs)} pieces; "
+        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; "
+        f"{straight} edges made straight; {len(slabs)} pieces; "
         f"quality {quality.min():.2g} at worst, {quality.mean():.2g} in the mean"
     )
 
@@ -208,7 +209,8 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
             slabs = [fill(pair) for pair in pairs]
             arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
             result = [
-                (*part, slab.cells, slab.inner) for part, slab in zip(arrays, slabs, strict=True)
+                (*part, slab.cells, slab.inner, slab.straight)
+                for part, slab in zip(arrays, slabs, strict=True)
             ]
         except (InterfaceError, RuntimeError) as e:
             error = e
@@ -245,6 +247,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         )
         return found[np.argsort(order, kind="stable")]
 
+    straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
     return GapCells(
         x=np.vstack([slab.x for slab in slabs]),
         alpha=np.concatenate([slab.alpha for slab in slabs]),
@@ -255,4 +258,5 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         covered=covered,
         degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
+        straight=straight if straight.any() else None,
     )

@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tetrahedra between two facing pieces: α, normals, and where their points lie on both sides."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.jit import as_ints, library
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
 
@@ -26,6 +27,8 @@ class Slab:
     """``(num_cells, 4)``."""
     inner: Hosts
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
+    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -124,8 +127,8 @@ class Slab:
     def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
         """Where points of the reference tetrahedron lie on both surfaces.
 
-        Nodes of Γ0 and Γ1 are found in their own facet. A node between them is projected: a walk
-        over the surface, from a facet at the cell, ends in the nearest one.
+        Nodes of Γ0 and Γ1 are found in their own facet. A node between them or on a straight edge
+        is projected: a walk over the surface, from a facet at the cell, ends in the nearest one.
 
         Args:
             points: Reference points, ``(num_points, 3)``.
@@ -140,8 +143,8 @@ class Slab:
             (np.empty((*shape, 2)), np.empty((*shape, 2))),
         )
         count = (weights > 0).sum(axis=1)
-        for point in np.flatnonzero(count == 1):
-            self._at_vertices(cells, int(weights[point].argmax()), found, point)
+        if (count == 1).any():
+            self._at_vertices(cells, weights.argmax(axis=1), count == 1, found)
         for number in range(2, 5):
             if (count == number).any():
                 self._between(cells, weights, count == number, found)
@@ -165,16 +168,25 @@ class Slab:
             X.append(at)
         return Hosts(self.alpha, (facets[0], facets[1]), (X[0], X[1]))
 
-    def _at_vertices(self, cells, k: int, found: Hosts, point):
-        """Fill in the hosts of one vertex of each cell."""
-        vertex = self.cells[cells, k]
-        found.alpha[:, point] = self.alpha[vertex]
-        for i, side in enumerate(self.sides):
-            facet = self._vertices.facets[i][vertex]
-            found.X[i][:, point] = self._vertices.X[i][vertex]
-            other = np.flatnonzero(facet < 0)
-            facet[other] = side.facets[self.beside[i][cells[other]]]
-            found.facets[i][:, point] = facet
+    def _at_vertices(self, cells, local, some, found: Hosts):
+        """Fill in the hosts of points at the cells' vertices.
+
+        Args:
+            cells: ``(num_cells,)``.
+            local: The vertex at each point, ``(num_points,)``.
+            some: Which points, ``(num_points,)``.
+            found: The hosts of all points.
+        """
+        vertices = self.cells[cells]
+        for point in np.flatnonzero(some):
+            vertex = vertices[:, local[point]]
+            found.alpha[:, point] = self.alpha[vertex]
+            for i, side in enumerate(self.sides):
+                facet = self._vertices.facets[i][vertex]
+                other = np.flatnonzero(facet < 0)
+                facet[other] = side.facets[self.beside[i][cells[other]]]
+                found.facets[i][:, point] = facet
+                found.X[i][:, point] = self._vertices.X[i][vertex]
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.
@@ -193,11 +205,11 @@ class Slab:
         first, which = _same(v, w)
         v, w, cell = v[first], w[first], np.repeat(cells, some.sum())[first]
         shape = len(cells), int(some.sum())
-        alpha = self.alpha[v]
+        alpha, moved = self.alpha[v], have(v, self.straight)
         x = np.einsum("nv,nvi->ni", w, self.x[v])
         found.alpha[:, some] = np.einsum("nv,nv->n", w, alpha)[which].reshape(shape)
         for i, side in enumerate(self.sides):
-            on, off = (alpha == i).all(axis=1), (alpha == 1 - i).all(axis=1)
+            on, off = (alpha == i).all(axis=1) & ~moved, (alpha == 1 - i).all(axis=1)
             triangle, xi = self.beside[i][cell], np.zeros((len(v), 2))
             triangle[on], xi[on] = self._own_facet(i, v[on], w[on])
             # From what lies around the point: other cells that have it find the same

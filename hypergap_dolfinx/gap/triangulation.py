@@ -188,24 +188,28 @@ def _opposite(surface: Surface, pieces, other: Surface):
     samples = np.concatenate(picks)
     centres, middles = _centres(other), _centres(surface, samples)
     found = np.empty(len(samples), dtype=np.intp)
-    agree = np.empty(len(samples), dtype=bool)
-    centre, normal = centres.T.copy(), other.normals.T.copy()
+    origin = centres.mean(axis=0)
+    centre = (centres - origin).T.copy()
+    own = (centre**2).sum(axis=0)
     chunk = max(1, 50_000 // len(centres))
     for c in range(0, len(samples), chunk):
         part = slice(c, c + chunk)
-        square = sum((centre[i] - middles[part, i, None]) ** 2 for i in range(3))
-        cosine = surface.normals[samples[part]] @ normal
-        agree[part] = cosine[np.arange(len(cosine)), square.argmin(axis=1)] > 0
-        square[cosine >= -0.5] *= 16  # what is turned away counts as farther off
-        square[cosine >= 0] *= 1e10
+        square = own - 2 * (middles[part] - origin) @ centre  # but for the samples' own
         found[part] = square.argmin(axis=1)
+    normals = surface.normals[samples]
+    cosine = np.einsum("si,si->s", normals, other.normals[found])
+    agree = cosine > 0
+    for j in np.flatnonzero(cosine >= -0.5):  # what is turned away counts as farther off
+        distance = lengths(centres - middles[j])
+        cosine = other.normals @ normals[j]
+        found[j] = (distance * np.where(cosine < -0.5, 1, np.where(cosine < 0, 4, 1e6))).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
             "wrong side of its body, or the same surface given twice?"
         )
     apart = middles - centres[found]
-    distance = np.linalg.norm(apart, axis=1).min()
+    distance = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
     if distance > reach:
         raise InterfaceError(

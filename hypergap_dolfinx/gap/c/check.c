@@ -6,13 +6,9 @@
 
 // Whether cells are what they should be, whoever made them.
 
-// A face by its vertices in rising order, and whether it is their even permutation.
-typedef struct {
-  int v[3];
-  int seen[2]; // how often it was met: as an even and as an odd permutation
-} Face;
-
-static void meet(Face *table, unsigned size, int a, int b, int c)
+// A face: its lowest vertex, and what tells it from others that have it as theirs: the other two
+// in rising order. The last bit is whether the three as given are an odd permutation.
+static unsigned long long face(int a, int b, int c, int *lowest)
 {
   int odd = 0, swap;
   if (a > b)
@@ -21,22 +17,80 @@ static void meet(Face *table, unsigned size, int a, int b, int c)
     swap = b, b = c, c = swap, odd ^= 1;
   if (a > b)
     swap = a, a = b, b = swap, odd ^= 1;
-  unsigned long long key = (unsigned)a * 0x9e3779b97f4a7c15ULL + (unsigned)b;
-  key = (key ^ (key >> 29)) * 0xbf58476d1ce4e5b9ULL + (unsigned)c;
-  key = (key ^ (key >> 32)) * 0x94d049bb133111ebULL;
-  unsigned at = (unsigned)(key >> 33) & (size - 1);
-  for (;; at = (at + 1) & (size - 1))
+  *lowest = a;
+  return (unsigned long long)b << 32 | (unsigned)c << 1 | (unsigned)odd;
+}
+
+static int compare(const void *a, const void *b)
+{
+  unsigned long long u = *(const unsigned long long *)a, v = *(const unsigned long long *)b;
+  return (u > v) - (u < v);
+}
+
+#define MANY 32 // faces from which insertion is no way to sort them
+
+static void sort_faces(unsigned long long *faces, int num)
+{
+  if (num > MANY)
   {
-    Face *face = table + at;
-    int empty = !face->seen[0] && !face->seen[1];
-    if (empty)
-      face->v[0] = a, face->v[1] = b, face->v[2] = c;
-    if (empty || (face->v[0] == a && face->v[1] == b && face->v[2] == c))
+    qsort(faces, num, sizeof(*faces), compare);
+    return;
+  }
+  for (int i = 1; i < num; ++i)
+  {
+    unsigned long long own = faces[i];
+    int j = i;
+    for (; j > 0 && faces[j - 1] > own; --j)
+      faces[j] = faces[j - 1];
+    faces[j] = own;
+  }
+}
+
+// The vertices of all faces: four of each cell, then the boundary's.
+static void vertices_of_face(const int *cells, int num_cells, const int *outer, int i, int *v)
+{
+  const int sides[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
+  for (int k = 0; k < 3; ++k)
+    v[k] = i < 4 * num_cells ? cells[i - i % 4 + sides[i % 4][k]] : outer[3 * (i - 4 * num_cells) + k];
+}
+
+// Number of faces that aren't there exactly once in each direction, −1: no memory. Faces are
+// gathered at their lowest vertices: what is near in the numbering stays near in memory.
+static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, const int *outer)
+{
+  int num = 4 * num_cells + num_outer, unpaired = 0, v[3], at;
+  int *offset = calloc(n + 2, sizeof(int));
+  unsigned long long *faces = malloc((num + 1) * sizeof(*faces));
+  if (!offset || !faces)
+    unpaired = -1;
+  for (int i = 0; i < num && !unpaired; ++i)
+  {
+    vertices_of_face(cells, num_cells, outer, i, v);
+    face(v[0], v[1], v[2], &at);
+    ++offset[at + 2];
+  }
+  for (int i = 2; i < n + 2 && !unpaired; ++i)
+    offset[i] += offset[i - 1];
+  for (int i = 0; i < num && !unpaired; ++i)
+  {
+    vertices_of_face(cells, num_cells, outer, i, v);
+    unsigned long long own = face(v[0], v[1], v[2], &at);
+    faces[offset[at + 1]++] = own;
+  }
+  for (int i = 0; i < n && unpaired >= 0; ++i)
+  {
+    unsigned long long *own = faces + offset[i];
+    int count = offset[i + 1] - offset[i];
+    sort_faces(own, count);
+    for (int j = 0, next; j < count; j = next)
     {
-      ++face->seen[odd];
-      return;
+      for (next = j + 1; next < count && own[next] >> 1 == own[j] >> 1; ++next)
+        ;
+      unpaired += !(next == j + 2 && own[j] != own[j + 1]);
     }
   }
+  free(offset), free(faces);
+  return unpaired;
 }
 
 // Count the cells that are flat or inverted, and the faces that don't have exactly one cell, or
@@ -47,16 +101,8 @@ static void meet(Face *table, unsigned size, int a, int b, int c)
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts)
 {
-  const int sides[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
   Points points = {n0, n, (const Vertex *)vertices};
-  counts[0] = counts[1] = 0;
-  // Nearly all faces are met twice, so the table is half full at most
-  unsigned size = 64;
-  while (size < 4u * (unsigned)num_cells + 2u * (unsigned)num_outer)
-    size *= 2;
-  Face *table = calloc(size, sizeof(Face));
-  if (!table)
-    return NO_MEMORY;
+  counts[0] = 0;
   for (int i = 0; i < num_cells; ++i)
   {
     const int *v = cells + 4 * i;
@@ -64,14 +110,7 @@ int front_check(int n0, int n, const double *vertices, int num_cells, const int 
     unit_sum(points.vertex[v[0]].n, points.vertex[v[1]].n, points.vertex[v[2]].n,
              points.vertex[v[3]].n, normal);
     counts[0] += !(D(&points, v[0], v[1], v[2], v[3], normal, &scale) > FLAT * scale);
-    for (int k = 0; k < 4; ++k)
-      meet(table, size, v[sides[k][0]], v[sides[k][1]], v[sides[k][2]]);
   }
-  for (int i = 0; i < num_outer; ++i)
-    meet(table, size, outer[3 * i], outer[3 * i + 1], outer[3 * i + 2]);
-  for (unsigned i = 0; i < size; ++i)
-    counts[1] += (table[i].seen[0] || table[i].seen[1])
-                 && !(table[i].seen[0] == 1 && table[i].seen[1] == 1);
-  free(table);
-  return DONE;
+  counts[1] = num_unpaired(n, num_cells, cells, num_outer, outer);
+  return counts[1] < 0 ? NO_MEMORY : DONE;
 }

@@ -67,8 +67,9 @@ static void products(const double *y, double *q)
 
 // Quadratic weights, if they make at least half of the irregular edges regular: where a whole
 // triangulation is sheared, that is all it takes, and what follows would take long.
-static void quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
-                              const Constraint *constraints)
+// Returns whether all edges are regular without any weights.
+static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
+                             const Constraint *constraints)
 {
   double Q[6] = {0}, best[6] = {0}, q[6];
   int at_first = 0, least = num + 1;
@@ -114,6 +115,7 @@ static void quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
     for (int j = 0; j < 6; ++j)
       vertex[i].w += best[j] * q[j];
   }
+  return at_first == 0;
 }
 
 // Weights that make a triangulation locally regular: reflected at one violated constraint after the
@@ -133,8 +135,7 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
     constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
-  quadratic_weights(n, vertex, num, edges, constraints);
-  int sweep = 0, violated = 1;
+  int sweep = 0, violated = !quadratic_weights(n, vertex, num, edges, constraints);
   for (; violated && sweep <= sweeps; ++sweep)
   {
     violated = 0;
