@@ -19,6 +19,7 @@ from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
 from hypergap_dolfinx import compat, graph
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.surface import lagrange_element, unit_normals
+from hypergap_dolfinx.intersection import axes_across, common_part
 
 NEAR = 1e-3  # distance of flat facets, over the smaller one's size, at which they touch
 BULGES = 2  # the same of curved ones, in heights over the facet that turns tell of
@@ -359,10 +360,10 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np
     n0, n1, x0, x1 = n0[f], n1[f], a.x[f], b.x[f]
     normal = n0 - n1
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    axes = _axes(normal)  # (pair, axis, n)
+    axes = axes_across(normal)  # (pair, axis, n)
     origin = x0[:, :1]
     flat0, flat1 = (np.einsum("pvi,pai->pva", x - origin, axes) for x in (x0, x1))
-    middle, common, smaller = _common_part(flat0, flat1[:, ::-1])
+    middle, common, smaller = common_part(flat0, flat1[:, ::-1])
     point = origin[:, 0] + np.einsum("pa,pai->pi", middle, axes)
     heights = [
         np.einsum("pi,pi->p", x[:, 0] - point, n) / np.einsum("pi,pi->p", normal, n)
@@ -371,70 +372,3 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np
     near = np.abs(heights[1] - heights[0]) <= reach[f]
     touch[f] = near & (common > COVER * smaller)
     return touch
-
-
-def _axes(normal: npt.NDArray) -> npt.NDArray[np.float64]:
-    """Unit vectors across normals, ``(num, n - 1, n)``: counterclockwise as seen from the tip."""
-    if normal.shape[1] == 2:
-        return np.stack((-normal[:, 1], normal[:, 0]), axis=1)[:, None]
-    across = np.eye(3)[np.abs(normal).argmin(axis=1)]
-    first = np.cross(normal, across)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack((first, np.cross(normal, first)), axis=1)
-
-
-def _common_part(x0: npt.NDArray, x1: npt.NDArray):
-    """Common parts of simplices on a line or in a plane, where they are counterclockwise.
-
-    Args:
-        x0: Vertices, ``(num, n, n - 1)``.
-        x1: The same of others.
-
-    Returns:
-        Middle of each common part ``(num, n - 1)``, its measure, and the smaller simplex's.
-    """
-    if x0.shape[2] == 1:
-        ends = [np.sort(x[:, :, 0], axis=1) for x in (x0, x1)]
-        start, end = (
-            f(ends[0][:, k], ends[1][:, k]) for k, f in enumerate((np.maximum, np.minimum))
-        )
-        return (start + end)[:, None] / 2, end - start, np.min([np.ptp(e, axis=1) for e in ends], 0)
-    common = x0
-    for k in range(3):
-        start, edge = x1[:, k], x1[:, (k + 1) % 3] - x1[:, k]
-        common = _cut(common, _cross(edge[:, None], common - start[:, None]))
-    parts = _cross(common[:, 1:-1] - common[:, :1], common[:, 2:] - common[:, :1])  # of a fan
-    area = parts.sum(axis=1)
-    thirds = common[:, :1] + common[:, 1:-1] + common[:, 2:]
-    middle = np.einsum("pt,pti->pi", parts, thirds) / 3 / np.where(area > 0, area, 1)[:, None]
-    smaller = np.min([_cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (x0, x1)], axis=0)
-    return middle, area, smaller
-
-
-def _cross(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.float64]:
-    """Cross products of vectors in the plane."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def _cut(polygon: npt.NDArray, distance: npt.NDArray) -> npt.NDArray[np.float64]:
-    """Convex polygons without what is behind a line.
-
-    Args:
-        polygon: Vertices; some may be repeated, ``(num, num_vertices, 2)``.
-        distance: Their distances from the line in any unit, negative behind it.
-
-    Returns:
-        Polygons with a vertex more; all in one point where nothing is left.
-    """
-    num, count, _ = polygon.shape
-    after, beyond = np.roll(polygon, -1, axis=1), np.roll(distance, -1, axis=1)
-    inside = distance >= 0
-    crosses = inside != (beyond >= 0)
-    t = distance / np.where(crosses, distance - beyond, 1)
-    crossing = polygon + t[..., None] * (after - polygon)
-    points = np.stack((polygon, crossing), axis=2).reshape(num, 2 * count, 2)
-    keep = np.stack((inside, crosses), axis=2).reshape(num, 2 * count)
-    order = np.argsort(~keep, axis=1, kind="stable")
-    last = np.maximum(keep.sum(axis=1, keepdims=True), 1) - 1
-    order = np.take_along_axis(order, np.minimum(np.arange(count + 1), last), axis=1)
-    return np.take_along_axis(points, order[..., None], axis=1)
