@@ -349,10 +349,11 @@ def layer(nodes, t, outwards, thickness=0.02):
         t = t[:, ::-1]
     normal = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
     total = np.zeros_like(x)
-    for k in range(3):
-        np.add.at(total, t[:, k], normal)
+    twice = np.linalg.norm(normal, axis=1, keepdims=True)
+    for k in range(3):  # unit normals: a large facet would hide small ones at a tip
+        np.add.at(total, t[:, k], normal / twice)
     total /= np.linalg.norm(total, axis=1, keepdims=True)
-    h = np.sqrt(np.linalg.norm(normal, axis=1).mean())
+    h = np.sqrt(twice.mean())
     # Prisms, cut by the order of their vertices, so that neighbours agree
     a, b, c = np.sort(t, axis=1).T
     cells = np.vstack([np.column_stack(v) for v in (
