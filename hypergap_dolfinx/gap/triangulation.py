@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface, around, lengths
+from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
+CORNER = np.radians(80)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
 CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
 FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
 NEWTON = 6  # steps to where a line along a surface's normals meets it
@@ -95,7 +96,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     beside = np.zeros(len(turn))
     for side, few in ((0, True), (1, True), (0, False), (1, False)):
         # On a smooth surface few edges are candidates any more after a look at the first ones
-        candidate = np.flatnonzero((turn > limit) & (turn <= KINK) & (turn > STANDS_OUT * beside))
+        candidate = np.flatnonzero((turn > limit) & (turn <= CORNER) & (turn > STANDS_OUT * beside))
         p = opposite[candidate, side]
         count = offsets[p + 1] - offsets[p]
         count = np.minimum(count, 2) if few else count
@@ -106,7 +107,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         e, other = e[apart], other[apart]
         parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
         np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > KINK) | (turn > np.maximum(STANDS_OUT * beside, limit))
+    kink = (turn > CORNER) | (turn > np.maximum(STANDS_OUT * beside, limit))
     bent = np.flatnonzero(kink & (surface.curved[f] | surface.curved[g]))
     here, there = (_normals_at_edges(surface, *e) for e in ((f[bent], k[bent]), (g[bent], m[bent])))
     angle = np.arctan2(lengths(np.cross(here, there)), np.einsum("ei,ei->e", here, there))
