@@ -90,7 +90,7 @@ def _margins(slab: Slab) -> npt.NDArray[np.float64]:
 
 
 def _check_folded(side: Side):
-    """Curved facets that are folded have cells that are turned over whatever is beyond them."""
+    """Nothing fits on curved facets that are folded: what makes them straight would hide it."""
     surface, element = side.surface, side.surface.geometry
     points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
     dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
@@ -135,7 +135,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
-    if not straight and (margins(filling) <= 0).any():
+    if len(filling.straight):
         for side in sides:
             _check_folded(side)
     return _slab(sides, filling)
