@@ -7,12 +7,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 import basix.ufl
 from hypergap_dolfinx.gap.surface import Surface
+
+if TYPE_CHECKING:
+    from hypergap_dolfinx.gap.slab_cells import Slab
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,8 @@ class GapCells:
     """Degree of the φ_a that have on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
+    slabs: Sequence["Slab"] = ()
+    """In space, the pieces that Σ consists of."""
 
 
 def geometry_element(surfaces: Sequence[Surface], degree: int):
