@@ -12,9 +12,7 @@ from helpers import comm, interpolated, residual
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap import straight, swaps
-from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.gap.triangulation import kinks, neighbours
+from hypergap_dolfinx.gap import swaps
 
 CELLS = np.array([(0, 1, 2, 4), (1, 3, 2, 5), (1, 2, 4, 5)])  # vertices 0–3 on Γ0, 4 and 5 on Γ1
 ALPHA = np.array([0, 0, 0, 0, 1, 1.0])

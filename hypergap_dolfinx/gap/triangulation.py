@@ -68,8 +68,8 @@ def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.ND
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     """Edges at which a surface has a corner: it turns there, and hardly beside it.
 
-    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved ones
-    turn inside of them and not where they meet.
+    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved
+    ones turn inside of them and not where they meet.
 
     Args:
         surface: The surface.
@@ -221,19 +221,19 @@ def _opposite(surface: Surface, pieces, other: Surface):
     agree = cosine > 0
     for j in np.flatnonzero(cosine >= -0.5):  # what is turned away counts as farther off
         distance = lengths(centres - middles[j])
-        cosine = other.normals @ normals[j]
-        found[j] = (distance * np.where(cosine < -0.5, 1, np.where(cosine < 0, 4, 1e6))).argmin()
+        turned = other.normals @ normals[j]
+        found[j] = (distance * np.where(turned < -0.5, 1, np.where(turned < 0, 4, 1e6))).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
             "wrong side of its body, or the same surface given twice?"
         )
     apart = middles - centres[found]
-    distance = lengths(apart).min()
+    off = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
-    if distance > reach:
+    if off > reach:
         raise InterfaceError(
-            f"Γ0 and Γ1 don't face each other: they are {distance:.3g} apart, Γ0 around "
+            f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
             f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
             "check the tags."
         )
