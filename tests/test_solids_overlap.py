@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers import comm, sweep
-from test_clip import placed
 from scipy.sparse.linalg import spsolve
+from test_clip import placed
 from test_solids_interfaces import NU, errors, linear, stress
 
 import basix
