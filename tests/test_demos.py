@@ -84,9 +84,12 @@ DEMOS = {
     ),
     "own_system": Demo("--levels 2", {"0.l2": 5.402e-5, "1.l2": 6.759e-6}, {"1.iterations": 180}),
     "partial_overlap": Demo(
-        "--degree 1",
+        "--degree 1 --cell mixed",
         {"*.ok": True},
         {"*.l2": 5e-3},
+    ),
+    "partial_overlap_all": Demo(
+        "--cell tetrahedron hexahedron", {"*.ok": True}, script="partial_overlap", slow=True
     ),
     "patch_test": Demo(
         below={"*.l2": 1e-12, "*.stress": 1e-12}, pictures=("patch_test",), slow=True

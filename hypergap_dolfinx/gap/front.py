@@ -32,8 +32,8 @@ VARIANTS = (
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
 THIN = 1e-4
-"""As ``FLAT``, of cells that fronts do without at first. Between edges that are parallel but for
-1e-8, as of a block turned by that, they cost all digits of λ."""
+"""As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
+edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 

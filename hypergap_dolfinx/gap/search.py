@@ -25,9 +25,12 @@ class _Parts:
     """Parts of a surface: balls around them, and cones around their normals."""
 
     middle: npt.NDArray[np.float64]
+    """``(num_parts, 3)``."""
     radius: npt.NDArray[np.float64]
     axis: npt.NDArray[np.float64]
+    """Of the cone, ``(num_parts, 3)``."""
     angle: npt.NDArray[np.float64]
+    """Between its axis and the normals at most."""
 
     def halved(self) -> "_Parts":
         """Two parts after each other made one."""
