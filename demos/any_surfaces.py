@@ -21,6 +21,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 
 from mpi4py import MPI
 
@@ -349,10 +350,11 @@ def layer(nodes, t, outwards, thickness=0.02):
         t = t[:, ::-1]
     normal = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
     total = np.zeros_like(x)
-    for k in range(3):
-        np.add.at(total, t[:, k], normal)
+    twice = np.linalg.norm(normal, axis=1, keepdims=True)
+    for k in range(3):  # unit normals: a large facet would hide small ones at a tip
+        np.add.at(total, t[:, k], normal / twice)
     total /= np.linalg.norm(total, axis=1, keepdims=True)
-    h = np.sqrt(np.linalg.norm(normal, axis=1).mean())
+    h = np.sqrt(twice.mean())
     # Prisms, cut by the order of their vertices, so that neighbours agree
     a, b, c = np.sort(t, axis=1).T
     cells = np.vstack([np.column_stack(v) for v in (
@@ -445,6 +447,18 @@ def quality(domain):
     return float((np.linalg.norm(N, axis=1) / (e**2).sum(axis=2).max(axis=1)).min())
 
 
+def num_straight(domain):
+    """Number of edges that lie on no curved facet, not to turn over cells."""
+    if domain.geometry.degree == 1:
+        return 0
+    facets = np.vstack([surface.nodes.reshape(-1, 3) for surface in domain.surfaces])
+    pairs = np.array([(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)])  # as Basix has them
+    ends = domain.alpha_vertices[:, pairs]
+    on_side = (ends[..., 0] == ends[..., 1]) & (ends[..., 0] % 1 == 0)
+    middles = np.unique(domain.x[:, 4:][on_side], axis=0)
+    return int((cKDTree(facets).query(middles)[0] > 1e-9 * np.ptp(facets)).sum())
+
+
 def run(seed, degree):
     """Tie a scene, and tell what came of it."""
     name, sides = scene(seed, degree)
@@ -465,7 +479,7 @@ def run(seed, degree):
     inner = domain.x[:, :4][(domain.alpha_vertices > 0) & (domain.alpha_vertices < 1)]
     valid = bool(fits(domain)) and stands_up(domain)
     row |= {"valid": valid, "quality": quality(domain)}
-    return row | {"interior": len(np.unique(inner, axis=0))}
+    return row | {"interior": len(np.unique(inner, axis=0)), "straight": num_straight(domain)}
 
 
 if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
@@ -475,12 +489,18 @@ if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
     parser.add_argument(
         "--degree", type=int, choices=(1, 2), help="of all; by default of each other"
     )
+    parser.add_argument("--largest", type=int, help="facets of a scene; larger ones are left out")
     parser.add_argument("--json", help="write the rows to this file")
     args = parser.parse_args()
     run(args.seed, 1)  # compiles what isn't
     rows = []
-    for seed in range(args.seed, args.seed + args.scenes):
-        rows.append(run(seed, args.degree or 1 + seed % 2))
+    for seed in count(args.seed):
+        if len(rows) == args.scenes:
+            break
+        degree = args.degree or 1 + seed % 2
+        if args.largest and sum(len(t) for _, t in scene(seed, degree)[1]) > args.largest:
+            continue
+        rows.append(run(seed, degree))
         if not (row := rows[-1])["valid"]:
             print(seed, row["scene"], row["facets"], row.get("error", "")[:150])
     total = Counter(row["scene"].split(",")[0] for row in rows)
@@ -489,7 +509,8 @@ if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
         print(f"{name:12} {valid[name]} of {number}")
     each = np.array([row["seconds"] / row["facets"] for row in rows])
     print(f"all          {sum(valid.values())} of {len(rows)}, "
-          f"{sum(row.get('interior', 0) > 0 for row in rows)} with interior nodes; "
+          f"{sum(row.get('interior', 0) > 0 for row in rows)} with interior nodes, "
+          f"{sum(row.get('straight', 0) > 0 for row in rows)} with straight edges; "
           f"{np.median(each):.1e} s a facet in the median, {each.max():.1e} at most")  # fmt: skip
     if args.json:
         with open(args.json, "w") as file:

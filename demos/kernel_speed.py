@@ -5,19 +5,22 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # What a tie costs before anything is solved, on one core: gap element matrices a second; the strip
-# between two chains of 100 000 edges; and the whole way from facets to the blocks $B_0$ and $B_1$,
-# over the number of facets. That should grow in proportion: the exponent of a fit is printed.
+# between two chains of 100 000 edges; tetrahedra between two spheres; and the whole way from facets
+# to the blocks $B_0$ and $B_1$, over the number of facets. That should grow in proportion: the
+# exponent of a fit is printed.
 
 # +
 import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 import basix
 from dolfinx import fem
@@ -25,8 +28,8 @@ from dolfinx import fem
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap import kernel, strip
-from hypergap_dolfinx.gap.surface import create_surface
+from hypergap_dolfinx.gap import kernel, slab, strip
+from hypergap_dolfinx.gap.surface import Surface, create_surface
 
 # -
 
@@ -92,6 +95,42 @@ def tie_seconds(n, degree):
     return fastest(lambda: Tie(*sides).blocks(), repeats=3)
 
 
+# ## Σ in space
+#
+# between a ball and its shell, both triangulated at random: pieces that face each other, cells,
+# checks, and where all vertices of the cells lie. Facets are those of both sides.
+
+
+def sphere(num, name, seed):
+    """A triangulated unit sphere of about as many facets; Γ1 is seen from inside."""
+    i = np.arange(num // 2) + 0.5
+    z, angle = 1 - 4 * i / num, 2 * np.pi * i * 0.618034 + seed
+    x = np.column_stack((np.cos(angle), np.sin(angle), z))
+    x[:, :2] *= np.sqrt(1 - z**2)[:, None]
+    x += 0.5 * np.random.default_rng(seed).uniform(-1, 1, x.shape) / np.sqrt(num)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    x = x[np.lexsort(x.T[::-1])]
+    t = ConvexHull(x).simplices
+    outwards = np.linalg.det(x[t]) > 0
+    t[outwards == (name == "Γ1")] = t[outwards == (name == "Γ1")][:, ::-1]
+    P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
+    owner, dofs = np.zeros(len(t), dtype=np.int32), t.astype(np.int64)
+    return Surface(name, x, t, x[t], dofs, owner, P1, P1, np.array((0, len(x))))
+
+
+def slab_seconds(num):
+    """Filling the gap of two spheres; facets there are, and seconds."""
+    sides = sphere(9 * num // 20, "Γ0", 0), sphere(11 * num // 20, "Γ1", 1)
+    vertices = basix.geometry(basix.CellType.tetrahedron)
+
+    def run():
+        new = [replace(side) for side in sides]  # that know nothing yet
+        gap = slab.mesh_slab(MPI.COMM_SELF, *new)
+        gap.hosts(vertices, np.arange(len(gap.cells)))
+
+    return sum(len(side.facets) for side in sides), fastest(run, repeats=3)
+
+
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description="How fast Σ is meshed and integrated.")
@@ -106,6 +145,13 @@ def main():
         "curved P2 tetrahedra, cells/s": cells_per_second(2, 2, 50000 // scale),
         f"strip of 2 × {100000 // scale} edges, s": strip_seconds(100000 // scale),
     }
+    slab_seconds(100)  # compiles what isn't
+    slabs = [slab_seconds(n // scale) for n in (10000, 200000)]
+    for num, seconds in slabs:
+        result[f"Σ between {num} facets in space, facets/s"] = num / seconds
+    result["Σ in space, exponent"] = np.diff(np.log([s for _, s in slabs]))[0] / np.log(
+        slabs[1][0] / slabs[0][0]
+    )
     for degree in (1, 2):
         num = [n // scale for n in (4000, 8000, 16000, 32000)]
         seconds = [tie_seconds(n, degree) for n in num]

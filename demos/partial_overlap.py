@@ -27,7 +27,14 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
+from dolfinx.mesh import (
+    compute_midpoints,
+    create_submesh,
+    entities_to_geometry,
+    exterior_facet_indices,
+    locate_entities_boundary,
+    meshtags,
+)
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
@@ -68,6 +75,20 @@ FLAT = {
     "over an edge": (0, (0.5, 0.5), (0.9, 0.45)),
     "over a corner": (20, (1.0, 1.0), (1.0, 1.0)),
     "crossing": (40, (2.0, 0.3), (0.5, 0.5)),
+    "a patch with a hole": (0, (0.9, 0.9), (0.5, 0.5)),
+    "two patches": (10, (0.9, 0.9), (0.5, 0.5)),
+}
+
+# The plate's patches: not all of its face is tied.
+
+PATCHES = {
+    "a patch with a hole": lambda x: np.abs(x[:2] - 0.5).max(axis=0) > 0.2,
+    "two patches": lambda x: np.abs(x[0] - 0.5) > 0.2,
+}
+CELLS = {
+    "tetrahedron": ("tetrahedron",) * 2,
+    "hexahedron": ("hexahedron",) * 2,
+    "mixed": ("tetrahedron", "hexahedron"),
 }
 
 
@@ -80,9 +101,12 @@ def placed(angle, size, centre, x):
 
 def flat_patch(comm, scene, cell, degree, swap, E):
     """Relative errors of displacement and stress, and the largest traction over the stress."""
-    below = meshes.block(comm, (4, 4, 2), lambda x: x - (0, 0, 1), cell=cell)
+    n = (6, 6, 2) if scene in PATCHES else (4, 4, 2)
+    below = meshes.block(comm, n, lambda x: x - (0, 0, 1), cell=CELLS[cell][0])
     n = [max(2, round(4 * length)) for length in FLAT[scene][1]]
-    above = meshes.block(comm, (*n, 2), lambda x: placed(*FLAT[scene], x / (1, 1, 2)), cell=cell)
+    above = meshes.block(
+        comm, (*n, 2), lambda x: placed(*FLAT[scene], x / (1, 1, 2)), cell=CELLS[cell][1]
+    )
     forms, loads, sides = [], [], []
     for (mesh, ft), tag, modulus in zip((below, above), (meshes.FRONT, meshes.BACK), E):
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
@@ -94,7 +118,11 @@ def flat_patch(comm, scene, cell, degree, swap, E):
         forms.append(ufl.inner(sigma(u, modulus), ufl.sym(ufl.grad(v))) * ufl.dx)
         exact = ufl.as_vector(stretching(x))
         loads.append(ufl.dot(ufl.dot(sigma(exact, modulus), n), v) * ds)
-        sides.append((V, ft.find(tag)))
+        facets = ft.find(tag)
+        if tag == meshes.FRONT and scene in PATCHES:
+            middles = compute_midpoints(mesh, 2, facets).T
+            facets = facets[PATCHES[scene](middles)]
+        sides.append((V, facets))
     mesh, ft = below
     g = fem.Function(sides[0][0])
     g.interpolate(lambda x: np.array(stretching(x)))
@@ -197,6 +225,64 @@ def curved_patch(comm, scene, cell, degree, level):
     return errors(us, smooth)
 
 
+# ## A block glued on a wider plate, bent
+#
+# Beside it one mesh of both, whose cells are those of a box that lie in the plate or the block.
+
+PLATE = (0, 0, -0.25), (3, 1, 0)
+BLOCK = (1, 0.25, 0), (2, 0.75, 0.5)
+
+
+def bent(comm, bodies, degree, tied=None, swap=False):
+    """A plate held at x = 0 and pulled down at x = 3: its work, and the block's mean stress."""
+    forms, loads, bcs, spaces = [], [], [], []
+    for mesh in bodies:
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        forms.append(ufl.inner(sigma(u), ufl.sym(ufl.grad(v))) * ufl.dx)
+        end = locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 3))
+        tags = meshtags(mesh, 2, end, np.ones(len(end), dtype=np.int32))
+        loads.append(-v[2] * ufl.ds(1, subdomain_data=tags, domain=mesh))
+        held = locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 0))
+        zero = fem.Function(V)
+        bcs.append(fem.dirichletbc(zero, fem.locate_dofs_topological(V, 2, held)))
+        spaces.append(V)
+    sides = list(zip(spaces, tied, strict=True)) if tied else []
+    ties = [Tie(*(sides[::-1] if swap else sides))] if tied else []
+    us = TiedProblem(forms, loads, bcs=bcs, ties=ties).solve()
+    work = sum(fem.assemble_scalar(fem.form(ufl.action(L, u))) for L, u in zip(loads, us))
+    total = 0.0
+    for u in us:  # where z > 0
+        mesh = u.function_space.mesh
+        above = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(mesh)[2], 0), 1.0, 0.0)
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
+        stress = sigma(u)
+        total += fem.assemble_scalar(fem.form(above * ufl.inner(stress, stress) * dx))
+    return comm.allreduce(work), np.sqrt(comm.allreduce(total))
+
+
+def between(low, high):
+    """Places in the unit cube to places in a box."""
+    return lambda x: np.array(low) + x * np.subtract(high, low)
+
+
+def block_on_plate(comm, cell, degree, level, swap):
+    """Relative differences of work and stress from those of one finer mesh."""
+    fine = 2 * level
+    box, _ = meshes.block(comm, (12 * fine, 4 * fine, 3 * fine), cell=cell)
+    box.geometry.x[:] = between((0, 0, -0.25), (3, 1, 0.5))(box.geometry.x)
+    cells = np.arange(box.topology.index_map(3).size_local, dtype=np.int32)
+    x = compute_midpoints(box, 3, cells)
+    inside = ((x > BLOCK[0]) & (x < BLOCK[1])).all(axis=1) | (x[:, 2] < 0)
+    fused = create_submesh(box, 3, cells[inside])[0]
+    reference = bent(comm, [fused], degree)
+    plate = meshes.block(comm, (9 * level, 5 * level, level), between(*PLATE), cell=cell)
+    block = meshes.block(comm, (4 * level, 3 * level, 2 * level), between(*BLOCK), cell=cell)
+    tied = plate[1].find(meshes.FRONT), block[1].find(meshes.BACK)
+    found = bent(comm, [plate[0], block[0]], degree, tied, swap)
+    return [float(abs(a / b - 1)) for a, b in zip(found, reference, strict=True)]
+
+
 # ## All of them
 
 
@@ -210,7 +296,8 @@ def rows_of(comm, cells, degrees):
             l2, stress, traction = flat_patch(comm, scene, cell, degree, swap, E)
             ok = max(l2, stress) <= 1e-11 and traction <= 1e-9
             rows.append((name, cell, degree, swap, l2, stress, traction, 1e-11, bool(ok)))
-    for scene, cell, degree in itertools.product(CURVED, cells, degrees):
+    for scene, degree in itertools.product(CURVED, degrees):
+        cell = "tetrahedron"
         found = []
         for level in (1, 2):
             progress.show(comm, f"{scene}, degree {degree}, level {level}")
@@ -228,15 +315,18 @@ def main():
     """Run every case and print its errors."""
     parser = argparse.ArgumentParser(description="Surfaces that overlap in part.")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--cell", nargs="+", choices=tuple(CELLS), default=list(CELLS))
     parser.add_argument("--degree", type=int, nargs="+", default=[1, 2])
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
-    rows = rows_of(comm, ("tetrahedron",), args.degree)
+    rows = rows_of(comm, args.cell, args.degree)
     if comm.rank > 0:
         return
-    print("scene                          degree  Γ1     displacement  gradient")
+    print(
+        "scene                               cell                       degree  Γ1     u         gradient"
+    )
     for row in rows:
-        line = "{scene:31s}{degree:<8d}{side:7s}{l2:12.1e}{stress:10.1e}"
+        line = "{scene:36s}{cell:27s}{degree:<8d}{side:6s}{l2:9.1e}{stress:9.1e}"
         print(
             line.format(**row, side="below" if row["swap"] else "above"), "" if row["ok"] else "!"
         )

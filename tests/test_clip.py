@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Pieces that overlap in part: what is left has the right area, hosts and slabs."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from helpers import sweep
@@ -98,8 +100,10 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("n", ((4, 3), (3, 7), (8, 4)))
-@pytest.mark.parametrize("scene", SCENES)
+SIZES = (4, 3), (3, 7), (8, 4)
+
+
+@pytest.mark.parametrize(("scene", "n"), sweep(list(product(SCENES, SIZES)), 4))
 def test_kinds(scene, n):
     place, exact = SCENES[scene]
     if exact is None:
@@ -155,6 +159,27 @@ def test_narrow_cuts(cut):
     ):
         exact = common_area(place(SQUARE)[:, :2], SQUARE[:, :2])
         check(square(4), square(3, place), exact, 1e-8)
+
+
+def test_tree():
+    """It finds what a look at all triangles finds, on a surface that is steep and folded."""
+    rng = np.random.default_rng(0)
+    for n, steep in ((1, 0), (7, 0.5), (20, 1.5)):
+        x, t = square(n)
+        x[:, 2] = steep * np.sin(3 * x[:, 0]) * np.cos(4 * x[:, 1])
+        piece = side("Γ0", x, t)
+        points, normals = rng.uniform(-0.5, 1.5, (100, 3)), rng.normal(size=(100, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        v = piece.x[piece.triangles]
+        middle = v.mean(axis=1)
+        radius = np.linalg.norm(v - middle[:, None], axis=2).max(axis=1)
+        apart = points[:, None] - middle
+        height = np.einsum("pfi,fi->pf", apart, piece.normals)
+        near = (apart**2).sum(axis=2) - height**2 <= (1.01 * radius + 0.5 * np.abs(height)) ** 2
+        near &= normals @ piece.normals.T < -0.3
+        found = np.zeros_like(near)
+        found[piece.tree.candidates(points, normals)] = True
+        np.testing.assert_array_equal(found, near)
 
 
 def test_nothing_in_common():

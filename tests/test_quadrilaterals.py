@@ -225,7 +225,7 @@ def test_halves(degree, monkeypatch):
 
     class Halved(Side):
         @classmethod
-        def of(cls, surface, facets):
+        def of(cls, surface, facets, behind=None):
             return Side.of(surface, facets, halves=True)
 
     monkeypatch.setattr(slab, "Side", Halved)

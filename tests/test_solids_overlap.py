@@ -5,11 +5,13 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Solids that overlap in part: patch tests with all stresses, cuts of any width."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from helpers import comm, sweep
-from test_clip import placed
 from scipy.sparse.linalg import spsolve
+from test_clip import placed
 from test_solids_interfaces import NU, errors, linear, stress
 
 import basix
@@ -97,12 +99,18 @@ def solve(scene, degree, swap, cells="tets", shape=lambda x: x, n=((4, 4, 2), (3
     return *errors(us, (linear, linear), (1.0, 1.0)), error / np.abs(linear_stress()).max()
 
 
+def sheared(x):
+    """Facets become parallelograms."""
+    return x @ np.array([(1, 0.1, 0), (0.25, 1, 0), (0, 0.1, 1)])
+
+
+CASES = list(product(CELLS, SCENES, (1, 2), (False, True)))
+
+
 @pytest.mark.serial
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
-@pytest.mark.parametrize("scene", SCENES)
-def test_patch(scene, degree, swap):
-    l2, s, traction = solve(SCENES[scene], degree, swap)
+@pytest.mark.parametrize(("cells", "scene", "degree", "swap"), sweep(CASES, 9))
+def test_patch(cells, scene, degree, swap):
+    l2, s, traction = solve(SCENES[scene], degree, swap, cells, sheared)
     print(l2, s, traction)
     assert max(l2, s) <= 1e-11
     assert traction <= 1e-9
@@ -111,17 +119,22 @@ def test_patch(scene, degree, swap):
 CUTS = (1e-12, 1e-9, 1.1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.29, 0.31, 0.5, 0.9)
 
 
+NARROW = list(product(CUTS, (1, 2), (False, True), (0, 1, 2)))
+
+
 @pytest.mark.serial
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
-@pytest.mark.parametrize("cut", sweep(CUTS, 4))
-def test_narrow_cuts(cut, degree, swap):
-    """The block ends a little beyond an edge of the plate's facets, both ways."""
-    for centre in ((0.5 + cut / 4,) * 2, (0.25 - cut / 4, 0.5)):
-        l2, s, traction = solve((0, 0.5, centre), degree, swap)
-        print(cut, l2, s, traction)
-        assert max(l2, s) <= 5e-10
-        assert traction <= 1e-6
+@pytest.mark.parametrize(("cut", "degree", "swap", "kind"), sweep(NARROW, 17))
+def test_narrow_cuts(cut, degree, swap, kind):
+    """The block ends a little beyond edges of the plate's facets, both ways, or is turned."""
+    scene = (
+        (0, 0.5, (0.5 + cut / 4,) * 2),
+        (0, 0.5, (0.25 - cut / 4, 0.5)),
+        (np.degrees(cut / 4), 0.5, (0.5, 0.5)),
+    )[kind]
+    l2, s, traction = solve(scene, degree, swap, n=((4, 4, 1), (3, 3, 1)))
+    print(cut, l2, s, traction)
+    assert l2 <= 5e-10
+    assert traction <= 1e-6
 
 
 @pytest.mark.ranks(2)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
+from hypergap_dolfinx.gap.metric import FLAT
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
@@ -30,6 +31,9 @@ VARIANTS = (
 )
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
+THIN = 1e-4
+"""As ``FLAT``, of cells that fronts do without at first. Between edges that are parallel but for
+1e-8, as of a block turned by that, they cost all digits of λ."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -150,7 +154,9 @@ class Front:
         return self.left == 0 and not any(self.wrong)
 
 
-def advance(problem: Problem, weighted: bool, reverse: bool, share: float = 1.0) -> Front:
+def advance(
+    problem: Problem, weighted: bool, reverse: bool, share: float = 1.0, flat: float = FLAT
+) -> Front:
     """Let a front run from one surface to the other.
 
     Args:
@@ -158,6 +164,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool, share: float = 1.0)
         weighted: Whether weights make the surfaces' edges locally regular.
         reverse: Whether it goes from Γ1 to Γ0.
         share: By what share of the problem's shift Γ1 is displaced.
+        flat: Up to which D, over its scale, it does without a cell.
     """
     module, shift = library(), share * problem.shift
     lib, ffi = module.lib, module.ffi
@@ -200,7 +207,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool, share: float = 1.0)
     counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
     sides = (n1, n0) if reverse else (n0, n1)
     data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
-    status = lib.front_fill(*sides, pointer(vertices), len(start), *data, pointer(counts))
+    status = lib.front_fill(*sides, pointer(vertices), flat, len(start), *data, pointer(counts))
     cells = cells[: counts[0]]
     if status == 0:
         outer = np.vstack((start, end[:, [1, 0, 2]]))
@@ -339,6 +346,15 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
     Returns:
         The cells, None if there are none.
     """
+    for flat in (THIN, FLAT):
+        filling = _construct(problem, place, margins, flat)
+        if filling:
+            return filling
+    return None
+
+
+def _construct(problem: Problem, place: Place, margins: Margins | None, flat: float):
+    """The same by fronts that do without cells as flat as that."""
     alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
 
@@ -347,7 +363,7 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
         return _Workshop(outer, place, margins)
 
     for variant in (None, *VARIANTS):
-        front = advance(problem, *variant) if variant else twinned(problem)
+        front = advance(problem, *variant, flat) if variant else twinned(problem)
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)

@@ -23,8 +23,8 @@ from dolfinx.jit import get_options
 NAMES = ("predicates.h", "weights.c", "front.c", "advance.c", "check.c", "bases.c", "program.c")
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
-int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
-               const int *end, int max_cells, int *cells, int *left, int *counts);
+int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
+               int num_end, const int *end, int max_cells, int *cells, int *left, int *counts);
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts);

@@ -15,10 +15,12 @@ from hypergap_dolfinx.gap.search import FACING
 
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 1e-10
-"""Distance of outlines, in lengths of their edges, that is none."""
+OFF = 5e-10
+"""Distance of outlines, in lengths of their edges, that is none: so far off the outline is then."""
 NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
+STEEP = np.radians(80)
+"""What a normal may be off by at most: it turns from one node to the next."""
 PAIRS = 1_000_000
 """Pairs that are looked at in one go."""
 ROUND_OFF = 1e-12
@@ -58,7 +60,8 @@ class Rim:
             height, distance = _along(apart, other.normal[edge])
             # A gap is fine; a facet's normal knows its direction as well as facets bend
             explained = 2 * np.maximum(self.sag[part], other.sag[edge])
-            explained += height * (other.bend[edge] + self.bend[part])
+            bend = np.minimum(other.bend[edge] + self.bend[part], STEEP)
+            explained += height * np.tan(bend)
             length = np.maximum(self.length[part], other.length[edge])
             off.append((distance - explained) / length)
             near = np.linalg.norm(y - other.x, axis=2).argmin(axis=1)

@@ -52,17 +52,17 @@ class Side:
                 not into four.
             behind: Neighbours of all facets of the surface, if they are known.
         """
-        corners = surface.facets[facets]
         used = np.zeros(len(surface.x), dtype=bool)
-        used[corners] = True
-        x, corners = surface.x[used], (np.cumsum(used) - 1)[corners]
+        used[surface.facets[facets]] = True
+        number = np.cumsum(used, dtype=np.intp) - 1
+        x, corners = surface.x[used], number[surface.facets[facets]].astype(np.intp)
         if corners.shape[1] == 3:
             X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
             side = cls(surface, x, corners, facets, X)
             if behind is not None:
-                number = np.full(len(surface.facets) + 1, -1)  # and none of what there isn't
-                number[facets] = np.arange(len(facets))
-                side.__dict__["behind"] = number[behind[facets]]
+                own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
+                own[facets] = np.arange(len(facets))
+                side.__dict__["behind"] = own[behind[facets]]  # as its property would find them
             return side
         places, pieces = HALVES if halves else QUARTERS
         if not halves:

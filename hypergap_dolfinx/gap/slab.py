@@ -12,6 +12,7 @@ common; a front of flips fills the slab between two pieces.
 import logging
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
@@ -72,7 +73,7 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)), filling.straight)
 
 
-def _margins(slab: Slab) -> npt.NDArray[np.float64]:
+def curved_margins(slab: Slab) -> npt.NDArray[np.float64]:
     """The least N · n of each cell with the surfaces' curved geometry, over its longest edge²."""
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
@@ -90,7 +91,7 @@ def _margins(slab: Slab) -> npt.NDArray[np.float64]:
 
 
 def _check_folded(side: Side):
-    """Curved facets that are folded have cells that are turned over whatever is beyond them."""
+    """Nothing fits on curved facets that are folded: what makes them straight would hide it."""
     surface, element = side.surface, side.surface.geometry
     points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
     dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
@@ -124,7 +125,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
         value = np.array([known.get(key, np.nan) for key in keys])
         new = np.isnan(value)
         if new.any():
-            value[new] = _margins(_slab(sides, filling.with_cells(filling.cells[new])))
+            value[new] = curved_margins(_slab(sides, filling.with_cells(filling.cells[new])))
             lasting = new & (filling.cells < num_vertices).all(axis=1)  # not of interior vertices
             known.update((keys[i], value[i]) for i in np.flatnonzero(lasting))
         return value
@@ -135,18 +136,18 @@ def fill(sides: tuple[Side, Side]) -> Slab:
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
-    if not straight and (margins(filling) <= 0).any():
+    if len(filling.straight):
         for side in sides:
             _check_folded(side)
     return _slab(sides, filling)
 
 
-def summary(slabs: list[Slab]) -> str:
+def summary(slabs: Sequence[Slab]) -> str:
     """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
 
     A cell's quality is its D over what it would be at best: the cosine between a base and n, or the
-    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on Γ0
-    and on Γ1; others are between them.
+    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on
+    Γ0 and on Γ1; others are between them.
     """
     D: list[npt.NDArray[np.float64]] = []
     kinds: Counter[tuple[int, int]] = Counter()
@@ -195,18 +196,50 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     start = time.perf_counter()
     surfaces = surface0, surface1
     groups, behind = facing_pieces(*surfaces)
-    result, slabs, error = None, [], None
-    if comm.rank == 0:
+
+    def make() -> list[Slab]:
         sides = [
-            tuple(
-                Side.of(surface, np.flatnonzero(group == g), behind=behind_i)
-                for surface, group, behind_i in zip(surfaces, groups, behind, strict=True)
-            )
+            [
+                Side.of(surface, np.flatnonzero(group == g), behind=neighbours)
+                for surface, group, neighbours in zip(surfaces, groups, behind, strict=True)
+            ]
             for g in range(int(groups[1].max()) + 1)
         ]
+        return [fill(common) for pair in sides for common in clip(*pair)]
+
+    gap = share(comm, surfaces, groups[1], make)
+    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
+        LOG.info("Σ has %s; %.2g s", summary(gap.slabs), time.perf_counter() - start)
+    return gap
+
+
+def share(
+    comm: MPI.Comm,
+    surfaces: tuple[Surface, Surface],
+    patch: npt.NDArray[np.int32],
+    make: Callable[[], list[Slab]],
+) -> GapCells:
+    """Σ from slabs that one rank makes. Collective.
+
+    Args:
+        comm: Communicator.
+        surfaces: Γ0 and Γ1.
+        patch: Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
+        make: Makes them, on rank 0.
+
+    Returns:
+        The cells, the same on every rank.
+
+    Raises:
+        InterfaceError: As ``make`` does.
+        RuntimeError: There is no C compiler.
+    """
+    result: list[tuple] = []
+    slabs: list[Slab] = []
+    error = None
+    if comm.rank == 0:
         try:
-            pairs = [common for pair in sides for common in clip(*pair)]
-            slabs = [fill(pair) for pair in pairs]
+            slabs = make()
             arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
             result = [
                 (*part, slab.cells, slab.inner, slab.straight)
@@ -221,16 +254,13 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         raise_on_all(comm, _no_compiler(), RuntimeError)
     if comm.rank > 0:
         slabs = [
-            Slab((Side(surface0, *own), Side(surface1, *other)), *part)
+            Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
             for own, other, *part in result
         ]
-    covered = np.zeros(len(surface1.facets))
+    covered = np.zeros(len(surfaces[1].facets))
     for slab in slabs:
         facet = slab.sides[1].facets
         covered += np.bincount(facet, slab.sides[1].shares, minlength=len(covered))
-
-    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
-        LOG.info("Σ has %s; %.2g s", summary(slabs), time.perf_counter() - start)
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
@@ -254,9 +284,10 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         cells=np.vstack([slab.cells + start for slab, start in zip(slabs, offsets)]),
         normal=np.vstack([slab.normal for slab in slabs]),
         rank=np.concatenate([slab.rank for slab in slabs]),
-        patch=groups[1],
+        patch=patch,
         covered=covered,
         degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
         straight=straight if straight.any() else None,
+        slabs=slabs,
     )

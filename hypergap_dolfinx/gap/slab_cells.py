@@ -97,19 +97,22 @@ class Slab:
         return found[0], found[1]
 
     @cached_property
-    def normal(self) -> npt.NDArray[np.float64]:
-        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
+    def vertex_normals(self) -> npt.NDArray[np.float64]:
+        """Unit normals at the vertices, from Γ0 to Γ1, ``(num_vertices, 3)``."""
         total = np.zeros_like(self.x)
         for i, side in enumerate(self.sides):
-            unit = (1 - 2 * i) * side.normals
-            corner = self.offsets[i] + side.triangles.ravel()
-            for k in range(3):
-                each = np.repeat(unit[:, k], 3)
-                total[:, k] += np.bincount(corner, each, minlength=len(total))
+            sign, start = 1 - 2 * i, self.offsets[i]
+            total[start : start + len(side.x)] = sign * side.vertex_normals
             if self.inner.alpha.size:
-                total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
-        total /= np.maximum(lengths(total), 1e-300)[:, None]
-        normal = sum(total[self.cells[:, k]] for k in range(4))
+                total[-self.inner.alpha.size :] += sign * side.normals[self.inner.facets[i][0]]
+        return total / np.maximum(lengths(total), 1e-300)[:, None]
+
+    @cached_property
+    def normal(self) -> npt.NDArray[np.float64]:
+        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
+        normal = np.take(self.vertex_normals, self.cells[:, 0], axis=0)
+        for k in range(1, 4):
+            normal += np.take(self.vertex_normals, self.cells[:, k], axis=0)
         for i, side in enumerate(self.sides):
             base = np.flatnonzero(self.bases[i] >= 0)
             normal[base] = (1 - 2 * i) * side.normals[self.bases[i][base]]

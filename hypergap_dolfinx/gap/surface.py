@@ -87,7 +87,8 @@ class Surface:
     def size(self) -> npt.NDArray[np.float64]:
         """Longest edge of each facet, ``(num_facets,)``."""
         v = self.x[self.polygons]
-        return np.max([lengths(v[:, k] - v[:, k - 1]) for k in range(v.shape[1])], axis=0)
+        edges = np.stack([lengths(v[:, k] - v[:, k - 1]) for k in range(v.shape[1])])
+        return edges.max(axis=0)
 
     @cached_property
     def normals(self) -> npt.NDArray[np.float64]:

@@ -10,11 +10,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface, lengths
+from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
+CORNER = np.radians(
+    80
+)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
+CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
 FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
 NEWTON = 6  # steps to where a line along a surface's normals meets it
 
@@ -63,7 +68,8 @@ def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.ND
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     """Edges at which a surface has a corner: it turns there, and hardly beside it.
 
-    Facets that stand for a smooth surface turn about as much at the next parallel edges.
+    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved
+    ones turn inside of them and not where they meet.
 
     Args:
         surface: The surface.
@@ -92,7 +98,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     beside = np.zeros(len(turn))
     for side, few in ((0, True), (1, True), (0, False), (1, False)):
         # On a smooth surface few edges are candidates any more after a look at the first ones
-        candidate = np.flatnonzero((turn > limit) & (turn <= KINK) & (turn > STANDS_OUT * beside))
+        candidate = np.flatnonzero((turn > limit) & (turn <= CORNER) & (turn > STANDS_OUT * beside))
         p = opposite[candidate, side]
         count = offsets[p + 1] - offsets[p]
         count = np.minimum(count, 2) if few else count
@@ -103,8 +109,22 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         e, other = e[apart], other[apart]
         parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
         np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > KINK) | (turn > np.maximum(STANDS_OUT * beside, limit))
+    kink = (turn > CORNER) | (turn > np.maximum(STANDS_OUT * beside, limit))
+    bent = np.flatnonzero(kink & (surface.curved[f] | surface.curved[g]))
+    here, there = (_normals_at_edges(surface, *e) for e in ((f[bent], k[bent]), (g[bent], m[bent])))
+    angle = np.arctan2(lengths(np.cross(here, there)), np.einsum("ei,ei->e", here, there))
+    kink[bent] = angle > CURVES * turn[bent]
     return f[kink], k[kink]
+
+
+def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
+    """Normals of curved facets in the middle of their edges, ``(num_edges, 3)``."""
+    if not len(facet):
+        return np.empty((0, 3))
+    corners = around(basix.geometry(surface.geometry.cell_type)[None])[0]
+    X = (corners + np.roll(corners, -1, axis=0))[k] / 2
+    derivatives = surface.geometry.tabulate(1, X)[1:, :, :, 0]
+    return np.cross(*(np.einsum("ea,eai->ei", d, surface.nodes[facet]) for d in derivatives))
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
@@ -201,19 +221,19 @@ def _opposite(surface: Surface, pieces, other: Surface):
     agree = cosine > 0
     for j in np.flatnonzero(cosine >= -0.5):  # what is turned away counts as farther off
         distance = lengths(centres - middles[j])
-        cosine = other.normals @ normals[j]
-        found[j] = (distance * np.where(cosine < -0.5, 1, np.where(cosine < 0, 4, 1e6))).argmin()
+        turned = other.normals @ normals[j]
+        found[j] = (distance * np.where(turned < -0.5, 1, np.where(turned < 0, 4, 1e6))).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
             "wrong side of its body, or the same surface given twice?"
         )
     apart = middles - centres[found]
-    distance = lengths(apart).min()
+    off = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
-    if distance > reach:
+    if off > reach:
         raise InterfaceError(
-            f"Γ0 and Γ1 don't face each other: they are {distance:.3g} apart, Γ0 around "
+            f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
             f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
             "check the tags."
         )

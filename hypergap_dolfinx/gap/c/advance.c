@@ -141,17 +141,18 @@ static void advance(Front *f)
 //
 // n0, n1      vertices of the start and of the end (numbered behind the start's)
 // vertices    x, y, normal, weight of each
+// flat        D of a cell, over its scale, up to which the front does without it
 // start       triangles of the start and of the walls, counterclockwise seen from the end
 // end         the end's, counterclockwise seen from beyond
 // max_cells   space for cells
 // cells, left cells; triangles of the front that are no facets of the end, as many as start and
 //             twice n1 at most
 // counts      number of cells, of triangles left, of vertices left
-int front_fill(int n0, int n1, const double *vertices, int num_start, const int *start, int num_end,
-               const int *end, int max_cells, int *cells, int *left, int *counts)
+int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
+               int num_end, const int *end, int max_cells, int *cells, int *left, int *counts)
 {
   int status = NO_MEMORY;
-  Front f = {.points = {n0, n0 + n1, (const Vertex *)vertices}, .cells = cells, .max_cells = max_cells};
+  Front f = {.points = {n0, n0 + n1, (const Vertex *)vertices, flat}, .cells = cells, .max_cells = max_cells};
   Edges first = {0};
   f.max_triangles = num_start + 2 * n1 + 2;
   f.triangle = malloc(f.max_triangles * sizeof(Triangle));

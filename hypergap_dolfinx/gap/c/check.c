@@ -101,7 +101,7 @@ static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, c
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts)
 {
-  Points points = {n0, n, (const Vertex *)vertices};
+  Points points = {n0, n, (const Vertex *)vertices, FLAT};
   counts[0] = 0;
   for (int i = 0; i < num_cells; ++i)
   {

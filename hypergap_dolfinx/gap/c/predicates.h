@@ -29,6 +29,7 @@ typedef struct {
 typedef struct {
   int n0, n; // of the start, and all
   const Vertex *vertex;
+  double flat; // D of a cell over that product up to which a front does without it
 } Points;
 
 static inline double dot(const double *a, const double *b)
@@ -126,7 +127,7 @@ static int due(const Points *p, int a, int b, int c, int d, double *t)
   double n[3], scale, area;
   unit_sum(v[0]->n, v[1]->n, v[2]->n, v[3]->n, n);
   area = D(p, a, b, c, d, n, &scale);
-  if (!(area > FLAT * scale))
+  if (!(area > p->flat * scale))
     return 0;
   *t = H(v, n) / area;
   return isfinite(*t);
