@@ -154,6 +154,16 @@ def fused(factor, degree, geometry):
 
 # ## What comes out
 #
+# Tied and fused come closer as cells get smaller: displacement and energy differ by 1.1 % and 0.6 %
+# (degree 1, sizes 1 and 0.7), 0.7 % and 0.4 % (degree 2, sizes 1.4 and 1). That is the meshes: of
+# the fused mesh cut into its parts, and these tied, the displacement differs by 1e-4 (degree 1) and
+# 2e-5 (degree 2).
+#
+# The parts are tied round in circles, which the solver `"bodies"` doesn't take. Of the others
+# `"direct"` is no slower: 40 851 displacements of degree 1 take 4 s of one core, 44 iterations of
+# `"iterative"` 5 s. 117 342 of degree 2 take 1027 iterations, 55 s, which is about what the
+# factors take; but these have 2 GB, and the iterations are content with 0.2.
+#
 # The reactions are what the forms leave at the plate's sides. They balance the load if each tie
 # hands on what acts on it.
 
@@ -190,7 +200,7 @@ def forget_peak():
         pass
 
 
-def run(make, factor, degree, geometry):
+def run(make, factor, degree, geometry, solver):
     """One row of the table, the displacements, and the parts' names."""
     times = [time.perf_counter()]
     model, V, names = make(factor, degree, geometry)
@@ -199,7 +209,7 @@ def run(make, factor, degree, geometry):
     before = memory("VmRSS")
     ties = make_ties(V, names) if names else []
     times.append(time.perf_counter())
-    us = TiedProblem(model.a, model.L, bcs=model.bcs, ties=ties).solve()
+    us = TiedProblem(model.a, model.L, bcs=model.bcs, ties=ties, solver=solver).solve()
     times.append(time.perf_counter())
     peak = comm.allreduce(max(memory("VmHWM") - before, 0))
 
@@ -262,6 +272,7 @@ def main():
                         help="cell sizes over the parts' thicknesses")  # fmt: skip
     parser.add_argument("--fused", action="store_true", help="also on one mesh of all parts")
     parser.add_argument("--curved", action="store_true", help="cells of degree 2 are curved")
+    parser.add_argument("--solver", choices=("direct", "iterative"), default="direct")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
@@ -279,12 +290,12 @@ def main():
         )
     for factor in args.size:
         progress.show(comm, f"size {factor}")
-        row, us, names = run(tied, factor, args.degree, geometry)
+        row, us, names = run(tied, factor, args.degree, geometry, args.solver)
         progress.show(comm)
         if comm.rank == 0:
             print_row(row, "tied")
         if args.fused:
-            row["fused"], *_ = run(fused, factor, args.degree, geometry)
+            row["fused"], *_ = run(fused, factor, args.degree, geometry, None)
             if comm.rank == 0:
                 print_row(row["fused"], "fused")
         rows.append(row)
