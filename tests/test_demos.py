@@ -43,7 +43,7 @@ class Demo:
 
 
 DEMOS = {
-    "any_surfaces": Demo("--scenes 20 --seed 2000", {"*.valid": 1}, needs=("scipy",)),
+    "any_surfaces": Demo("--scenes 80 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
         below={"*.balance": 1e-10},
         pictures=("assembly", "deformed"),

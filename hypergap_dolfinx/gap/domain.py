@@ -127,7 +127,6 @@ class GapDomain:
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
-
     def narrow_cells(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Cells whose matrices have large entries that cancel each other, and factors of these.
 

@@ -16,7 +16,9 @@ from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, aroun
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
-CORNER = np.radians(80)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
+CORNER = np.radians(
+    80
+)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
 CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
 FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
 NEWTON = 6  # steps to where a line along a surface's normals meets it
@@ -66,8 +68,8 @@ def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.ND
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     """Edges at which a surface has a corner: it turns there, and hardly beside it.
 
-    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved ones
-    turn inside of them and not where they meet.
+    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved
+    ones turn inside of them and not where they meet.
 
     Args:
         surface: The surface.
