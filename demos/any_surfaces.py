@@ -21,7 +21,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count
 
 from mpi4py import MPI
 
@@ -291,21 +290,22 @@ def rotation(rng):
 
 
 # +
-def scene(seed, degree):
+def scene(seed, degree, finest=0.1):
     """A random scene; the first one's body is inside.
 
     Args:
         seed: Tells which.
         degree: Of the facets.
+        finest: Their least size, of both sides.
 
     Returns:
         Name, and nodes and triangles of both sides.
     """
     rng = np.random.default_rng(seed)
     kind = rng.choice(("ball", "torus", "tube", "sheet", "sheet"))
-    h = np.exp(rng.uniform(np.log(0.1), np.log(0.7)))
+    h = np.exp(rng.uniform(np.log(finest), np.log(0.7)))
     ratio = np.exp(rng.uniform(np.log(1 / 7), np.log(7)))
-    sizes = h, np.clip(h * ratio, 0.07, 0.9)
+    sizes = h, np.clip(h * ratio, 0.7 * finest, 0.9)
     if kind == "ball":
         name = str(rng.choice(list(BALLS)))
         sides = [ball(rng, 0.8 * s, BALLS[name]) for s in sizes]
@@ -327,7 +327,7 @@ def scene(seed, degree):
         sizes = tuple(min(s, 0.5) for s in sizes)
         sides = [sheet(rng, s, OUTLINES[outline], GRAPHS[graph]) for s in sizes]
         if None in sides:
-            return scene(seed + 1_000_003, degree)
+            return scene(seed + 1_000_003, degree, finest)
     same = rng.choice(("no", "no", "no", "no", "no", "exactly", "1e-12", "1e-6", "nodes"))
     if same != "no":
         sides[1] = sides[0].quartered() if same == "nodes" else sides[0]
@@ -459,9 +459,9 @@ def num_straight(domain):
     return int((cKDTree(facets).query(middles)[0] > 1e-9 * np.ptp(facets)).sum())
 
 
-def run(seed, degree):
+def run(seed, degree, finest=0.1):
     """Tie a scene, and tell what came of it."""
-    name, sides = scene(seed, degree)
+    name, sides = scene(seed, degree, finest)
     ends = []
     for (nodes, t), outwards in zip(sides, (True, False), strict=True):
         mesh, facets = layer(nodes, t, outwards)
@@ -489,18 +489,14 @@ if __name__ == "__main__" and MPI.COMM_WORLD.rank == 0:
     parser.add_argument(
         "--degree", type=int, choices=(1, 2), help="of all; by default of each other"
     )
-    parser.add_argument("--largest", type=int, help="facets of a scene; larger ones are left out")
+    parser.add_argument("--finest", type=float, default=0.1, help="least size of facets")
     parser.add_argument("--json", help="write the rows to this file")
     args = parser.parse_args()
     run(args.seed, 1)  # compiles what isn't
     rows = []
-    for seed in count(args.seed):
-        if len(rows) == args.scenes:
-            break
+    for seed in range(args.seed, args.seed + args.scenes):
         degree = args.degree or 1 + seed % 2
-        if args.largest and sum(len(t) for _, t in scene(seed, degree)[1]) > args.largest:
-            continue
-        rows.append(run(seed, degree))
+        rows.append(run(seed, degree, args.finest))
         if not (row := rows[-1])["valid"]:
             print(seed, row["scene"], row["facets"], row.get("error", "")[:150])
     total = Counter(row["scene"].split(",")[0] for row in rows)

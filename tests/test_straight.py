@@ -7,12 +7,14 @@
 
 import numpy as np
 import pytest
-from helpers import comm, interpolated, residual
+from helpers import comm, interpolated, raises, residual
 
 import meshes
 from dolfinx import fem
-from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap import swaps
+from hypergap_dolfinx import InvertedCellError, Tie
+from hypergap_dolfinx.gap import front, straight, swaps
+from hypergap_dolfinx.gap.surface import create_surface
+from hypergap_dolfinx.gap.triangulation import kinks, neighbours
 
 CELLS = np.array([(0, 1, 2, 4), (1, 3, 2, 5), (1, 2, 4, 5)])  # vertices 0–3 on Γ0, 4 and 5 on Γ1
 ALPHA = np.array([0, 0, 0, 0, 1, 1.0])
@@ -45,16 +47,58 @@ def num_straight(domain):
     return number
 
 
-@pytest.mark.ranks(degree=[2])
-@pytest.mark.parametrize("degree", (1, 2))
-def test_linear_fields(degree, monkeypatch):
+@pytest.mark.ranks(2)
+def test_linear_fields(monkeypatch):
     """Nodes on straight edges have hosts where they are: linear fields have no gap."""
     monkeypatch.setattr(swaps, "improve", lambda cells, *_: cells)
-    tie = Tie(*curved_sides(degree, 0.3))
+    tie = Tie(*curved_sides(2, 0.25))
     assert comm.allreduce(num_straight(tie.domain)) > 0
-    tie.domain.gap_matrices()  # none is turned over
 
     def f(x):
         return 1 + x[0] - 2 * x[1] + 0.5 * x[2]
 
-    assert residual(tie, *(interpolated(V, f) for V in tie.spaces)) < 1e-12
+    assert residual(tie, *(interpolated(V, f) for V in tie.spaces)) < 1e-13
+
+
+def test_no_cell_is_turned_over(monkeypatch):
+    """Nor with edges so curved that facets hardly aren't."""
+    monkeypatch.setattr(swaps, "improve", lambda cells, *_: cells)
+    domain = Tie(*curved_sides(2, 0.3)).domain
+    domain.gap_matrices()
+    monkeypatch.setattr(straight, "straighten", lambda *_: straight.NONE)
+    monkeypatch.setattr(front, "straighten", lambda *_: straight.NONE)
+    with raises(InvertedCellError, "inverted"):
+        Tie(*curved_sides(2, 0.3)).domain.gap_matrices()
+
+
+@pytest.mark.serial
+def test_which_edges():
+    """Those through the gap first, then what helps most; what can't be helped ends all the same."""
+
+    def margins(wanted):
+        def least(cells, edges):
+            there = {tuple(edge) for edge in edges.tolist()}
+            first = (cells == CELLS[0]).all(axis=1)
+            return np.where(first, len(there & wanted) - len(wanted) + 0.5, 1.0)
+
+        return least
+
+    through = {(0, 4), (1, 4), (2, 4)}
+    for wanted in (set(), through, through | {(1, 2)}):
+        found = straight.straighten(CELLS, ALPHA, margins(wanted))
+        assert {tuple(edge) for edge in found.tolist()} == wanted
+    found = straight.straighten(CELLS, ALPHA, margins({(7, 8)}))
+    assert len(found) == 6
+
+
+def test_curved_facets_turn_inside():
+    """The straight ones of an eighth of a sphere turn by 90°, curved ones not; a box has corners."""
+    for g, number in ((1, 3), (2, 0)):
+        shell, tags = meshes.spherical_layers(comm, 1, (0.8, 1.0), degree=g)
+        V = fem.functionspace(shell, ("Lagrange", g))
+        surface = create_surface(V, tags.find(meshes.OUTER), "Γ0")
+        found = kinks(surface, neighbours(surface.polygons, "Γ0", surface.x))
+        assert len(found[0]) == number
+    box, tags = meshes.block(comm, (1, 1, 1), cell="hexahedron", degree=2)
+    surface = create_surface(fem.functionspace(box, ("Lagrange", 2)), tags.indices, "Γ0")
+    assert len(kinks(surface, neighbours(surface.polygons, "Γ0", surface.x))[0]) == 12

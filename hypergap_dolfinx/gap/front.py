@@ -314,7 +314,12 @@ class _Workshop:
         if margins is None:
             return filling
         mesh = filling.mesh
-        cells = swaps.improve(mesh.cells, mesh.alpha, lambda c: margins(filling.with_cells(c)))
+
+        def upright(cells):  # so are their vertices' simplices: else no straight edges help
+            made = filling.with_cells(cells)
+            return np.where(made.mesh.flat(), -np.inf, margins(made))
+
+        cells = swaps.improve(mesh.cells, mesh.alpha, upright)
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
         return filling.with_cells(cells) if whole else filling
 
