@@ -92,7 +92,7 @@ def test_which_edges():
 
 
 def test_curved_facets_turn_inside():
-    """The straight ones of an eighth of a sphere turn by 90°, curved ones not; a box has corners."""
+    """Straight ones of an eighth of a sphere turn by 90°, curved ones not; a box has corners."""
     for g, number in ((1, 3), (2, 0)):
         shell, tags = meshes.spherical_layers(comm, 1, (0.8, 1.0), degree=g)
         V = fem.functionspace(shell, ("Lagrange", g))
