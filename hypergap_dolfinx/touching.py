@@ -104,7 +104,8 @@ def find_touching(
     common don't. Each connected part of a mesh is a body; a body isn't compared with itself.
 
     Args:
-        spaces: A Lagrange space on each mesh; all meshes in 2D, or all in 3D, with any cells.
+        spaces: A Lagrange space on each mesh; all meshes in 2D, or all in 3D, of triangles,
+            quadrilaterals, tetrahedra or hexahedra.
         distance: How far apart facets that touch may be (or how deep in each other). If not given,
             flat facets may be 1e-3 of the smaller one's size apart; where surfaces are curved, flat
             facets that stand for one of them are up to h²/8R apart (edges h on a radius R), and
@@ -201,15 +202,15 @@ def _exterior_facets(V: fem.FunctionSpace, name: str) -> _Facets:
     """This rank's exterior facets. Collective."""
     mesh, n = V.mesh, V.mesh.geometry.dim
     topology = mesh.topology
+    num_vertices = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
+    cell = topology.cell_name()
+    if cell not in num_vertices:
+        raise InterfaceError(f"{name} has {cell} cells; facets of one kind are needed.")
     topology.create_entities(n - 1)
     topology.create_connectivity(n - 1, n)
     topology.create_connectivity(n, n - 1)
     index = exterior_facet_indices(topology)
     facet_nodes = entities_to_geometry(mesh, n - 1, index)
-    num_vertices = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
-    cell = topology.cell_name()
-    if cell not in num_vertices:
-        raise InterfaceError(f"{name} has {cell} cells; facets of one kind are needed.")
     to_cells = topology.connectivity(n - 1, n)
     cells = to_cells.array[to_cells.offsets[index]]
     all_x = mesh.geometry.x[:, :n]

@@ -16,7 +16,14 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx import InterfaceError, InvertedCellError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx import (
+    InterfaceError,
+    InvertedCellError,
+    SolveError,
+    Tie,
+    TiedProblem,
+    find_touching,
+)
 
 pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
@@ -226,6 +233,8 @@ def test_prisms():
     facets = np.arange(1 - min(comm.rank, 1), dtype=np.int32)
     with raises(InterfaceError, "^Γ0 lies on prism cells; bodies in space are made of"):
         Tie((V, facets), (V, facets))
+    with raises(InterfaceError, "prism cells"):
+        find_touching([V])
 
 
 # Interfaces

@@ -16,10 +16,11 @@ import pytest
 from helpers import close, comm, interpolated, raises, residual
 
 import basix
+import dolfinx.mesh
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import InterfaceError, Tie
-from hypergap_dolfinx.gap import front
+from hypergap_dolfinx.gap import domain, front
 from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.gap.triangulation import components, kinks, neighbours, project
@@ -206,6 +207,31 @@ def test_far_apart():
     sides = [bars()[0], bars(mapping=lambda x: x + np.array((9.0, 0, 0)))[1]]
     with raises(InterfaceError, "don't face each other"):
         Tie(*sides)
+
+
+def test_faces_at_a_right_angle():
+    """They have an edge in common, and nothing else."""
+    (V0, _), (V1, facets1) = bars()
+    V0.mesh.topology.create_connectivity(2, 3)
+    top = dolfinx.mesh.locate_entities_boundary(V0.mesh, 2, lambda x: np.isclose(x[1], 1))
+    with raises(InterfaceError, "don't face each other: everywhere .* from parallel"):
+        Tie((V0, top), (V1, facets1))
+
+
+@pytest.mark.parametrize("k", (1, 2, 3))
+def test_factors_of_narrow_cells(monkeypatch, k):
+    """Pulled back by their factors, all cells give what their matrices give."""
+    sides = bars((2, 3), (k, k), SHAPES["saddle"], g=min(k, 2))
+    B = [matrix.norm() for matrix in Tie(*sides).blocks()]
+    first = [dense(matrix) for matrix in Tie(*sides).blocks()]
+    monkeypatch.setattr(domain, "NARROW", 0.0)
+    for matrix, size, other in zip(Tie(*sides).blocks(), B, first, strict=True):
+        assert np.abs(dense(matrix) - other).max() < 1e-13 * size
+
+
+def dense(matrix):
+    """A matrix on one rank as an array."""
+    return matrix.convert("dense").getDenseArray().copy()
 
 
 @pytest.mark.ranks

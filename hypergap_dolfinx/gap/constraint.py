@@ -85,7 +85,7 @@ def create_constraint(
 
     Returns:
         B_i = R_Aᵀ G R_i. Of narrow cells, whose G has large entries that cancel each other in the
-        product, the factors of G = Dᵀ D are multiplied first: (D R_A)ᵀ (D R_i).
+        product, the factors of G = Dᵀ w D are multiplied first: (D R_A)ᵀ w (D R_i).
     """
     comm = domain.mesh.comm
     dofmap, hosts = domain.space.dofmap, domain.hosts
@@ -144,30 +144,53 @@ def create_constraint(
 
     global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
     G_e = domain.gap_matrices()
-    narrow, D_e = domain.narrow_cells()
+    narrow, D_e, sign = domain.narrow_cells()
     G_e[narrow] = 0
     rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
     columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
     G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)
-    num_points = D_e.shape[0] * D_e.shape[1]
-    start = sum(comm.allgather(num_points)[: comm.rank])
-    point = np.repeat(start + np.arange(num_points), cell_dofs.shape[1])
-    columns_e = np.repeat(global_dofs[narrow], D_e.shape[1], axis=0)
-    D = coo_matrix(comm, (num_points, owned), point, columns_e, D_e)
-    DR_A = D.matMult(R_A)
     B = []
     for R_i in R_B:
-        GR, DR = G.matMult(R_i), D.matMult(R_i)
+        GR = G.matMult(R_i)
         B.append(R_A.transposeMatMult(GR))
-        part = DR_A.transposeMatMult(DR)
-        B[-1].axpy(1.0, part)
-        for matrix in (GR, DR, part):
-            matrix.destroy()
+        GR.destroy()
+    G.destroy()
+    if comm.allreduce(len(narrow)):
+        _add_factored(B, R_A, R_B, D_e, sign, global_dofs[narrow])
+    for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
-    for matrix in (G, D, DR_A):
-        matrix.destroy()
     return Constraint(tuple(B), R, R_A, dofs, patch, rows)
+
+
+def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
+    """Add (D R_A)ᵀ w (D R_i) to each B_i. Collective.
+
+    Args:
+        B: The B_i.
+        R_A: Pull-back of the multipliers.
+        R: Pull-backs R_i of the nodes of Σ.
+        D_e: Factors of element matrices, ``(num_cells, num_points, num_nodes)``.
+        sign: Signs w of the points, ``(num_points,)``.
+        dofs: The cells' nodes, ``(num_cells, num_nodes)``.
+    """
+    comm = R_A.comm.tompi4py()
+    num_points = D_e.shape[0] * D_e.shape[1]
+    start = sum(comm.allgather(num_points)[: comm.rank])
+    sizes = num_points, R_A.getLocalSize()[0]
+    point = np.repeat(start + np.arange(num_points), D_e.shape[2])
+    columns = np.repeat(dofs, D_e.shape[1], axis=0)
+    D = coo_matrix(comm, sizes, point, columns, D_e)
+    signed = coo_matrix(comm, sizes, point, columns, sign[:, None] * D_e)
+    DR_A = signed.matMult(R_A)
+    for B_i, R_i in zip(B, R, strict=True):
+        DR = D.matMult(R_i)
+        part = DR_A.transposeMatMult(DR)
+        B_i.axpy(1.0, part)
+        for matrix in (DR, part):
+            matrix.destroy()
+    for matrix in (D, signed, DR_A):
+        matrix.destroy()
 
 
 def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:

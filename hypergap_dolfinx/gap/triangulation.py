@@ -15,6 +15,7 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
+FACES = -0.5  # cosine of the outward normals of facets that face each other: 60° off at most
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
 CORNER = np.radians(
     80
@@ -219,14 +220,21 @@ def _opposite(surface: Surface, pieces, other: Surface):
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
-    for j in np.flatnonzero(cosine >= -0.5):  # what is turned away counts as farther off
+    for j in np.flatnonzero(cosine >= FACES):  # what is turned away counts as farther off
         distance = lengths(centres - middles[j])
         turned = other.normals @ normals[j]
-        found[j] = (distance * np.where(turned < -0.5, 1, np.where(turned < 0, 4, 1e6))).argmin()
+        found[j] = (distance * np.where(turned < FACES, 1, np.where(turned < 0, 4, 1e6))).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
             "wrong side of its body, or the same surface given twice?"
+        )
+    cosine = np.einsum("si,si->s", normals, other.normals[found])
+    if (cosine > FACES).all():
+        angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
+        raise InterfaceError(
+            f"Γ0 and Γ1 don't face each other: everywhere around {middles.mean(axis=0)} they are "
+            f"more than {angle:.0f}° from parallel; check the tags."
         )
     apart = middles - centres[found]
     off = lengths(apart).min()
