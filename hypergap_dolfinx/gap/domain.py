@@ -21,9 +21,9 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
-from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.slab import mesh_slab
-from hypergap_dolfinx.gap.strip import mesh_strip
+from hypergap_dolfinx.gap.strip import mesh_strip, parametrise, parametrise_by_feet
 from hypergap_dolfinx.gap.surface import LAST_DIGITS, STRAIGHT, Surface, tabulate
 
 NOUGHT = 1e-13
@@ -121,6 +121,25 @@ class GapDomain:
         return G
 
 
+def mesh_gap(
+    comm: MPI.Comm, surface0: Surface, surface1: Surface, *, by_feet: bool = False
+) -> GapCells:
+    """Mesh Σ between two surfaces. Collective.
+
+    Args:
+        comm: Communicator.
+        surface0: Γ0.
+        surface1: Γ1.
+        by_feet: Whether in the plane opposite is what Γ1 projects to, not what is as far along.
+
+    Raises:
+        InterfaceError: The surfaces don't form an interface.
+    """
+    if surface0.gdim == 3:
+        return mesh_slab(comm, surface0, surface1)
+    return mesh_strip(surface0, surface1, parametrise_by_feet if by_feet else parametrise)
+
+
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
     """Mesh Σ between two surfaces and distribute it. Collective.
 
@@ -128,7 +147,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         InterfaceError: The surfaces don't form an interface.
     """
     tdim = surface0.gdim
-    gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
+    gap = mesh_gap(comm, surface0, surface1)
     cell = {2: "triangle", 3: "tetrahedron"}[tdim]
     mine = np.flatnonzero(gap.rank == comm.rank)
 
@@ -143,7 +162,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         points = coordinates.basix_element.points
         cells, first = _number_nodes(gap.cells, np.rint(points * g).astype(np.int64), g)
         hosts = gap.hosts(points, np.arange(len(cells)))
-        x = _interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
+        x = interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
     nodes = x if comm.rank == 0 else np.empty((0, tdim))
 
     def stay(comm, num_parts, cell_types, cells):
@@ -185,7 +204,7 @@ def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
     return deviation > STRAIGHT * size + LAST_DIGITS * magnitude
 
 
-def _interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
+def interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
     """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
     shape = hosts.alpha.shape
     x0, x1 = (
