@@ -24,7 +24,7 @@ from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.surface import Surface
 
 ON_VERTEX = 1e-9
-"""Distance from a facet's corner, in its reference coordinates, up to which a node of Σ is there."""
+"""Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
 
 Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -146,7 +146,7 @@ class Opening:
         """
         cells = weighted.weigh(self.table, self.positions(u), self.alpha, self.w)
         g, m = (self._sum(part) for part in (cells.g, cells.m))
-        num_cells, num_b, num_nodes, n = cells.dg.shape
+        num_cells, _, num_nodes, n = cells.dg.shape
         # (cell, vertex, share, node, component)
         values = self.shares[..., None, None] * cells.dg[:, :, None]
         rows = np.broadcast_to(self.vertices[..., None, None], values.shape)

@@ -41,7 +41,7 @@ def jacobians(element: GapElement, x) -> npt.NDArray[np.float64]:
 
 
 def vertex_weights(element: GapElement, x, alpha) -> npt.NDArray[np.float64]:
-    """w of the vertices at an element's points: α ∂ψ/∂α (eq. 20), none negative, of sum 1.
+    """Weights of the vertices at an element's points: α ∂ψ/∂α (eq. 20), none negative, of sum 1.
 
     Where the foot of the point opposite lies in the cell's base the ∂ψ/∂α are the foot's
     barycentric coordinates; beside it some are negative, which makes areas of either sign. These
