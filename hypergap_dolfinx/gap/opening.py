@@ -26,6 +26,9 @@ from hypergap_dolfinx.gap.surface import Surface
 ON_VERTEX = 1e-9
 """Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
 
+COVERED = 0.5
+"""Part of a facet of Γ1 that Σ must reach for multipliers of its own."""
+
 Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
@@ -217,21 +220,18 @@ def _multipliers(
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
     """The vertices of Γ1 that the cells' vertices stand for, and their shares.
 
-    A vertex of Γ1 that is no node of Σ, since Γ1 sticks out there, has no multiplier: what it would
-    have goes to the nearest vertex that has one.
+    A vertex of Γ1 of which no facet is covered by more than :data:`COVERED` has no multiplier: what
+    it would have goes to the nearest vertex that has one.
     """
     n = surface.gdim
     corners = np.vstack((np.zeros(n), np.eye(n)))
     hosts = gap.hosts(corners, np.arange(len(gap.cells)))
     X = hosts.X[1]  # (cell, vertex, n - 1)
     shares = np.concatenate((1 - X.sum(axis=2, keepdims=True), X), axis=2)
+    shares[(np.abs(shares) < ON_VERTEX) | (hosts.alpha < ON_VERTEX)[..., None]] = 0
     vertices = surface.facets[hosts.facets[1]].astype(np.intp)
-    on_surface = hosts.alpha > 1 - ON_VERTEX
-    at_corner = on_surface[..., None] & (shares > 1 - ON_VERTEX)
-    shares = np.where(np.abs(shares) < ON_VERTEX, 0, shares)
-    shares[~(hosts.alpha > ON_VERTEX)] = 0
     has = np.zeros(len(surface.x), dtype=bool)
-    has[vertices[at_corner]] = True
+    has[surface.facets[gap.covered > COVERED]] = True
     stand_in = np.arange(len(surface.x))
     for v in np.setdiff1d(vertices[shares != 0], np.flatnonzero(has)).tolist():
         facets = (surface.facets == v).any(axis=1)

@@ -1,0 +1,485 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Bodies in contact: load steps, and a semi-smooth Newton iteration in each."""
+
+from collections.abc import Sequence
+from itertools import chain
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx import compat, progress
+from hypergap_dolfinx.contact import Contact
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.joining import Joined
+from hypergap_dolfinx.solve import active, saddle
+from hypergap_dolfinx.solve.contacts import ContactRows, Pressed
+from hypergap_dolfinx.solve.direct import PLANE, DirectStep
+from hypergap_dolfinx.solve.held import FreeMotions
+from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
+from hypergap_dolfinx.solve.newton import NonlinearSystem
+from hypergap_dolfinx.solve.options import Options
+from hypergap_dolfinx.solve.path import LoadPath
+from hypergap_dolfinx.tie import Tie
+
+import os
+
+DEBUG = os.environ.get("CDEBUG")
+STEPS = 25
+"""Newton steps after which a load step is halved."""
+ANEW = 10
+"""Newton steps in which Σ is made anew where the bodies are; it could cycle in later ones."""
+HALVINGS = 6
+"""Times that a load step is halved."""
+CLOSED = 1e-9
+"""Gap of what is in contact, in sizes of facets, that is none."""
+ROUND_OFF = 1e-14
+"""Residual over stiffness and displacement that is round-off."""
+
+
+class ContactProblem(NonlinearSystem):
+    """Nonlinear bodies F_i(u_i; v_i) = 0 in contact with each other, and tied where ties are given.
+
+    Solves F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t = 0 with p_c ≥ 0, g_c ≥ 0, p_c g_c = 0 and
+    C = ∂g/∂u, one load step a call of :meth:`solve`.
+    """
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form | None],
+        u: Sequence[fem.Function],
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        contacts: Sequence[Contact],
+        ties: Sequence[Tie] = (),
+        J: Sequence[ufl.Form] | None = None,
+        rtol: float = 1e-10,
+        petsc_options_prefix: str = "hypergap_",
+        petsc_options: dict | None = None,
+        form_compiler_options: dict | None = None,
+        jit_options: dict | None = None,
+    ):
+        """Compile the forms. Collective.
+
+        Args:
+            F: Residual form of each body; None is a rigid obstacle, of which the user sets u.
+            u: Displacement of each body, as used in F; what it holds is where the bodies start.
+            bcs: Dirichlet conditions of any of the bodies.
+            contacts: The contacts between them.
+            ties: The ties between them.
+            J: Jacobian form of each body that has a form; F's derivative if not given.
+            rtol: Residual, over the forces in the bodies, that is none.
+            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
+            petsc_options: Options of the KSP of Newton's steps; MUMPS if they name no type.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
+                condition on a space that belongs to no body.
+        """
+        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+            raise ValueError("F and u are lists, with one form and one function for each body.")
+        if len(F) != len(u):
+            raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
+        contacts = [contacts] if isinstance(contacts, Contact) else contacts
+        ties = [ties] if isinstance(ties, Tie) else ties
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
+        wrong = next((c for c in contacts if not isinstance(c, Contact)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
+            )
+        elastic = [i for i, form in enumerate(F) if form is not None]
+        forms = [form for form in F if form is not None]
+        self._every = list(u)
+        super().__init__(
+            forms,
+            [u[i] for i in elastic],
+            bcs,
+            Joined(ties),
+            J=J,
+            form_compiler_options=form_compiler_options,
+            jit_options=jit_options,
+        )
+        self._contacts = list(contacts)
+        self._rtol = rtol
+        self._prefix = petsc_options_prefix
+        plane = self._u[0].function_space.mesh.topology.dim == 2
+        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
+        self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
+        moved = [f for f, form in zip(u, F, strict=True) if form is None]
+        self._path = LoadPath(forms, self._u, bcs, moved)
+        self._rows, self._positions = [], []
+        for c, contact in enumerate(self._contacts):
+            bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
+            numbers = tuple(elastic.index(b) if b in elastic else None for b in bodies)
+            if numbers == (None, None):
+                raise ValueError(f"contact {c} is between two rigid bodies.")
+            comm, follows = contact.spaces[0].mesh.comm, contact.sliding == "finite"
+            held = self._constraints.prescribed
+            rows = ContactRows(comm, contact.sides, contact.spaces, numbers, held, follows)
+            contact._rows = rows
+            self._rows.append(rows)
+            self._positions.append((u[bodies[0]], u[bodies[1]]))
+        self._free: FreeMotions | None = None
+        self._iterations = self._halvings = 0
+
+    def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
+        """The body on one side of a contact."""
+        body = next((i for i, f in enumerate(self._every) if f.function_space == V), None)
+        if body is None:
+            raise ValueError(
+                f"Γ{side} of contact {c} is on a space of no body; make the contact and the forms "
+                "on the same function spaces."
+            )
+        return body
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The contacts."""
+        return list(self._contacts)
+
+    @property
+    def iterations(self) -> int:
+        """Newton steps of the last :meth:`solve`, those of failed load steps too."""
+        return self._iterations
+
+    @property
+    def halvings(self) -> int:
+        """Times that the last :meth:`solve` halved its load step."""
+        return self._halvings
+
+    def rows(self, contact: Contact) -> ContactRows:
+        """Gaps and pressures of a contact after a solve, as arrays.
+
+        Raises:
+            ValueError: Not one of the problem's contacts, or not solved yet.
+        """
+        c = next((c for c, other in enumerate(self._contacts) if other is contact), None)
+        if c is None:
+            raise ValueError("the contact is not one of this problem's.")
+        if not self._solved:
+            raise ValueError("the problem is not solved yet: call solve() first.")
+        return self._rows[c]
+
+    def solve(self) -> list[fem.Function]:
+        """Go from the last state to the values that are set now, and accept that. Collective.
+
+        Where Newton's iteration fails, the load step is halved: all constants and functions in the
+        forms and boundary conditions are set to values between. If that fails too, the last state
+        that was found remains.
+
+        Returns:
+            The displacement of each body, the same functions as in ``u``.
+
+        Raises:
+            SolveError: No load step, however small, was solved; says why.
+        """
+        self._path.set_out()
+        self._iterations = self._halvings = 0
+        comm = self._u[0].function_space.mesh.comm
+        self._prepare()
+        done, size = 0.0, 1.0
+        while done < 1:
+            before = self._state()
+            s = min(done + size, 1.0)
+            self._path.go(s)
+            try:
+                steps = self._newton()
+            except SolveError as error:
+                self._restore(before)
+                size /= 2
+                self._halvings += 1
+                if size < 0.5**HALVINGS:
+                    self._path.go(1)
+                    raise SolveError(
+                        f"contact: no solution beyond {done:.3g} of the load step; {error}"
+                    ) from error
+                progress.show(comm, f"load {s:.3g}: {error}")
+            else:
+                done, size = s, min(2 * size, 1.0)
+                num = sum(int(rows.now.on.sum()) for rows in self._rows)
+                progress.show(comm, f"load {s:.3g}: {steps} Newton steps, {num} in contact")
+        self._path.arrive()
+        self._solved = True
+        return self._every
+
+    def _prepare(self):
+        """Once: what nothing but contact holds. Collective."""
+        for u, x in zip(self._u, self._x.getNestSubVecs()):
+            x.array[:] = u.x.array[: x.getLocalSize()]
+        if self._free is None:
+            self.assemble_matrix()
+            self._scales_fixed = True
+            self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
+
+    def _state(self):
+        """What a failed load step gives back."""
+        pressed = [Pressed(r.now.opening, r.now.p.copy(), r.now.on.copy()) for r in self._rows]
+        return self._x.copy(), pressed
+
+    def _restore(self, state):
+        x, pressed = state
+        x.copy(self._x)
+        x.destroy()
+        self._assign(self._x)
+        for rows, now in zip(self._rows, pressed, strict=True):
+            rows.now = now
+
+    def _newton(self) -> int:
+        """Newton's iteration for the values that are set. Collective.
+
+        Returns:
+            The number of its steps.
+
+        Raises:
+            SolveError: It failed.
+        """
+        self._assign(self._x)
+        before: list[npt.NDArray] = []
+        for step in range(STEPS + 1):
+            for rows, (u0, u1) in zip(self._rows, self._positions, strict=True):
+                rows.look(rows.displacements((_owned(u0), _owned(u1))), step < ANEW)
+            self._residual(self._x, self._b)
+            jump = self._jump()
+            if step == 0:
+                self.assemble_matrix()
+            held = self._choose()
+            settled = bool(before) and all(map(np.array_equal, before, held))
+            if step:
+                done = self._converged()
+                if settled and done:
+                    return step
+            if step == STEPS:
+                break
+            if step:
+                self.assemble_matrix()
+            self._step(settled, jump)
+            before = held
+            self._iterations += 1
+        raise SolveError(f"Newton's iteration did not end in {STEPS} steps.")
+
+    def _jump(self) -> list[npt.NDArray[np.float64]]:
+        """What prescribed displacements still have to move, of each body's owned dofs."""
+        jumps = []
+        for u, bcs, held in zip(self._u, self._bcs, self._constraints.prescribed, strict=True):
+            lifted = compat.create_vector(u.function_space)
+            lifted.array[:] = _owned(u)
+            petsc.set_bc(lifted, bcs)
+            jumps.append(np.where(held, lifted.array_r - _owned(u), 0))
+            lifted.destroy()
+        return jumps
+
+    def _choose(self) -> list[npt.NDArray[np.bool_]]:
+        """The active sets, of which the rows hold what nothing else does. Collective."""
+        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        for rows in self._rows:
+            c = stiffness / rows.typical_area
+            rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+        assert self._free is not None
+        if self._free.num:
+            holds = [self._holds(rows) for rows in self._rows]
+            every, distance, valid = (
+                np.concatenate([getattr(part, name) for part in parts])
+                for parts, name in (
+                    ([rows.now for rows in self._rows], "on"),
+                    (self._rows, "distance"),
+                    (self._rows, "valid"),
+                )
+            )
+            on, num_free = active.seeded(every, distance, valid, np.vstack(holds))
+            if num_free:
+                raise SolveError(
+                    f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
+                    f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact "
+                    "without friction; hold them by boundary conditions."
+                )
+            ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
+            for rows, part in zip(self._rows, np.split(on, ends), strict=True):
+                rows.now.on = part
+        return [rows.now.on.copy() for rows in self._rows]
+
+    def _holds(self, rows: ContactRows) -> npt.NDArray[np.float64]:
+        """What a contact's multipliers make of free rigid motions, ``(num_multipliers, num)``."""
+        assert self._free is not None
+        result = np.zeros((len(rows.g), self._free.num))
+        modes = [
+            None if body is None else self._free.at(body, _owned(self._u[body]))
+            for body in rows.bodies
+        ]
+        for k in range(self._free.num):
+            zero = (np.zeros(_owned(f).shape) for f in self._positions[self._rows.index(rows)])
+            parts = [z if m is None else m[:, k] for m, z in zip(modes, zero, strict=True)]
+            result[:, k] = rows.times(rows.displacements(parts)) / np.where(rows.valid, rows.m, 1)
+        return np.where(rows.valid[:, None], result, 0)
+
+    def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
+        """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
+        for rows in self._rows:
+            for i, (body, force) in enumerate(
+                zip(rows.bodies, rows.forces(rows.now.p * rows.now.on), strict=True)
+            ):
+                if body is not None:
+                    dofs, values = rows.owned(i, force)
+                    free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
+                    vectors[body].array[dofs] -= values * free
+
+    def _converged(self) -> bool:
+        """Whether forces balance and what is in contact is closed. Collective."""
+        comm = self._u[0].function_space.mesh.comm
+        residual = self._b.copy()
+        parts = residual.getNestSubVecs()
+        self._add_contact(parts, all_dofs=False)
+        num = len(self._u)
+        worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        size, least = 0.0, 0.0
+        for u, F, K in zip(self._u, self._F, self._K, strict=True):
+            raw = compat.create_vector(u.function_space)
+            petsc.assemble_vector(raw, F)
+            raw.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            size += raw.norm() ** 2
+            raw.destroy()
+            least += (row_length(K) * np.sqrt(comm.allreduce((_owned(u) ** 2).sum()))) ** 2
+        for rows in self._rows:
+            size += sum((force**2).sum() for force in rows.forces(rows.now.p * rows.now.on))
+        residual.destroy()
+        if DEBUG:
+            print(
+                "   res %.2e size %.2e gap %.1e on %s"
+                % (
+                    worst,
+                    np.sqrt(size),
+                    max(np.abs(r.distance[r.now.on]).max(initial=0) for r in self._rows),
+                    [int(r.now.on.sum()) for r in self._rows],
+                ),
+                [len(r.now.opening.alpha) for r in self._rows],
+            )
+        if not np.isfinite(worst):
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
+            return False
+        return all(
+            np.abs(rows.distance[rows.now.on]).max(initial=0)
+            <= CLOSED * rows.sides[1].reference.size.max()
+            for rows in self._rows
+        )
+
+    def _step(self, settled: bool, jump: Sequence[npt.NDArray[np.float64]]):
+        """Solve for one step, and take it. Collective.
+
+        Args:
+            settled: Whether the sets are those of the last step: then the tangent is exact.
+            jump: What prescribed displacements have to move.
+        """
+        num = self._A.getNestSize()[0]
+        blocks: list[list[PETSc.Mat | None]] = [
+            [self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)
+        ]
+        own: list[PETSc.Mat] = []
+        if settled:
+            self._subtract_curvature(blocks, own)
+        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        right = [part.copy() for part in self._b.getNestSubVecs()]
+        scales = {}
+        for c, rows in enumerate(self._rows):
+            if not rows.now.on.any():
+                continue
+            scale = np.divide(stiffness, rows.m, out=np.zeros_like(rows.m), where=rows.valid)
+            C = rows.row_blocks(scale)
+            for line in blocks:
+                line.append(None)
+            line = [C.get(j) for j in range(len(blocks))]
+            for j, block in C.items():
+                blocks[j][-1] = block.copy().transpose()
+                own += [block, blocks[j][-1]]
+            zero = saddle.zero_matrix(next(iter(C.values())).getSizes()[0], self._A.comm)
+            own.append(zero)
+            blocks.append([*line, zero])
+            zeros = (np.zeros(_owned(f).shape) for f in self._positions[c])
+            parts = [
+                z if body is None else jump[body]
+                for body, z in zip(rows.bodies, zeros, strict=True)
+            ]
+            g = rows.g + rows.times(rows.displacements(parts))
+            b = zero.createVecLeft()
+            b.array[:] = rows.local(scale * g)
+            right.append(b)
+            scales[c] = scale
+        try:
+            solution = self._linear_solve(blocks, right)
+        finally:
+            for obj in (*own, *right):
+                obj.destroy()
+        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
+            x.axpy(-1.0, dx)
+        pressures = dict(zip(scales, solution[num:], strict=True))
+        for c, rows in enumerate(self._rows):
+            rows.now.p = np.zeros_like(rows.g)
+            if c in scales:
+                rows.now.p = rows.gathered(pressures[c].array_r.copy()) * scales[c]
+        for part in solution:
+            part.destroy()
+        self._assign(self._x)
+
+    def _subtract_curvature(self, blocks: list[list[PETSc.Mat | None]], own: list[PETSc.Mat]):
+        """Make blocks of K those of K − Σ p ∂²g. Collective."""
+        for rows in self._rows:
+            for (i, j), H in rows.curvature_blocks().items():
+                before = blocks[i][j]
+                H.scale(-1.0)
+                if before is None:
+                    blocks[i][j] = H
+                    own.append(H)
+                    continue
+                if all(before is not mine for mine in own):
+                    before = blocks[i][j] = before.copy()
+                    own.append(before)
+                before.axpy(1.0, H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                H.destroy()
+
+    def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
+        """The solution's parts. Collective."""
+        A = PETSc.Mat().createNest(blocks, comm=self._A.comm)
+        b = PETSc.Vec().createNest(right, comm=A.comm)
+        solution = [part.duplicate() for part in right]
+        x = PETSc.Vec().createNest(solution, comm=A.comm)
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        ksp.setOptionsPrefix(self._prefix)
+        try:
+            with self._options.in_use():
+                ksp.setFromOptions()
+                saddle.solve(ksp, b, x)
+            saddle.check_solved(ksp)
+            total = x.norm()
+            if not np.isfinite(total):
+                raise SolveError("the linear solve gave no numbers.")
+        except SolveError:
+            for part in solution:
+                part.destroy()
+            raise
+        finally:
+            for obj in (ksp, x, b, A):
+                obj.destroy()
+        return solution
+
+    def _release(self) -> list:
+        for rows in self.__dict__.get("_rows", []):
+            if rows.now.opening is not None:
+                rows.now.opening.destroy()
+        return super()._release()
+
+
+def _owned(u: fem.Function) -> npt.NDArray[np.float64]:
+    """This rank's owned values."""
+    dofmap = u.function_space.dofmap
+    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
