@@ -253,7 +253,7 @@ class ContactProblem(NonlinearSystem):
             jump = self._jump()
             if step == 0:
                 self.assemble_matrix()
-            held = self._choose()
+            held = self._choose(before)
             settled = bool(before) and all(map(np.array_equal, before, held))
             if step:
                 done = self._converged()
@@ -279,12 +279,14 @@ class ContactProblem(NonlinearSystem):
             lifted.destroy()
         return jumps
 
-    def _choose(self) -> list[npt.NDArray[np.bool_]]:
+    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
         """The active sets, of which the rows hold what nothing else does. Collective."""
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
         for rows in self._rows:
             c = stiffness / rows.typical_area
             rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+        for rows, last in zip(self._rows, before, strict=False):
+            rows.now.on = active.receding(last, rows.now.on, rows.sides[1].reference.facets)
         assert self._free is not None
         if self._free.num:
             holds = [self._holds(rows) for rows in self._rows]

@@ -40,6 +40,38 @@ def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
     return valid & (p - stiffness * gap > 0)
 
 
+def receding(before, now, facets) -> npt.NDArray[np.bool_]:
+    """An active set that loses a zone at its edge, and as wide a zone beside it less one ring.
+
+    Where contact reaches too far by δ its pressure changes sign δ/2 from the edge: without the
+    other half each step would only halve what is too much. What goes wrongly comes back at once,
+    since it overlaps.
+
+    Args:
+        before: The last set, ``(num,)``.
+        now: Those that remain, and new ones, ``(num,)``.
+        facets: Vertices of Γ1's facets, ``(num_facets, n)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    lost, width = before & ~now, np.where(before, np.inf, 0)
+    while True:  # rings from the edge of the last set
+        ring = np.where(lost[facets], width[facets].min(axis=1, keepdims=True) + 1, np.inf)
+        nearer = width.copy()
+        np.minimum.at(nearer, facets, ring)
+        if (nearer == width).all():
+            break
+        width = nearer
+    left, result = np.where(lost & np.isfinite(width), width - 1, 0.0), now.copy()
+    while (left > 0).any():
+        spread = np.zeros_like(left)
+        np.maximum.at(spread, facets, left[facets].max(axis=1, keepdims=True) - 1)
+        left = np.where(result & before, spread, 0)
+        result &= ~(left > 0)
+    return result
+
+
 def seeded(active, distance, valid, holds) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
 
