@@ -41,7 +41,7 @@ def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
 
 
 def receding(before, now, facets) -> npt.NDArray[np.bool_]:
-    """An active set that loses a zone at its edge, and as wide a zone beside it less one ring.
+    """An active set that loses a zone at its edge, and as wide a zone beside it.
 
     Where contact reaches too far by δ its pressure changes sign δ/2 from the edge: without the
     other half each step would only halve what is too much. What goes wrongly comes back at once,
@@ -63,7 +63,7 @@ def receding(before, now, facets) -> npt.NDArray[np.bool_]:
         if (nearer == width).all():
             break
         width = nearer
-    left, result = np.where(lost & np.isfinite(width), width - 1, 0.0), now.copy()
+    left, result = np.where(lost & np.isfinite(width), width, 0.0), now.copy()
     while (left > 0).any():
         spread = np.zeros_like(left)
         np.maximum.at(spread, facets, left[facets].max(axis=1, keepdims=True) - 1)
