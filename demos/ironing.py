@@ -31,8 +31,8 @@ from hypergap_dolfinx import Contact, ContactProblem, progress
 
 H = 0.12  # size of the foundation's cells
 LENGTH, DEPTH = 50 * H, 10 * H  # of the foundation
-WIDTH, HEIGHT, R = 20 * H, 8 * H, 20 * H  # of the die, radius of its curved bottom
-DOWN, PRESSING = 0.25, 5  # how far the die goes down, in how many load steps
+WIDTH, HEIGHT, R = 16 * H, 8 * H, 20 * H  # of the die, radius of its curved bottom
+DOWN, PRESSING = H, 4  # how far the die goes down, in how many load steps
 
 
 def energy(u, E, nu=0.32):
@@ -69,7 +69,7 @@ class Ironing:
         self.goal = None
         for place, n, E, tags in (
             (foundation, (50, 10), 1.0, (meshes.TOP, meshes.BOTTOM)),
-            (die, (14, 6), 10.0, (meshes.BOTTOM, meshes.TOP)),
+            (die, (11, 6), 10.0, (meshes.BOTTOM, meshes.TOP)),
         ):
             mesh, ft = meshes.block(comm, n, place, cell="quadrilateral", degree=degree)
             V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))

@@ -15,10 +15,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.strip import turns
 from hypergap_dolfinx.gap.surface import Surface, create_surface
-from hypergap_dolfinx.solve.contacts import ContactRows
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -86,7 +85,8 @@ class Contact:
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
-        self._rows: ContactRows | None = None
+        self.rows: ContactRows | None = None
+        """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
             if comm.rank == 0:
                 LOG.warning(doubt)
@@ -174,13 +174,9 @@ class Contact:
     @property
     def active(self) -> npt.NDArray[np.bool_]:
         """Which vertices of Γ1 (``surfaces[1].x``) are in contact; the same on every rank."""
-        return self._known.now.on.copy()
-
-    @property
-    def _known(self) -> ContactRows:
-        if self._rows is None:
-            raise ValueError("the contact is in no problem that was solved: call solve() first.")
-        return self._rows
+        if self.rows is None:
+            raise ValueError("the contact is in no problem: make one, and call solve() first.")
+        return self.rows.now.on.copy()
 
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
@@ -197,7 +193,7 @@ class Contact:
         return rows.now.opening.smoothed(rows.u, rows.now.p)
 
     def pressure(self, problem) -> fem.Function:
-        """The pressure on Γ1, as a function of degree 1 on its body that is 0 elsewhere. Collective.
+        """The pressure on Γ1, as a function of degree 1 on its body, else 0. Collective.
 
         Args:
             problem: A solved problem with this contact.
@@ -216,13 +212,11 @@ class Contact:
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
             if u.function_space != V:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
-        comm = self._spaces[0].mesh.comm
-        rows = ContactRows(comm, self._sides, self._spaces, (None, None), [], True)
-        values = rows.displacements([_owned(u) for u in (u0, u1)])
-        opening = Opening.between(comm, self._sides, values)
-        g, m, _ = opening.gap(values)
-        opening.destroy()
-        return self._on_body(np.divide(g, m, out=np.zeros_like(g), where=m > 0), "gap")
+        rows = ContactRows(Touching(self._sides, (u0, u1), (None, None), True), [])
+        rows.look(True)
+        return self._on_body(
+            np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0), "gap"
+        )
 
     def force(self, problem) -> npt.NDArray[np.float64]:
         """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
@@ -251,8 +245,3 @@ class Contact:
 def _size(surface: Surface) -> float:
     """Median size of the facets."""
     return float(np.median(surface.size))
-
-
-def _owned(u: fem.Function) -> npt.NDArray[np.float64]:
-    dofmap = u.function_space.dofmap
-    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]

@@ -3,52 +3,26 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Bodies in contact: load steps, and a semi-smooth Newton iteration in each."""
+"""Bodies in contact: the user's door, load step by load step."""
 
 from collections.abc import Sequence
-from itertools import chain
-
-from petsc4py import PETSc
-
-import numpy as np
-import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc
-from hypergap_dolfinx import compat, progress
+from hypergap_dolfinx import progress
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Pressed
-from hypergap_dolfinx.solve.direct import PLANE, DirectStep
-from hypergap_dolfinx.solve.held import FreeMotions
-from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
-from hypergap_dolfinx.solve.newton import NonlinearSystem
-from hypergap_dolfinx.solve.options import Options
+from hypergap_dolfinx.solve.contact_system import ContactSystem
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching
 from hypergap_dolfinx.solve.path import LoadPath
 from hypergap_dolfinx.tie import Tie
 
-import os
-
-DEBUG = os.environ.get("CDEBUG")
-STEPS = 25
-"""Newton steps after which a load step is halved."""
-ANEW = 10
-"""Newton steps in which Σ is made anew where the bodies are; it could cycle in later ones."""
-SLOW = 0.25
-"""How much of a residual is left by a step, with sets that are settled, from which Σ stays as it
-is: curved dies leave 0.01, flat ones with corners 0.4 to 0.85."""
 HALVINGS = 6
 """Times that a load step is halved."""
-CLOSED = 1e-9
-"""Gap of what is in contact, in sizes of facets, that is none."""
-ROUND_OFF = 1e-14
-"""Residual over stiffness and displacement that is round-off."""
 
 
-class ContactProblem(NonlinearSystem):
+class ContactProblem(ContactSystem):
     """Nonlinear bodies F_i(u_i; v_i) = 0 in contact with each other, and tied where ties are given.
 
     Solves F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t = 0 with p_c ≥ 0, g_c ≥ 0, p_c g_c = 0 and
@@ -104,37 +78,33 @@ class ContactProblem(NonlinearSystem):
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
+        touching = []
+        for c, contact in enumerate(contacts):
+            bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
+            numbers = [elastic.index(b) if b in elastic else None for b in bodies]
+            if numbers == [None, None]:
+                raise ValueError(f"contact {c} is between two rigid bodies.")
+            fields, follows = (u[bodies[0]], u[bodies[1]]), contact.sliding == "finite"
+            touching.append(Touching(contact.sides, fields, (numbers[0], numbers[1]), follows))
         super().__init__(
             forms,
             [u[i] for i in elastic],
             bcs,
             Joined(ties),
+            touching,
+            rtol=rtol,
+            petsc_options_prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
             J=J,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
         )
         self._contacts = list(contacts)
-        self._rtol = rtol
-        self._prefix = petsc_options_prefix
-        plane = self._u[0].function_space.mesh.topology.dim == 2
-        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-        self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
+        for contact, rows in zip(self._contacts, self._rows, strict=True):
+            contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         self._path = LoadPath(forms, self._u, bcs, moved)
-        self._rows, self._positions = [], []
-        for c, contact in enumerate(self._contacts):
-            bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
-            numbers = tuple(elastic.index(b) if b in elastic else None for b in bodies)
-            if numbers == (None, None):
-                raise ValueError(f"contact {c} is between two rigid bodies.")
-            comm, follows = contact.spaces[0].mesh.comm, contact.sliding == "finite"
-            held = self._constraints.prescribed
-            rows = ContactRows(comm, contact.sides, contact.spaces, numbers, held, follows)
-            contact._rows = rows
-            self._rows.append(rows)
-            self._positions.append((u[bodies[0]], u[bodies[1]]))
-        self._free: FreeMotions | None = None
-        self._iterations = self._halvings = 0
+        self._halvings = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
         """The body on one side of a contact."""
@@ -215,280 +185,3 @@ class ContactProblem(NonlinearSystem):
         self._path.arrive()
         self._solved = True
         return self._every
-
-    def _prepare(self):
-        """Once: what nothing but contact holds. Collective."""
-        for u, x in zip(self._u, self._x.getNestSubVecs()):
-            x.array[:] = u.x.array[: x.getLocalSize()]
-        if self._free is None:
-            self.assemble_matrix()
-            self._scales_fixed = True
-            self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
-
-    def _state(self):
-        """What a failed load step gives back."""
-        pressed = [Pressed(r.now.opening, r.now.p.copy(), r.now.on.copy()) for r in self._rows]
-        return self._x.copy(), pressed
-
-    def _restore(self, state):
-        x, pressed = state
-        x.copy(self._x)
-        x.destroy()
-        self._assign(self._x)
-        for rows, now in zip(self._rows, pressed, strict=True):
-            rows.now = now
-
-    def _newton(self) -> int:
-        """Newton's iteration for the values that are set. Collective.
-
-        Returns:
-            The number of its steps.
-
-        Raises:
-            SolveError: It failed.
-        """
-        self._assign(self._x)
-        before: list[npt.NDArray] = []
-        exact, follows, last = False, True, np.inf
-        for step in range(STEPS + 1):
-            for rows, (u0, u1) in zip(self._rows, self._positions, strict=True):
-                rows.look(rows.displacements((_owned(u0), _owned(u1))), follows)
-            self._residual(self._x, self._b)
-            jump = self._jump()
-            if step == 0:
-                self.assemble_matrix()
-            held = self._choose(before)
-            settled = bool(before) and all(map(np.array_equal, before, held))
-            now, ended = self._balance()
-            if DEBUG: print("     settled", settled, "exact", exact, "ratio %.1e" % (now/last), "follows", follows)
-            if step and settled and ended:
-                return step
-            if step == STEPS:
-                break
-            # Feet that move are not in the tangent; mostly that's little
-            slow = exact and now > SLOW * last
-            follows = step < ANEW and (not settled or (follows and not slow))
-            exact, before, last = settled, held, now
-            if step:
-                self.assemble_matrix()
-            self._step(settled, jump)
-            self._iterations += 1
-        raise SolveError(f"Newton's iteration did not end in {STEPS} steps.")
-
-    def _jump(self) -> list[npt.NDArray[np.float64]]:
-        """What prescribed displacements still have to move, of each body's owned dofs."""
-        jumps = []
-        for u, bcs, held in zip(self._u, self._bcs, self._constraints.prescribed, strict=True):
-            lifted = compat.create_vector(u.function_space)
-            lifted.array[:] = _owned(u)
-            petsc.set_bc(lifted, bcs)
-            jumps.append(np.where(held, lifted.array_r - _owned(u), 0))
-            lifted.destroy()
-        return jumps
-
-    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
-        """The active sets, of which the rows hold what nothing else does. Collective."""
-        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
-        for rows in self._rows:
-            c = stiffness / rows.typical_area
-            rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
-        for rows, last in zip(self._rows, before, strict=False):
-            rows.now.on = active.receding(last, rows.now.on, rows.sides[1].reference.facets)
-        assert self._free is not None
-        if self._free.num:
-            holds = [self._holds(rows) for rows in self._rows]
-            every, distance, valid = (
-                np.concatenate([getattr(part, name) for part in parts])
-                for parts, name in (
-                    ([rows.now for rows in self._rows], "on"),
-                    (self._rows, "distance"),
-                    (self._rows, "valid"),
-                )
-            )
-            on, num_free = active.seeded(every, distance, valid, np.vstack(holds))
-            if num_free:
-                raise SolveError(
-                    f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
-                    f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact "
-                    "without friction; hold them by boundary conditions."
-                )
-            ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
-            for rows, part in zip(self._rows, np.split(on, ends), strict=True):
-                rows.now.on = part
-        return [rows.now.on.copy() for rows in self._rows]
-
-    def _holds(self, rows: ContactRows) -> npt.NDArray[np.float64]:
-        """What a contact's multipliers make of free rigid motions, ``(num_multipliers, num)``."""
-        assert self._free is not None
-        result = np.zeros((len(rows.g), self._free.num))
-        modes = [
-            None if body is None else self._free.at(body, _owned(self._u[body]))
-            for body in rows.bodies
-        ]
-        for k in range(self._free.num):
-            zero = (np.zeros(_owned(f).shape) for f in self._positions[self._rows.index(rows)])
-            parts = [z if m is None else m[:, k] for m, z in zip(modes, zero, strict=True)]
-            result[:, k] = rows.times(rows.displacements(parts)) / np.where(rows.valid, rows.m, 1)
-        return np.where(rows.valid[:, None], result, 0)
-
-    def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
-        """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
-        for rows in self._rows:
-            for i, (body, force) in enumerate(
-                zip(rows.bodies, rows.forces(rows.now.p * rows.now.on), strict=True)
-            ):
-                if body is not None:
-                    dofs, values = rows.owned(i, force)
-                    free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
-                    vectors[body].array[dofs] -= values * free
-
-    def _balance(self) -> tuple[float, bool]:
-        """The residual, and whether it is none and what is in contact is closed. Collective."""
-        comm = self._u[0].function_space.mesh.comm
-        residual = self._b.copy()
-        parts = residual.getNestSubVecs()
-        self._add_contact(parts, all_dofs=False)
-        num = len(self._u)
-        worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
-        size, least = 0.0, 0.0
-        for u, F, K in zip(self._u, self._F, self._K, strict=True):
-            raw = compat.create_vector(u.function_space)
-            petsc.assemble_vector(raw, F)
-            raw.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            size += raw.norm() ** 2
-            raw.destroy()
-            least += (row_length(K) * np.sqrt(comm.allreduce((_owned(u) ** 2).sum()))) ** 2
-        for rows in self._rows:
-            size += sum((force**2).sum() for force in rows.forces(rows.now.p * rows.now.on))
-        residual.destroy()
-        if DEBUG:
-            print(
-                "   res %.2e size %.2e gap %.1e on %s"
-                % (
-                    worst,
-                    np.sqrt(size),
-                    max(np.abs(r.distance[r.now.on]).max(initial=0) for r in self._rows),
-                    [int(r.now.on.sum()) for r in self._rows],
-                ),
-                [len(r.now.opening.alpha) for r in self._rows],
-            )
-        if not np.isfinite(worst):
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
-        if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
-            return worst, False
-        return worst, all(
-            np.abs(rows.distance[rows.now.on]).max(initial=0)
-            <= CLOSED * rows.sides[1].reference.size.max()
-            for rows in self._rows
-        )
-
-    def _step(self, settled: bool, jump: Sequence[npt.NDArray[np.float64]]):
-        """Solve for one step, and take it. Collective.
-
-        Args:
-            settled: Whether the sets are those of the last step: then the tangent is exact.
-            jump: What prescribed displacements have to move.
-        """
-        num = self._A.getNestSize()[0]
-        blocks: list[list[PETSc.Mat | None]] = [
-            [self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)
-        ]
-        own: list[PETSc.Mat] = []
-        if settled:
-            self._subtract_curvature(blocks, own)
-        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
-        right = [part.copy() for part in self._b.getNestSubVecs()]
-        scales = {}
-        for c, rows in enumerate(self._rows):
-            if not rows.now.on.any():
-                continue
-            scale = np.divide(stiffness, rows.m, out=np.zeros_like(rows.m), where=rows.valid)
-            C = rows.row_blocks(scale)
-            for line in blocks:
-                line.append(None)
-            line = [C.get(j) for j in range(len(blocks))]
-            for j, block in C.items():
-                blocks[j][-1] = block.copy().transpose()
-                own += [block, blocks[j][-1]]
-            zero = saddle.zero_matrix(next(iter(C.values())).getSizes()[0], self._A.comm)
-            own.append(zero)
-            blocks.append([*line, zero])
-            zeros = (np.zeros(_owned(f).shape) for f in self._positions[c])
-            parts = [
-                z if body is None else jump[body]
-                for body, z in zip(rows.bodies, zeros, strict=True)
-            ]
-            g = rows.g + rows.times(rows.displacements(parts))
-            b = zero.createVecLeft()
-            b.array[:] = rows.local(scale * g)
-            right.append(b)
-            scales[c] = scale
-        try:
-            solution = self._linear_solve(blocks, right)
-        finally:
-            for obj in (*own, *right):
-                obj.destroy()
-        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
-            x.axpy(-1.0, dx)
-        pressures = dict(zip(scales, solution[num:], strict=True))
-        for c, rows in enumerate(self._rows):
-            rows.now.p = np.zeros_like(rows.g)
-            if c in scales:
-                rows.now.p = rows.gathered(pressures[c].array_r.copy()) * scales[c]
-        for part in solution:
-            part.destroy()
-        self._assign(self._x)
-
-    def _subtract_curvature(self, blocks: list[list[PETSc.Mat | None]], own: list[PETSc.Mat]):
-        """Make blocks of K those of K − Σ p ∂²g. Collective."""
-        for rows in self._rows:
-            for (i, j), H in rows.curvature_blocks().items():
-                before = blocks[i][j]
-                H.scale(-1.0)
-                if before is None:
-                    blocks[i][j] = H
-                    own.append(H)
-                    continue
-                if all(before is not mine for mine in own):
-                    before = blocks[i][j] = before.copy()
-                    own.append(before)
-                before.axpy(1.0, H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-                H.destroy()
-
-    def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
-        """The solution's parts. Collective."""
-        A = PETSc.Mat().createNest(blocks, comm=self._A.comm)
-        b = PETSc.Vec().createNest(right, comm=A.comm)
-        solution = [part.duplicate() for part in right]
-        x = PETSc.Vec().createNest(solution, comm=A.comm)
-        ksp = PETSc.KSP().create(A.comm)
-        ksp.setOperators(A)
-        ksp.setOptionsPrefix(self._prefix)
-        try:
-            with self._options.in_use():
-                ksp.setFromOptions()
-                saddle.solve(ksp, b, x)
-            saddle.check_solved(ksp)
-            total = x.norm()
-            if not np.isfinite(total):
-                raise SolveError("the linear solve gave no numbers.")
-        except SolveError:
-            for part in solution:
-                part.destroy()
-            raise
-        finally:
-            for obj in (ksp, x, b, A):
-                obj.destroy()
-        return solution
-
-    def _release(self) -> list:
-        for rows in self.__dict__.get("_rows", []):
-            if rows.now.opening is not None:
-                rows.now.opening.destroy()
-        return super()._release()
-
-
-def _owned(u: fem.Function) -> npt.NDArray[np.float64]:
-    """This rank's owned values."""
-    dofmap = u.function_space.dofmap
-    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]

@@ -126,12 +126,6 @@ class Opening:
         R.destroy()
         return expanded
 
-    def destroy(self):
-        """Destroy the PETSc matrix."""
-        R = self.__dict__.pop("_R", None)
-        if R is not None:
-            R.destroy()
-
     @property
     def num_multipliers(self) -> int:
         """One for each vertex of Γ1, in reach of Γ0 or not."""

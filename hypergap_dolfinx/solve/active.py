@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which multipliers of a contact act: a semi-smooth Newton's active set, with NumPy arrays alone."""
+"""Which multipliers of a contact act: the active set of a semi-smooth Newton. NumPy alone."""
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
 
 
 def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
-    """p − c g/m > 0: closed or overlapping, and not pulling.
+    """P − c g/m > 0: closed or overlapping, and not pulling.
 
     Args:
         p: Pressures, ``(num,)``.

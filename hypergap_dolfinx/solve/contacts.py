@@ -8,7 +8,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -26,6 +25,20 @@ FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
 
 
+@dataclass(frozen=True)
+class Touching:
+    """Two surfaces that can be in contact."""
+
+    sides: tuple[MovingSurface, MovingSurface]
+    """Γ0 and Γ1."""
+    u: tuple[fem.Function, fem.Function]
+    """Displacements of their bodies."""
+    bodies: tuple[int | None, int | None]
+    """Numbers of their bodies; None is a rigid one."""
+    follows: bool
+    """Whether Σ is made anew where the bodies are, or stays what it was first."""
+
+
 @dataclass
 class Pressed:
     """What a load step changes, and gives back if it fails."""
@@ -40,28 +53,18 @@ class Pressed:
 class ContactRows:
     """Contact between two bodies; arrays are the same on every rank, matrices distributed."""
 
-    def __init__(
-        self,
-        comm: MPI.Comm,
-        sides: tuple[MovingSurface, MovingSurface],
-        spaces: tuple[fem.FunctionSpace, fem.FunctionSpace],
-        bodies: tuple[int | None, int | None],
-        held: Sequence[npt.NDArray[np.bool_]],
-        follows: bool,
-    ):
+    def __init__(self, contact: Touching, held: Sequence[npt.NDArray[np.bool_]]):
         """Find out where the surfaces are in the bodies. Collective.
 
         Args:
-            comm: Communicator.
-            sides: Γ0 and Γ1.
-            spaces: V₀ and V₁.
-            bodies: Their numbers; None is a rigid one.
+            contact: What touches.
             held: Which owned dofs of each body are prescribed.
-            follows: Whether Σ is made anew where the bodies are, or stays what it was first.
         """
-        self._comm, self.sides, self.spaces, self.bodies = comm, sides, spaces, bodies
-        self._follows = follows
+        self.sides, self.fields, self.bodies = contact.sides, contact.u, contact.bodies
+        self.spaces = tuple(f.function_space for f in self.fields)
+        self._comm, self._follows = self.spaces[0].mesh.comm, contact.follows
         self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
         num = len(sides[1].reference.x)
         self.now = Pressed(None, np.zeros(num), np.zeros(num, dtype=bool))
@@ -95,16 +98,16 @@ class ContactRows:
         u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
         return u0, u1
 
-    def look(self, u: Displacements, anew: bool):
+    def look(self, anew: bool):
         """Find the gaps where the bodies are. Collective.
 
         Args:
-            u: Displacements at both sides' dofs.
             anew: Whether Σ is to be made anew, if it follows the bodies.
 
         Raises:
             InterfaceError: There never was a Σ, and can't be made one.
         """
+        u = self.displacements([owned_values(f) for f in self.fields])
         if self.now.opening is None or (anew and self._follows):
             try:
                 at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
@@ -232,3 +235,9 @@ class ContactRows:
         """This rank's active rows of values of all multipliers."""
         rows = self.order()
         return values[rows[self._rank[rows] == self._comm.rank]]
+
+
+def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
+    """This rank's owned values, ``(num_dofs,)``."""
+    dofmap = u.function_space.dofmap
+    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]

@@ -6,6 +6,7 @@
 """Rigid motions of bodies that nothing but contact can hold."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 from petsc4py import PETSc
 
@@ -43,7 +44,7 @@ class FreeMotions:
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         found = unhindered(K, ties, [{i: part} for i, part in enumerate(modes)], rows)
-        self._combinations = [found[:, a:b].T for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self._combinations = [found[:, a:b].T for a, b in pairwise(ends)]
 
     @property
     def num(self) -> int:
