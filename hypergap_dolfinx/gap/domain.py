@@ -22,8 +22,9 @@ from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.feet import parametrise_by_feet
 from hypergap_dolfinx.gap.slab import mesh_slab
-from hypergap_dolfinx.gap.strip import mesh_strip, parametrise, parametrise_by_feet
+from hypergap_dolfinx.gap.strip import mesh_strip, parametrise
 from hypergap_dolfinx.gap.surface import LAST_DIGITS, STRAIGHT, Surface, tabulate
 
 NOUGHT = 1e-13

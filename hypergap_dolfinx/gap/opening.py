@@ -112,11 +112,11 @@ class Opening:
         entries = []
         offset = 0
         alpha = self.hosts.alpha.ravel()
-        for i, side in enumerate(self.sides):
-            weight = alpha if i else 1 - alpha
+        for side_number, side in enumerate(self.sides):
+            weight = alpha if side_number else 1 - alpha
             use = np.flatnonzero(weight != 0)
-            X = self.hosts.X[i].reshape(len(alpha), -1)[use]
-            facets = self.hosts.facets[i].ravel()[use]
+            X = self.hosts.X[side_number].reshape(len(alpha), -1)[use]
+            facets = self.hosts.facets[side_number].ravel()[use]
             point, dof, value = interpolation_weights(side.reference, facets, X, weight[use])
             entries.append((use[point], np.searchsorted(side.dofs, dof) + offset, value))
             offset += len(side.dofs)

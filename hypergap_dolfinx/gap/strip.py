@@ -26,7 +26,6 @@ END = 1e-7  # ends this close (in facet lengths) are no partial overlap; files h
 DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
 SAME_TURN = 1e-3  # relative difference of the turns of both surfaces that have one kink
 COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface (less than 2³⁰ cells)
-APART = 1e-6  # share of arc length in parameters that are feet: some have one and the same
 SAMPLES = 64  # places at which two chains are compared in direction
 
 
@@ -382,26 +381,6 @@ def parametrise(c0: Chain, c1: Chain) -> tuple[npt.NDArray[np.float64], npt.NDAr
     return s0, s1
 
 
-def parametrise_by_feet(
-    c0: Chain, c1: Chain
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The same for chains of different shapes, as bodies in contact have: by where Γ1 projects to.
-
-    Loops are parametrised by arc length.
-    """
-    if c0.closed or c1.closed:
-        return parametrise(c0, c1)
-    s0, a, t = c0.arc, c0.x[:-1], c0.tangents
-    foot = np.empty(len(c1.x))
-    for i, x in enumerate(c1.x):
-        position = np.clip(((x - a) * t).sum(axis=1) / (t * t).sum(axis=1), 0, 1)
-        edge = _length(a + position[:, None] * t - x).argmin()
-        foot[i] = s0[edge] + position[edge] * (s0[edge + 1] - s0[edge])
-    foot[0], foot[-1] = 0, 1
-    # A little of arc length keeps nodes apart that have one foot
-    return s0, (1 - APART) * np.maximum.accumulate(foot) + APART * c1.arc
-
-
 def triangulate(s0, s1):
     """Delaunay triangles between two parametrised chains.
 
@@ -537,15 +516,14 @@ def mesh_strip(surface0: Surface, surface1: Surface, parametrise=parametrise) ->
     Args:
         surface0: Γ0.
         surface1: Γ1.
-        parametrise: Says what of two chains is opposite: :func:`parametrise`, or
-            :func:`parametrise_by_feet`.
+        parametrise: Says what of two chains is opposite, as :func:`parametrise` does.
 
     Raises:
         InterfaceError: Edges that don't form chains, or don't face each other.
     """
     chains0, chains1 = pieces(surface0, surface1)
     pairs = facing(surface0, surface1, chains0, chains1)
-    strips = [Strip.between(*pair, parametrise) for pair in pairs]
+    strips = [Strip.between(c0, c1, parametrise) for c0, c1 in pairs]
     patch = np.empty(len(surface1.facets), dtype=np.int32)
     for i, chain in enumerate(chains1):
         patch[chain.facets] = i

@@ -41,7 +41,7 @@ def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
 
 
 def receding(before, now, facets) -> npt.NDArray[np.bool_]:
-    """An active set that loses a zone at its edge, and as wide a zone beside it.
+    """An active set that loses a zone at its edge, and as wide a zone beside it less one ring.
 
     Where contact reaches too far by δ its pressure changes sign δ/2 from the edge: without the
     other half each step would only halve what is too much. What goes wrongly comes back at once,

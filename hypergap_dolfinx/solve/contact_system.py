@@ -35,6 +35,8 @@ SLOW = 0.25
 is: curved dies leave 0.01, flat ones with corners 0.4 to 0.85."""
 CLOSED = 1e-9
 """Gap of what is in contact, in sizes of facets, that is none."""
+PULLS = 1e-8
+"""Negative pressure, over the largest, that is none."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -124,6 +126,7 @@ class ContactSystem(NonlinearSystem):
             settled = bool(before) and all(map(np.array_equal, before, held))
             now, ended = self._balance()
             if step and settled and ended:
+                self._check_pushing()
                 return step
             if step == STEPS:
                 break
@@ -136,6 +139,16 @@ class ContactSystem(NonlinearSystem):
             self._step(settled, jump)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {STEPS} steps.")
+
+    def _check_pushing(self):
+        """Raise if what is active only to hold a body would have to pull it."""
+        for rows in self._rows:
+            p = rows.now.p[rows.now.on]
+            if p.min(initial=0) < -PULLS * np.abs(p).max(initial=0):
+                raise SolveError(
+                    "contact would have to pull: a body that nothing else holds is drawn away, or "
+                    "tilts; hold it by boundary conditions."
+                )
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""

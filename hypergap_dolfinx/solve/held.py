@@ -35,11 +35,11 @@ class FreeMotions:
         """
         self._spaces, self._held = spaces, ties.prescribed
         self._parts = [parts(V) for V in spaces]
-        self._centres, self._sizes = [], []
+        self._centres = []
         for V in spaces:
             total = V.mesh.comm.allreduce(places(V).sum(axis=0))
             self._centres.append(total / V.dofmap.index_map.size_global)
-        self._sizes = [None] * len(spaces)
+        self._sizes: list[npt.NDArray[np.float64] | None] = [None] * len(spaces)
         modes = [self._modes(i, places(V)) for i, V in enumerate(spaces)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
@@ -70,6 +70,8 @@ class FreeMotions:
         comm, part = V.mesh.comm, np.repeat(part, V.dofmap.index_map_bs)[:, None]
         modes = motions(V, self._centres[i], x)
         modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
-        if self._sizes[i] is None:
-            self._sizes[i] = np.sqrt(np.maximum(comm.allreduce((modes**2).sum(axis=0)), 1e-300))
-        return modes / self._sizes[i]
+        size = self._sizes[i]
+        if size is None:
+            size = np.sqrt(np.maximum(comm.allreduce((modes**2).sum(axis=0)), 1e-300))
+            self._sizes[i] = size
+        return modes / size
