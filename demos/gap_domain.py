@@ -16,6 +16,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+import numpy as np
+import pyvista
 from matplotlib import pyplot as plt
 
 from dolfinx import fem
@@ -42,11 +44,23 @@ tie = Tie((V[0], lower_tags.find(meshes.TOP)), (V[1], upper_tags.find(meshes.BOT
 # `tie.sigma` is a DOLFINx mesh like any other: here 12 triangles, one for each edge on Γ0 and Γ1.
 # `tie.alpha` is a function on it.
 
-num_cells = tie.sigma.topology.index_map(2).size_global
+num_triangles = tie.sigma.topology.index_map(2).size_global
+
+# In space Σ is made of tetrahedra: with a facet on Γ0 and a vertex on Γ1, the other way round, or
+# with an edge on either.
+
+block, block_tags = meshes.block(comm, (3, 2, 3), lambda x: x - (0, 1, 0), cell="tetrahedron")
+other, other_tags = meshes.block(comm, (4, 2, 4), cell="tetrahedron")
+W = [fem.functionspace(mesh, ("Lagrange", 1)) for mesh in (block, other)]
+solid = Tie((W[0], block_tags.find(meshes.TOP)), (W[1], other_tags.find(meshes.BOTTOM)))
+on_gamma1 = solid.domain.alpha_vertices.sum(axis=1).round().astype(int)
+kinds = comm.allreduce(np.bincount(on_gamma1, minlength=4)[1:4])
 if comm.rank == 0:
-    print(f"Σ has {num_cells} triangles")
+    print(f"Σ has {num_triangles} triangles in the plane; in space, tetrahedra with a facet on")
+    print(f"Γ0: {kinds[0]}, with an edge on both: {kinds[1]}, with a facet on Γ1: {kinds[2]}")
     if args.json:
-        args.json.write_text(json.dumps({"triangles": num_cells}))
+        numbers = {"triangles": num_triangles, "tetrahedra": kinds.tolist()}
+        args.json.write_text(json.dumps(numbers))
 
 # Drawn as it is, Σ is a line; drawn with Γ1 lifted off Γ0, it fills the gap.
 
@@ -69,3 +83,26 @@ if comm.rank == 0:
     ):
         axes[1].annotate(text, xy, at, arrowprops=arrow, fontsize=13)
     figure.savefig(folder / "gap_domain.png", dpi=110)
+
+# The tetrahedra, lifted by α, shrunk, and coloured by the number of their vertices on Γ1:
+
+places = comm.gather(solid.domain.x + 0.6 * solid.domain.alpha_vertices[..., None] * (0, 1, 0))
+kinds = comm.gather(on_gamma1)
+if comm.rank == 0:
+    points = np.vstack(places).reshape(-1, 3)
+    cells = np.arange(len(points)).reshape(-1, 4)
+    grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, points)
+    grid["on Gamma1"] = np.concatenate(kinds)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(1100, 800))
+    plotter.add_mesh(
+        grid.shrink(0.8),
+        show_edges=True,
+        edge_color="white",
+        cmap=["#440154", "#21918c", "#fde725"],
+        clim=(0.5, 3.5),
+        ambient=0.3,
+        annotations={1: "1", 2: "2", 3: "3"},
+        scalar_bar_args={"n_labels": 0, "color": "black", "vertical": True},
+    )
+    plotter.view_vector((1.4, 1, 2.2), viewup=(0, 1, 0))
+    plotter.screenshot(folder / "tetrahedra.png")

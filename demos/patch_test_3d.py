@@ -4,14 +4,15 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# The patch tests of Giffin (2024), section 3.1, with tetrahedra: two elastic bars, one behind the
-# other, tied across a face whose meshes don't match. A traction pulls on the far end,
+# The patch tests of Giffin (2024), section 3.1, with tetrahedra or, with `--cell hexahedron`, with
+# hexahedra on one side or both: two elastic bars, one behind the other, tied across a face whose
+# meshes don't match. A traction pulls on the far end,
 #
 # - a constant one, which stretches the assembly: the exact displacement is linear;
 # - one that grows with the height y, which bends it: the exact displacement is quadratic.
 #
 # A method passes when it reproduces these displacements to round-off, whatever the meshes: elements
-# of degree 1 the first, elements of degree 2 both.
+# of degree 1 the first, elements of degree 2 both (of hexahedra, where these are parallelepipeds).
 
 # +
 import argparse
@@ -62,7 +63,8 @@ def sigma(u):
 # ## The assemblies
 #
 # The bars meet in a plane, in one that is skew about both axes, or in two that form a kink. A bar
-# is the image of the unit cube; both have cell edges along the kink.
+# is the image of the unit cube; both have cell edges along the kink. Hexahedra may also be
+# distorted along a flat interface.
 
 
 def mappings(shape):
@@ -71,33 +73,42 @@ def mappings(shape):
     def cut(x):
         y, z = x[:, 1] - 0.5, x[:, 2] - 0.5
         skew = np.tan(np.deg2rad(25)) * (y + z)
-        return L / 2 + {"flat": 0 * y, "skew": skew, "kinked": 0.2 - 0.4 * np.abs(y)}[shape]
+        kinked = 0.2 - 0.4 * np.abs(y)
+        return L / 2 + {"skew": skew, "kinked": kinked}.get(shape, 0 * y)
+
+    def across(x):
+        y, z = x[:, 1], x[:, 2]
+        if shape != "distorted":
+            return y, z
+        pi = np.pi
+        y_bent = y + 0.12 * np.sin(pi * y) * np.cos(2 * pi * z)
+        return y_bent, z + 0.1 * np.sin(pi * z) * np.cos(3 * pi * y)
 
     def near(x):
-        return np.column_stack((x[:, 0] * cut(x), x[:, 1:]))
+        return np.column_stack((x[:, 0] * cut(x), *across(x)))
 
     def far(x):
-        return np.column_stack((cut(x) + x[:, 0] * (L - cut(x)), x[:, 1:]))
+        return np.column_stack((cut(x) + x[:, 0] * (L - cut(x)), *across(x)))
 
     return near, far
 
 
-def create_bar(comm, cells, kind, shape, mapping):
+def create_bar(comm, cells, element, kind, shape, mapping):
     """A bar with a number of cells along the edges of its cross-section, and its facet tags."""
     kinked = shape == "kinked"
     if kind == "unstructured":
         return meshes.solid_block(comm, 1 / cells, mapping, halves=kinked)
     n = (2, 2 * cells if kinked else cells, cells)
-    return meshes.block(comm, n, mapping, cell="tetrahedron")
+    return meshes.block(comm, n, mapping, cell={"P": "tetrahedron", "Q": "hexahedron"}[element[0]])
 
 
-def displacements(comm, degrees, kind, shape, ratio, swap, exact):
+def displacements(comm, elements, kind, shape, ratio, swap, exact):
     """Solve a tied assembly."""
     forms, loads, bcs, sides = [], [], [], []
-    near_and_far = zip(degrees, ratio, mappings(shape), (True, False), strict=True)
-    for degree, cells, mapping, near in near_and_far:
-        mesh, ft = create_bar(comm, cells, kind, shape, mapping)
-        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    near_and_far = zip(elements, ratio, mappings(shape), (True, False), strict=True)
+    for element, cells, mapping, near in near_and_far:
+        mesh, ft = create_bar(comm, cells, element, kind, shape, mapping)
+        V = fem.functionspace(mesh, ("Lagrange", int(element[1]), (3,)))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         x, ds = ufl.SpatialCoordinate(mesh), ufl.Measure("ds", mesh, subdomain_data=ft)
         forms.append(ufl.inner(sigma(u), ufl.sym(ufl.grad(v))) * ufl.dx)
@@ -117,9 +128,9 @@ def displacements(comm, degrees, kind, shape, ratio, swap, exact):
     return TiedProblem(forms, loads, bcs=bcs, ties=[tie]).solve()
 
 
-def solve(comm, degrees, kind, shape, ratio, swap, exact):
+def solve(comm, elements, kind, shape, ratio, swap, exact):
     """Relative errors of a tied assembly: L² of the displacement, L² of the stress."""
-    return relative_errors(displacements(comm, degrees, kind, shape, ratio, swap, exact), exact)
+    return relative_errors(displacements(comm, elements, kind, shape, ratio, swap, exact), exact)
 
 
 def relative_errors(us, exact):
@@ -137,24 +148,37 @@ def relative_errors(us, exact):
 
 # ## All of them
 
-DEGREES = {"P1": (1, 1), "P2": (2, 2), "P1-P2": (1, 2)}
-KINDS = ("structured", "unstructured")
-SHAPES = ("flat", "skew", "kinked")
+ELEMENTS = {
+    "tetrahedron": ("P1", "P2", "P1-P2"),
+    "hexahedron": ("Q1", "Q2", "Q1-Q2", "Q1-P1", "Q1-P2", "Q2-P1", "Q2-P2"),
+}
+KINDS = {"tetrahedron": ("structured", "unstructured"), "hexahedron": ("structured",)}
+SHAPES = {
+    "tetrahedron": ("flat", "skew", "kinked"),
+    "hexahedron": ("flat", "skew", "kinked", "distorted"),
+}
 RATIOS = ((2, 3), (1, 5), (5, 1))
 
 
-def cases():
-    """Every combination: test, degrees, kind, shape, ratio, swap."""
+def pair(elements):
+    """The elements of both bars: "P1-P2" has two."""
+    return (elements.split("-") * 2)[:2]
+
+
+def cases(cell="tetrahedron"):
+    """Every combination: test, elements, kind, shape, ratio, swap."""
     for test, *case in itertools.product(
-        (stretching, bending), DEGREES, KINDS, SHAPES, RATIOS, (False, True)
+        (stretching, bending), ELEMENTS[cell], KINDS[cell], SHAPES[cell], RATIOS, (False, True)
     ):
-        if test is stretching or case[0] == "P2":
+        quadratic = all(element[1] == "2" for element in pair(case[0]))
+        if test is stretching or (quadratic and case[2] != "distorted"):
             yield test, *case
 
 
 def main():
     """Run every case and print the largest errors."""
     parser = argparse.ArgumentParser(description="Two patch tests of tied bars.")
+    parser.add_argument("--cell", choices=tuple(ELEMENTS), default="tetrahedron")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
@@ -162,18 +186,20 @@ def main():
     if args.plot:
         from hypergap_dolfinx import plot
 
-        us = displacements(comm, DEGREES["P2"], "unstructured", "skew", (2, 3), False, bending)
+        element = "P2" if args.cell == "tetrahedron" else "Q2"
+        kind = KINDS[args.cell][-1]
+        us = displacements(comm, pair(element), kind, "skew", (2, 3), False, bending)
         plot.deformed(us, args.plot / "patch_test_3d.png")
 
     rows = []
-    todo = list(cases())
-    for i, (test, degrees, kind, shape, ratio, swap) in enumerate(todo):
+    todo = list(cases(args.cell))
+    for i, (test, elements, kind, shape, ratio, swap) in enumerate(todo):
         progress.show(comm, f"case {i + 1} of {len(todo)}")
-        l2, stress = solve(comm, DEGREES[degrees], kind, shape, ratio, swap, test)
+        l2, stress = solve(comm, pair(elements), kind, shape, ratio, swap, test)
         rows.append(
             {
                 "test": "linear" if test is stretching else "bending",
-                "elements": degrees,
+                "elements": elements,
                 "mesh": kind,
                 "shape": shape,
                 "ratio": f"{ratio[0]}:{ratio[1]}",
@@ -187,17 +213,19 @@ def main():
         return
     print("largest of the relative errors of displacement and stress,")
     print("over the size ratios 2:3, 1:5, 5:1 and both sides as Γ1")
-    print("test     elements  mesh        " + "".join(f"{shape:>10s}" for shape in SHAPES))
+    print(
+        "test     elements  mesh        " + "".join(f"{shape:>11s}" for shape in SHAPES[args.cell])
+    )
     keys = ("test", "elements", "mesh")
     for names in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         text = "{:9s}{:10s}{:12s}".format(*names)
-        for shape in SHAPES:
-            worst = max(
+        for shape in SHAPES[args.cell]:
+            found = [
                 max(row["l2"], row["stress"])
                 for row in rows
                 if (*(row[key] for key in keys), row["shape"]) == (*names, shape)
-            )
-            text += f"{worst:10.1e}"
+            ]
+            text += f"{max(found):11.1e}" if found else f"{'–':>11s}"
         print(text)
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1))

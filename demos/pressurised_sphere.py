@@ -5,9 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # The pressurised cylinder of Giffin (2024), section 3.2, in three dimensions. A hollow sphere under
-# inner pressure is made of two shells with unstructured tetrahedra that don't match, tied to each
-# other where they meet. An eighth of it is modelled. The exact solution (Lamé) is known, so this
-# demo shows
+# inner pressure is made of two shells with unstructured tetrahedra (or hexahedra in layers) that
+# don't match, tied to each other where they meet. An eighth of it is modelled. The exact solution
+# (Lamé) is known, so this demo shows
 #
 # - that a tie in three dimensions is written like one in the plane,
 # - that displacements, stresses and the traction that the tie transmits converge as they should,
@@ -61,17 +61,26 @@ def exact_displacement(x):
 # ## One level
 #
 # Two shells, a space and an elastic form on each. Cells have the size h in the inner shell and
-# 1.25 h in the outer one.
+# 1.25 h in the outer one; of hexahedra there are 4 along the interface on 3 of the outer shell.
 
 
-def create_shells(comm, h, degree, refinements):
+def create_shells(comm, cell, h, degree, refinements):
     """The inner and the outer shell, and their facet tags."""
+    if cell == "hexahedron":
+        layers = hexahedra(h)
+        return [meshes.spherical_layers(comm, n, radii, degree=degree) for n, radii in layers]
     options = {"degree": degree, "refinements": refinements}
     h *= 2**refinements
     return [
         meshes.spherical_shell(comm, h, a, c, **options),
         meshes.spherical_shell(comm, 1.25 * h, c, b, **options),
     ]
+
+
+def hexahedra(h):
+    """Of both shells, cells along the edges of an eighth's three patches, and the layers' radii."""
+    m = max(round(0.4 / h), 1)
+    return [(4 * m, np.linspace(a, c, 2 * m + 1)), (3 * m, np.linspace(c, b, 2 * m + 1))]
 
 
 def elastic_body(mesh, ft, degree, pressure):
@@ -147,16 +156,16 @@ def stopwatch(seconds, name):
     seconds[name] = time.perf_counter() - start
 
 
-def run(comm, h, degree, swap, refinements=0, adjust=True):
+def run(comm, h, degree, swap, refinements=0, adjust=True, cell="tetrahedron"):
     """One row of the table, and what was solved."""
     seconds = {}
     with stopwatch(seconds, "mesh"):
-        shells = create_shells(comm, h, degree, refinements)
+        shells = create_shells(comm, cell, h, degree, refinements)
     problem, tie = solve(shells, degree, swap, adjust, seconds)
     l2, stress = relative_errors(problem.u, degree)
     row = {
         "degree": degree,
-        "cell": "tetrahedron",
+        "cell": cell,
         "swap": swap,
         "h": h,
         "refinements": refinements,
@@ -181,9 +190,13 @@ def num_dofs(us):
 # What a tie is measured by: both shells in one mesh with the same cell sizes, and no tie.
 
 
-def run_fused(comm, h, degree):
+def run_fused(comm, h, degree, cell="tetrahedron"):
     """Errors on the fused mesh; a problem without ties is an ordinary one."""
-    mesh, ft = meshes.nested_shells(comm, (h, 1.25 * h), (a, c, b), degree=degree)
+    if cell == "hexahedron":
+        (n, inner), (_, outer) = hexahedra(h)
+        mesh, ft = meshes.spherical_layers(comm, n, (*inner, *outer[1:]), degree=degree)
+    else:
+        mesh, ft = meshes.nested_shells(comm, (h, 1.25 * h), (a, c, b), degree=degree)
     _, form, load, bcs = elastic_body(mesh, ft, degree, p)
     u = TiedProblem([form], [load], bcs=bcs).solve()
     l2, stress = relative_errors(u, degree)
@@ -221,11 +234,11 @@ def print_table(rows):
 # The two shells and, between them, the gap domain Σ, all pulled apart; the traction.
 
 
-def draw(comm, degree, swap, folder):
+def draw(comm, degree, swap, cell, folder):
     """Draw a coarse level."""
     from hypergap_dolfinx import plot
 
-    _, problem, tie = run(comm, 0.3, degree, swap)
+    _, problem, tie = run(comm, 0.3, degree, swap, cell=cell)
     plot.gap_domain([tie], folder / "gap_domain.png")
     plot.deformed(problem.u, folder / "deformed.png")
     plot.traction(tie, tie.traction(problem), folder / "traction.png")
@@ -237,6 +250,7 @@ def main():
     """Sweep degrees and levels."""
     parser = argparse.ArgumentParser(description="A pressurised sphere in two tied shells.")
     parser.add_argument("--degree", type=int, choices=(1, 2), help="default: both")
+    parser.add_argument("--cell", choices=("tetrahedron", "hexahedron"), default="tetrahedron")
     parser.add_argument("--levels", type=int, default=3)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the inner shell")
     parser.add_argument("--refine", action="store_true", help="refine the coarsest meshes instead")
@@ -245,22 +259,26 @@ def main():
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
+    if args.refine and args.cell == "hexahedron":
+        parser.error("--refine is for tetrahedra: layers of hexahedra are the same at all levels")
     comm = MPI.COMM_WORLD
 
     results = []
     for degree in (args.degree,) if args.degree else (1, 2):
         # Coarser than this, cells between faces on a sphere fold when they are refined
         coarsest = (0.15 if args.refine else 0.2) * degree
-        run(comm, 2 * coarsest, degree, args.swap)  # compiles the forms, so that no level has to
+        run(
+            comm, 2 * coarsest, degree, args.swap, cell=args.cell
+        )  # compiles the forms, so that no level has to
         rows = []
         for level in range(args.levels):
             progress.show(comm, f"degree {degree}, level {level + 1} of {args.levels}")
             h = coarsest / 2**level
             refinements = level if args.refine else 0
-            row, *_ = run(comm, h, degree, args.swap, refinements, not args.no_adjust)
+            row, *_ = run(comm, h, degree, args.swap, refinements, not args.no_adjust, args.cell)
             row["level"] = level
             if args.fused:
-                row["fused"] = run_fused(comm, h, degree)
+                row["fused"] = run_fused(comm, h, degree, args.cell)
             rows.append(row)
         progress.show(comm)
         if comm.rank == 0:
@@ -269,7 +287,7 @@ def main():
     if args.json and comm.rank == 0:
         args.json.write_text(json.dumps(results, indent=1))
     if args.plot:
-        draw(comm, args.degree or 2, args.swap, args.plot)
+        draw(comm, args.degree or 2, args.swap, args.cell, args.plot)
 
 
 if __name__ == "__main__":

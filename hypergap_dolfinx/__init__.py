@@ -13,6 +13,7 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
 from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.touching import find_touching
 
 __all__ = [
     "Contact",
@@ -23,5 +24,6 @@ __all__ = [
     "SolveError",
     "Tie",
     "TiedProblem",
+    "find_touching",
 ]
 __version__ = "0.1.0"

@@ -39,14 +39,14 @@ def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
-    """The connected part of its mesh that a node is in; 0 beyond :data:`MANY`. Collective.
+def connected(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
+    """The connected part of its mesh that a node is in. Collective.
 
     Args:
         V: A Lagrange space: parts that share no dof can move apart.
 
     Returns:
-        Part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``; number of parts.
+        Part of each of this rank's nodes (blocks of dofs) and ghosts; number of parts.
     """
     nodes, comm, dofs = V.dofmap.index_map, V.mesh.comm, V.dofmap.list
     num = nodes.size_local + nodes.num_ghosts
@@ -60,8 +60,21 @@ def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
     ghosts = slice(nodes.size_local, None)
     pairs = np.stack((label[ghosts], owners.array[ghosts].astype(np.int64)), axis=1)
     i, j = np.vstack(comm.allgather(np.unique(pairs, axis=0))).T
-    part = components(sum(found), i, j)[label[: nodes.size_local]]
-    num_parts = comm.allreduce(part.max(initial=0), MPI.MAX) + 1
+    part = components(sum(found), i, j)[label]
+    return part, comm.allreduce(part.max(initial=0), MPI.MAX) + 1
+
+
+def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
+    """The :func:`connected` part that a node is in; 0 beyond :data:`MANY` parts. Collective.
+
+    Args:
+        V: A Lagrange space.
+
+    Returns:
+        Part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``; number of parts.
+    """
+    part, num_parts = connected(V)
+    part = part[: V.dofmap.index_map.size_local]
     return (part, num_parts) if num_parts <= MANY else (np.zeros_like(part), 1)
 
 

@@ -7,9 +7,6 @@
 
 from meshes.solids import (
     HOLE,
-    PLANE_X,
-    PLANE_Y,
-    PLANE_Z,
     SIDE,
     hollow_cube,
     nested_shells,
@@ -25,11 +22,15 @@ from meshes.structured import (
     INNER,
     LEFT,
     OUTER,
+    PLANE_X,
+    PLANE_Y,
+    PLANE_Z,
     RIGHT,
     START,
     TOP,
     block,
     ring_sector,
+    spherical_layers,
 )
 
 __all__ = [
@@ -54,5 +55,6 @@ __all__ = [
     "perforated_plate",
     "ring_sector",
     "solid_block",
+    "spherical_layers",
     "spherical_shell",
 ]

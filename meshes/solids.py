@@ -17,9 +17,20 @@ import basix.ufl
 import dolfinx
 from dolfinx import fem, la
 from hypergap_dolfinx import compat
-from meshes.structured import BACK, BOTTOM, FRONT, INNER, LEFT, OUTER, RIGHT, TOP
+from meshes.structured import (
+    BACK,
+    BOTTOM,
+    FRONT,
+    INNER,
+    LEFT,
+    OUTER,
+    PLANE_X,
+    PLANE_Y,
+    PLANE_Z,
+    RIGHT,
+    TOP,
+)
 
-PLANE_X, PLANE_Y, PLANE_Z = 11, 12, 13
 HOLE, SIDE = 14, 15
 
 Markers = Sequence[tuple[int, Callable[[npt.NDArray], npt.NDArray]]]

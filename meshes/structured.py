@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Structured meshes: a mapped unit square or cube, and sectors of a ring."""
+"""Structured meshes: a mapped unit square or cube, sectors of a ring, octants of a sphere."""
 
 from collections.abc import Callable, Sequence
 from itertools import permutations, product
@@ -18,6 +18,7 @@ import dolfinx
 
 LEFT, RIGHT, BOTTOM, TOP, BACK, FRONT = 1, 2, 3, 4, 5, 6
 INNER, OUTER, START, END = 1, 2, 3, 4
+PLANE_X, PLANE_Y, PLANE_Z = 11, 12, 13
 
 # Corners of the cells that a unit square or cube is cut into, all of positive orientation
 _CELLS = {
@@ -149,3 +150,57 @@ def ring_sector(
     n = (n_radial, n_hoop)
     options = {"cell": cell, "degree": degree, "crossed": crossed}
     return block(comm, n, polar, **options, periodic=closed)
+
+
+def spherical_layers(
+    comm: MPI.Comm, n: int, radii: Sequence[float], *, degree: int = 1
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
+    """An eighth of a hollow sphere around the origin, x, y, z ≥ 0, in layers of hexahedra.
+
+    Three faces of a cube, n × n squares each, are thrown onto the spheres.
+
+    Args:
+        comm: Communicator.
+        n: Number of cells along the edges of the cube's faces.
+        radii: Where layers begin and end, from the inside to the outside.
+        degree: Degree of the geometry; all nodes lie on spheres.
+
+    Returns:
+        The mesh and its facet tags INNER, OUTER, PLANE_X, PLANE_Y and PLANE_Z.
+    """
+    element = basix.ufl.element(
+        "Lagrange",
+        "hexahedron",
+        degree,
+        lagrange_variant=basix.LagrangeVariant.equispaced,
+        shape=(3,),
+    )
+    inside = np.rint(degree * element.basix_element.points).astype(np.int64)
+    x, cells = np.empty((0, 3)), np.empty((0, len(inside)), dtype=np.int64)
+    if comm.rank == 0:
+        origins = degree * np.indices((n, n, len(radii) - 1)).reshape(3, -1).T
+        along = origins[:, None] + inside  # two steps on a face of the cube, one outwards
+        across = np.full(along.shape[:2], degree * n)
+        faces = [np.dstack((across, along[..., 0], along[..., 1]))]  # (cell, node, axis)
+        faces += [np.roll(faces[0], axis, axis=2) for axis in (1, 2)]
+        lattice = np.vstack([np.dstack((face, along[..., 2])) for face in faces])
+        nodes, cells = np.unique(lattice.reshape(-1, 4), axis=0, return_inverse=True)
+        cells = cells.reshape(-1, len(inside))
+        direction = np.tan(np.pi / 4 * nodes[:, :3] / (degree * n))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        r = np.interp(nodes[:, 3] / degree, np.arange(len(radii)), radii)
+        x = r[:, None] * direction
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
+    markers = [
+        (INNER, lambda x: np.isclose(np.linalg.norm(x, axis=0), radii[0])),
+        (OUTER, lambda x: np.isclose(np.linalg.norm(x, axis=0), radii[-1])),
+        *[
+            (tag, lambda x, axis=axis: np.abs(x[axis]) < 1e-8 * radii[-1])
+            for axis, tag in enumerate((PLANE_X, PLANE_Y, PLANE_Z))
+        ],
+    ]
+    found = [dolfinx.mesh.locate_entities_boundary(mesh, 2, marker) for _, marker in markers]
+    tags = np.repeat([tag for tag, _ in markers], [len(facets) for facets in found])
+    facets = np.concatenate(found)
+    order = np.argsort(facets)
+    return mesh, dolfinx.mesh.meshtags(mesh, 2, facets[order], tags[order].astype(np.int32))

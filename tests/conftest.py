@@ -13,8 +13,11 @@ On more than one rank only those tests run that can notice it: marked with ``ran
 """
 
 import faulthandler
+import functools
 import gc
+import importlib.metadata
 import os
+import sys
 import threading
 import time
 from collections import defaultdict
@@ -48,11 +51,14 @@ else:
 dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS.update(
     cffi_extra_compile_args=(["-O0", "-g0"], "tests"), timeout=(TIMEOUT, "tests")
 )
+# setuptools looks six times through all that is installed for each kernel: a fifth of its time
+importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)
 
 # A communicator of their own: the ranks' meeting is never taken for a collective of the test
 world = MPI.COMM_WORLD.Dup()
 parallel = world.size > 1
 collect_errors: list[str] = []
+num_modules = 0
 
 
 class Watchdog:
@@ -130,10 +136,18 @@ def pytest_collectreport(report):
         collect_errors.append(report.longreprtext)
 
 
+def keep_modules():
+    """Modules and tests stay: to look through them after each test takes .1 s or more."""
+    global num_modules
+    if len(sys.modules) > num_modules:
+        num_modules = len(sys.modules)
+        gc.freeze()
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish(session):
     gc.collect()
-    gc.freeze()  # modules and tests stay: to look through them after each test takes .2 s
+    keep_modules()
     names = [item.nodeid for item in session.items]
     every_names, errors = zip(*world.allgather((names, "\n".join(collect_errors))))
     if any(error != errors[0] for error in errors) or any(n != names for n in every_names):
@@ -177,6 +191,7 @@ def pytest_runtest_teardown(item):
         return (yield)
     finally:
         gc.collect()  # PETSc objects die on all ranks together: the meeting below is next
+        keep_modules()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -28,6 +28,11 @@ def sweep(cases, step):
     return list(cases)[:: 1 if thorough else step]
 
 
+def two_ranks(**parameters):
+    """Marks what two ranks show as well as three; with ``make test-all`` it runs on three too."""
+    return pytest.mark.ranks(*() if thorough else (2,), **parameters)
+
+
 def close(actual, desired, tolerance=2e-13):
     """Assert that arrays agree, relative to the largest of what is desired.
 

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from assembly import comm, linear, problem, rectangle, tie
+from helpers import two_ranks
 
 import basix
 import hypergap_dolfinx.tie
@@ -88,7 +89,7 @@ def test_prescribed_displacement_that_is_no_number(number):
     raises(ValueError, "^the load of body 0 has NaN or infinite", p.solve)
 
 
-@pytest.mark.ranks(cell=["triangle"])
+@two_ranks(cell=["triangle"])
 @pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
 @pytest.mark.parametrize("body", (0, 1))
 def test_cells_without_volume(body, cell):
@@ -104,7 +105,7 @@ def test_cells_without_volume(body, cell):
     )
 
 
-@pytest.mark.ranks(move=[(0.6, 0.0)])
+@two_ranks(move=[(0.6, 0.0)])
 @pytest.mark.parametrize("move", ((0.6, 0.0), (0.0, 0.6), (0.45, 0.45)))
 def test_cells_turned_over_in_part(move):
     bodies = blocks()
@@ -180,7 +181,7 @@ def test_contradiction_in_a_later_step():
     raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
 
 
-@pytest.mark.ranks
+@two_ranks()
 @pytest.mark.parametrize("fixed, count", (((), 3), (((0, BOTTOM, (1,)),), 1)))
 @pytest.mark.parametrize("swap", (False, True))
 def test_an_assembly_that_can_still_move(fixed, count, swap):

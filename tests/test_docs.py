@@ -24,7 +24,7 @@ PACKAGE = FOLDER / "hypergap_dolfinx"
 def test_examples():
     """In this order: each goes on where the one before ended."""
     runner, names = doctest.DocTestRunner(), {}
-    for name in ("Tie", "TiedProblem", "NonlinearTiedProblem"):
+    for name in ("Tie", "TiedProblem", "NonlinearTiedProblem", "find_touching"):
         text = getattr(hypergap_dolfinx, name).__doc__
         example = doctest.DocTestParser().get_doctest(text, names, name, None, None)
         assert len(example.examples) > 3

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import comm, elasticity, interpolated, raises, two_blocks
+from helpers import comm, elasticity, interpolated, raises, two_blocks, two_ranks
 
 import basix.ufl
 import dolfinx
@@ -57,7 +57,7 @@ def test_facets_out_of_range():
             Tie(other, (V, wrong))
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_duplicate_facets():
     (V, facets), other = two_blocks()
     r = rank_with_facets(facets)
@@ -66,7 +66,7 @@ def test_duplicate_facets():
         Tie((V, wrong), other)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_interior_facets():
     (V, facets), other = two_blocks()
     topology = V.mesh.topology
@@ -93,7 +93,7 @@ def test_lists_of_facets():
     assert len(tie.surfaces[0].facets) == 3
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_branching_facets():
     """Two squares that touch at a corner, with both their edges there."""
     x = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (2, 2)], dtype=float)
@@ -214,18 +214,24 @@ def test_mesh_of_a_surface_in_space():
         Tie((V, facets), (V, facets))
 
 
-def test_hexahedra():
-    """Their facets are quadrilaterals, which Σ can't be made from so far."""
-    mesh, ft = meshes.block(comm, (2, 2, 2), cell="hexahedron")
+def test_prisms():
+    """Their facets are of two kinds."""
+    element = basix.ufl.element("Lagrange", "prism", 1, shape=(3,))
+    triangle = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
+    x, cells = np.vstack((triangle, triangle + np.eye(3)[2])), np.arange(6)[None]
+    if comm.rank > 0:
+        x, cells = x[:0], cells[:0]
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     V = fem.functionspace(mesh, ("Lagrange", 1))
-    with raises(InterfaceError, "^Γ0 has quadrilateral facets; 3D interfaces need tetrahedral"):
-        Tie((V, ft.find(meshes.TOP)), (V, ft.find(meshes.BOTTOM)))
+    facets = np.arange(1 - min(comm.rank, 1), dtype=np.int32)
+    with raises(InterfaceError, "^Γ0 lies on prism cells; bodies in space are made of"):
+        Tie((V, facets), (V, facets))
 
 
 # Interfaces
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_surfaces_that_lie_elsewhere():
     sides = two_blocks(spans=((0, 2), (7, 9)))
     with raises(InterfaceError, "^Γ0 and Γ1 don't face each other: .* 5 away.* check the tags"):
@@ -238,7 +244,7 @@ def test_the_same_surface_twice():
         Tie(side, side)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_surfaces_that_fold_over():
     """Γ1 turns back on itself where Γ0 is straight: dΣ changes its sign."""
 
@@ -291,7 +297,7 @@ def loaded(L, V):
     return L + (v[0] + 2 * v[1]) * ufl.dx
 
 
-@pytest.mark.ranks(k=[2])
+@two_ranks(k=[2])
 @pytest.mark.parametrize("k", (1, 2))
 @pytest.mark.parametrize("n", ((3, 5), (8, 6)))
 def test_free_bodies(n, k):
@@ -318,7 +324,7 @@ def test_tie_given_twice():
         TiedProblem(a, L, ties=[tie, tie])
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_solver_that_does_not_converge():
     sides, a, L, tie = arguments()
     options = {"ksp_type": "gmres", "ksp_max_it": 2, "pc_type": "none", "ksp_rtol": 1e-14}
@@ -354,7 +360,7 @@ def test_boundary_condition_on_a_foreign_space():
         TiedProblem(a, L, bcs=bcs, ties=[tie])
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_prescribed_side_1():
     """All of a long Γ1 is held while Γ0 can move: no multiplier is left to tie it."""
     sides = two_blocks((20, 40))

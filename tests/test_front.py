@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 import basix
-from hypergap_dolfinx.gap import front, prisms, slab
-from hypergap_dolfinx.gap.cavity import linear_program
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap import front, prisms, slab, swaps
+from hypergap_dolfinx.gap.cavity import is_whole, linear_program
 from hypergap_dolfinx.gap.metric import FACES, areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.surface import Surface
@@ -175,6 +176,26 @@ def test_matching(noise):
     assert prisms.twins(x, t, y, t[:, ::-1], 0.1) is None
 
 
+def test_swaps():
+    """A sliver in a pile of cells goes; cells that are wanted stay."""
+    made = filled(ball(200), ball(150, seed=1))
+    n0 = len(made.sides[0].x)
+    alpha = (np.arange(len(made.x)) >= n0).astype(float)
+    normals = np.vstack((made.sides[0].vertex_normals, -made.sides[1].vertex_normals))
+
+    def quality(cells):
+        D, scale = areas(made.x[cells], alpha[cells], normals[cells].sum(axis=1))
+        return D / scale
+
+    bound = np.quantile(quality(made.cells), 0.02)
+    cells = swaps.improve(made.cells, alpha, lambda c: quality(c) - bound)
+    before, after = quality(made.cells), quality(cells)
+    assert (after <= bound).sum() < 0.7 * (before <= bound).sum() and after.min() >= before.min()
+    outer = np.vstack((made.sides[0].triangles, n0 + made.sides[1].triangles))
+    assert is_whole(cells, outer)
+    np.testing.assert_array_equal(swaps.improve(cells, alpha, quality), cells)
+
+
 @pytest.mark.parametrize("step", (10, 20, 60))
 def test_cavities(monkeypatch, step):
     """Cells taken away from a front that got through are replaced with cones."""
@@ -236,3 +257,28 @@ def test_speed(capsys):
     with capsys.disabled():
         print(f"\n{speed:.0f} facets a second")
     assert speed > 50_000
+
+
+def test_folded_facets():
+    """No cells fit on a curved facet that is folded: told with the place."""
+    P2 = basix.create_element(
+        basix.ElementFamily.P,
+        basix.CellType.triangle,
+        2,
+        basix.LagrangeVariant.equispaced,
+    )
+    flat = graph(lambda u, v: 0 * u)
+    sides = [side("Γ0", *grid(2, flat)), side("Γ1", *grid(3, flat))]
+    X = np.column_stack((1 - P2.points.sum(axis=1), P2.points))
+    for i, one in enumerate(sides):
+        nodes = X @ one.surface.nodes
+        if i == 0:
+            inner = one.behind[0].argmax()  # an edge that has a facet behind it
+            k, away = (5, 3, 4)[inner], one.x[one.triangles[0, inner]]
+            nodes[0, k] = away + 0.05 * (nodes[0, k] - away)
+        t = one.surface.facets if i == 0 else one.surface.facets[:, ::-1]
+        nodes = nodes if i == 0 else nodes[:, [2, 1, 0, 5, 4, 3]]
+        surface = replace(one.surface, facets=t, nodes=nodes, geometry=P2)
+        sides[i] = Side.of(surface, np.arange(len(t)))
+    with pytest.raises(InterfaceError, match=r"a curved facet of Γ0 at .* is folded"):
+        slab.fill(tuple(sides))

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import rectangle
+from helpers import two_ranks
 
 import meshes
 import ufl
@@ -50,7 +51,7 @@ def cell(bcs=True, pairs=AROUND, **options):
     return TiedProblem([body.a], [L], bcs=bcs, ties=ties, **options)
 
 
-@pytest.mark.ranks
+@two_ranks()
 @pytest.mark.parametrize("solver, tolerance", (("direct", 1e-12), ("iterative", 1e-9)))
 def test_an_elastic_cell(solver, tolerance):
     """One corner holds it: the ties hold the rotation, and carry what pulls the faces apart."""

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from helpers import two_ranks
 
 import meshes
 import ufl
@@ -127,7 +128,7 @@ def test_large_rotation_is_rigid():
     assert max(np.abs(f.x.array).max(initial=0) for f in tie.gap(*us)) <= 1e-9
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_failure_is_an_error():
     V, fts, tie = two_blocks()
     options = {"snes_max_it": 1}

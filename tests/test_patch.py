@@ -20,7 +20,7 @@ def test_patch(name):
     """Both tests, shapes, size ratios and sides, to round-off (all of them with the demo)."""
     worst = 0.0
     cases = [case for case in demo.cases() if case[1] == name]
-    for test, _, shape, ratio, swap in sweep(cases, 3):
+    for test, _, shape, ratio, swap in sweep(cases, 5):
         errors = demo.solve(comm, demo.ELEMENTS[name], shape, ratio, swap, test)
         worst = max(worst, *errors)
     print(worst)

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from helpers import two_ranks
 
 import basix.ufl
 import dolfinx
@@ -18,7 +19,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 
-pytestmark = pytest.mark.ranks
+pytestmark = two_ranks()
 
 comm = MPI.COMM_WORLD
 
@@ -87,6 +88,7 @@ def one_mesh():
     return dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("degree", (1, 2))
 def test_one_mesh_with_several_bodies(degree):
     mesh = one_mesh()
@@ -226,6 +228,7 @@ def test_an_interface_tied_twice():
         Tie(*V)
 
 
+@pytest.mark.ranks
 def test_ranks_may_forget_problems_in_any_order():
     """Destruction is collective in PETSc, garbage collection is not."""
     _, a, L, bcs, tie = two_blocks()

@@ -7,6 +7,7 @@
 
 from itertools import pairwise, permutations
 
+import helpers
 import numpy as np
 import pytest
 from assembly import (
@@ -28,7 +29,7 @@ from meshes import BOTTOM, LEFT, RIGHT, TOP
 pytestmark = pytest.mark.ranks(2)
 
 ELEMENTS = st.sampled_from((("triangle", 1), ("triangle", 2), ("quadrilateral", 1)))
-EXAMPLES = 60 if comm.size == 1 else 8
+EXAMPLES = (60 if helpers.thorough else 24) if comm.size == 1 else 8
 
 
 @st.composite

@@ -192,48 +192,6 @@ def test_same_on_any_number_of_ranks(degree):
 # What is refused
 
 
-@pytest.mark.ranks
-def test_partial_overlap():
-    low = bars((4, 6))[0]
-    V, facets = low
-    x = V.mesh.geometry.x
-    V.mesh.topology.create_connectivity(2, 0)
-    V.mesh.topology.create_connectivity(2, 3)
-    nodes = V.mesh.topology.connectivity(2, 0)
-    geometry = {
-        int(v): int(g)
-        for v, g in zip(
-            np.unique(nodes.array),
-            _vertex_nodes(V.mesh, np.unique(nodes.array)),
-            strict=True,
-        )
-    }
-    half = [f for f in facets if all(x[geometry[v], 1] < 0.51 for v in nodes.links(f))]
-    with raises(InterfaceError, "both sides must cover the same part of the interface"):
-        Tie((V, np.array(half, dtype=np.int32)), bars((4, 6))[1])
-
-
-def _vertex_nodes(mesh, vertices):
-    from dolfinx.mesh import entities_to_geometry
-
-    mesh.topology.create_connectivity(0, 3)
-    return entities_to_geometry(mesh, 0, vertices.astype(np.int32)).ravel()
-
-
-@pytest.mark.ranks(2)
-def test_numbers_of_loops():
-    plate, tags = meshes.perforated_plate(comm, 0.2, (-0.3, 0.0))
-    solid, solid_tags = meshes.block(
-        comm, (4, 4, 1), lambda x: x - np.array((0.5, 0.5, 0)), cell="tetrahedron"
-    )
-    sides = [
-        (fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag))
-        for mesh, ft, tag in ((plate, tags, meshes.FRONT), (solid, solid_tags, meshes.BACK))
-    ]
-    with raises(InterfaceError, "Γ0 has 2 boundary loops and Γ1 has 1"):
-        Tie(*sides)
-
-
 @pytest.mark.ranks(2)
 def test_wrong_side():
     near, _ = bars()
@@ -248,14 +206,6 @@ def test_far_apart():
     sides = [bars()[0], bars(mapping=lambda x: x + np.array((9.0, 0, 0)))[1]]
     with raises(InterfaceError, "don't face each other"):
         Tie(*sides)
-
-
-@pytest.mark.ranks(2)
-def test_hexahedra():
-    mesh, ft = meshes.block(comm, (2, 2, 2), cell="hexahedron")
-    V = fem.functionspace(mesh, ("Lagrange", 1))
-    with raises(InterfaceError, "quadrilateral facets; 3D interfaces need tetrahedral bodies"):
-        Tie((V, ft.find(meshes.LEFT)), (V, ft.find(meshes.RIGHT)))
 
 
 @pytest.mark.ranks

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from helpers import sweep
 
 import dolfinx
 import meshes
@@ -94,8 +95,7 @@ def tags(body, tag, num):
 
 
 @pytest.mark.ranks(2, swap=[False], degree=[1])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("degree, swap", sweep(product((1, 2), (False, True)), 3))
 def test_one_interface_as_sixteen_ties(degree, swap):
     bodies = [
         Block((8, 8, 2), (0, 0, 0), (1, 1, 0.5), degree),
@@ -118,8 +118,7 @@ def test_one_interface_as_sixteen_ties(degree, swap):
 
 
 @pytest.mark.ranks(2, degree=[1])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("degree, swap", sweep(product((1, 2), (False, True)), 3))
 def test_bricks_on_a_plate(degree, swap):
     """Three by one bricks of few cells, tied to each other and to a plate that ends with each."""
     bodies = [Block((6, 4, 2), (0, 0, 0), (1, 1, 0.5), degree)]

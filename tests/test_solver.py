@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from helpers import sweep, two_ranks
 
 import dolfinx
 import meshes
@@ -89,7 +90,7 @@ def residual(problem):
     return r.norm() / problem.b.norm()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(kind=sweep(("vector", "scalar"), 2))
 @pytest.mark.parametrize("kind", ("vector", "scalar"))
 @pytest.mark.parametrize("dim", (2, 3))
 @pytest.mark.parametrize("solver, tolerance", (("bodies", 1e-10), ("iterative", 1e-6)))
@@ -105,7 +106,7 @@ def test_solvers_agree(dim, kind, solver, tolerance):
     assert difference(problem, direct) <= tolerance
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(held=sweep(((0,), (2,)), 2))
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
 @pytest.mark.parametrize("held", ((0,), (2,)))
 def test_bodies_held_by_ties_alone(solver, held):
@@ -118,7 +119,7 @@ def test_bodies_held_by_ties_alone(solver, held):
     assert difference(problem, direct) <= (1e-9 if solver == "bodies" else 1e-6)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_residual_of_the_saddle_system():
     a, L, bcs, ties = pile(2, degree=2)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
@@ -136,14 +137,14 @@ def iterations(solver, contrasts, **options):
     return its
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_contrasts_body_by_body():
     """With Γ1 on the softer side, however much softer, there are about as many iterations."""
     its = iterations("bodies", (1.0, 1e-3, 1e-6), dim=2)
     assert max(its) <= 2 * its[0]
 
 
-@pytest.mark.ranks(2, num=[(15, 14), (6, 3)], flip=[False])
+@pytest.mark.ranks(2, num=sweep([(6, 3), (15, 14)], 2), flip=[False])
 @pytest.mark.parametrize("dim, num", ((2, (30, 5)), (2, (5, 30)), (2, (15, 14)), (3, (6, 3))))
 @pytest.mark.parametrize("flip", (False, True))
 def test_contrasts_with_multigrid(dim, num, flip):
@@ -172,7 +173,7 @@ def test_contrasts_with_graded_cells(num, contrast, flip):
     assert its[1] <= 2 * its[0]
 
 
-@pytest.mark.ranks
+@two_ranks()
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
 def test_without_ties(solver):
     """An ordinary problem is solved too: what a tied one is compared with."""
@@ -182,7 +183,7 @@ def test_without_ties(solver):
     np.testing.assert_allclose(problem.solve()[0].x.array, direct.solve()[0].x.array, atol=1e-8)
 
 
-@pytest.mark.ranks(unit=[1e9])
+@two_ranks(unit=[1e9])
 @pytest.mark.parametrize("unit", (1e-6, 1.0, 1e9))
 def test_units_do_not_matter(unit):
     """Stiffness in other units: as many iterations, and the same multipliers."""
@@ -200,7 +201,7 @@ def test_units_do_not_matter(unit):
     np.testing.assert_allclose(*multipliers, atol=1e-9)
 
 
-@pytest.mark.ranks(E=[1e15])
+@two_ranks(E=[1e15])
 @pytest.mark.parametrize("E", (1e-15, 1e15))
 @pytest.mark.parametrize("solver", solvers.SOLVERS)
 def test_displacements_in_other_units(solver, E):
@@ -248,7 +249,7 @@ def strain(u):
     return np.sqrt(comm.allreduce(fem.assemble_scalar(form)))
 
 
-@pytest.mark.ranks(contrast=[1e6])
+@two_ranks(contrast=[1e6])
 @pytest.mark.parametrize("contrast", (1e-6, 1e3, 1e6))
 def test_small_forces_of_stiff_bodies(contrast):
     """Prescribed displacements are large loads on a stiff body that hardly deforms in the end."""
@@ -260,7 +261,7 @@ def test_small_forces_of_stiff_bodies(contrast):
         assert strain(v) <= 1e-7 * exact
 
 
-@pytest.mark.ranks
+@two_ranks()
 @pytest.mark.parametrize("solver", solvers.SOLVERS)
 def test_without_forces(solver):
     """A body that floats closes its gap to one that rests: round-off is no wrong answer."""
@@ -280,7 +281,7 @@ def test_without_forces(solver):
     np.testing.assert_allclose(u1.x.array.reshape(-1, 2) - [[0, 0.02]], 0, atol=1e-9)
 
 
-@pytest.mark.ranks
+@two_ranks()
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
 def test_assembled_in_any_order(solver):
     """The right-hand side knows the scale of the prescribed rows, before the matrix and after."""
@@ -360,7 +361,7 @@ def test_a_body_in_two_parts():
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-10)
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_a_part_that_nothing_holds():
     """It is counted, also if no load moves it: a factor may not notice."""
     pytest.importorskip("gmsh")
@@ -425,7 +426,7 @@ def test_options_that_dont_fit(pc):
         TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options={"pc_type": pc}).solve()
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_a_changed_matrix_is_factorised_anew():
     a, L, bcs, ties = pile(2)
     modulus = fem.Constant(ties[0].spaces[0].mesh, default_scalar_type(1.0))
@@ -446,7 +447,7 @@ def test_a_changed_matrix_is_factorised_anew():
     assert event.getPerfInfo()["count"] == count
 
 
-@pytest.mark.ranks
+@two_ranks()
 def test_the_default(monkeypatch):
     """The whole system is factorised in the plane and for small bodies; one name overrules that."""
     a, L, bcs, ties = pile(2)

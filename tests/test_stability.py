@@ -5,8 +5,6 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The demo of stiff and extreme scenes: the ends of its axes, and what a change of units does."""
 
-from itertools import product
-
 from mpi4py import MPI
 
 import numpy as np
@@ -21,7 +19,7 @@ FINER = "thin layer, finer"  # Γ0 thin and finer than Γ1: its own conditioning
 @pytest.mark.parametrize("dim, degree", ((2, 1), (2, 2), (3, 1)))
 def test_patch(dim, degree):
     """The ends of each axis, as far as they are quick."""
-    for axis, value, scene, bounds in sweep(demo.patch_rows(quick=True), 2):
+    for axis, value, scene, bounds in sweep(demo.patch_rows(quick=True), 3):
         if bounds[dim - 2] is None or axis == FINER:
             continue
         if max(scene.get("cells", (1,))) > 1000:
@@ -66,10 +64,11 @@ def test_nearly_incompressible(nu):
 
 @pytest.mark.parametrize("n", ((3, 5), (6, 9), (12, 17)))
 def test_coarse(n):
-    for degree, swap in product((1, 2), (False, True)):
+    for degree in (1, 2):
         fused, _ = demo.cylinder(n, degree, (1.0, 1.0), 0.3, fused=True)
-        assert demo.cylinder(n, degree, (1.0, 1.0), 0.3, swap)[0] <= 1.05 * fused
-        assert demo.turned(n, degree, swap)[0] <= 1e-10
+        for swap in (False, True):
+            assert demo.cylinder(n, degree, (1.0, 1.0), 0.3, swap)[0] <= 1.05 * fused
+            assert demo.turned(n, degree, swap)[0] <= 1e-10
 
 
 @pytest.mark.slow

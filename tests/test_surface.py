@@ -18,7 +18,8 @@ from dolfinx import fem
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.gap.surface import create_surface, tabulate
 
-CELLS = "triangle", "quadrilateral", "tetrahedron"
+CELLS = "triangle", "quadrilateral", "tetrahedron", "hexahedron"
+DIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
 
 def bend(x):
@@ -31,7 +32,7 @@ def bend(x):
 
 def body(cell, k, g, shape=(), c=comm, n=None):
     """A bent block with facets of its whole boundary but one side."""
-    dim = 3 if cell == "tetrahedron" else 2
+    dim = DIM[cell]
     mesh, ft = meshes.block(c, n or (3, 2, 2)[:dim], bend, cell=cell, degree=g)
     facets = ft.indices[ft.values != meshes.RIGHT]
     return fem.functionspace(mesh, ("Lagrange", k, shape)), facets
@@ -43,13 +44,8 @@ def gathered(V, owned):
     return np.concatenate(V.mesh.comm.allgather(owned))
 
 
-def inner_points(dim):
-    return basix.create_lattice(
-        (basix.CellType.interval, basix.CellType.triangle)[dim - 1],
-        6,
-        basix.LatticeType.equispaced,
-        True,
-    )
+def inner_points(cell):
+    return basix.create_lattice(cell, 6, basix.LatticeType.equispaced, True)
 
 
 @pytest.mark.ranks(k=[2], g=[2], shape=[()])
@@ -82,7 +78,7 @@ def test_trace_of_a_polynomial(cell, k, g, degree):
     u = fem.Function(V)
     u.interpolate(lambda x: polynomial(x[: surface.gdim]))
     values = gathered(V, u.x.array)[surface.dofs]
-    points = inner_points(surface.gdim - 1)
+    points = inner_points(surface.element.cell_type)
     for X in points:
         Xs = np.tile(X, (len(values), 1))
         x = surface.points(np.arange(len(values)), Xs)
@@ -92,7 +88,7 @@ def test_trace_of_a_polynomial(cell, k, g, degree):
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("cell", CELLS)
 def test_normals_point_outwards(cell):
-    dim = 3 if cell == "tetrahedron" else 2
+    dim = DIM[cell]
     tags = (meshes.LEFT, meshes.RIGHT, meshes.BOTTOM, meshes.TOP, meshes.BACK, meshes.FRONT)
     mesh, ft = meshes.block(comm, (3, 2, 2)[:dim], cell=cell)
     V = fem.functionspace(mesh, ("Lagrange", 1))
@@ -106,8 +102,9 @@ def test_normals_point_outwards(cell):
 def test_turn_of_the_vertices(cell):
     """2D: the body is on the left of an edge. 3D: counterclockwise, seen from outside."""
     V, facets = body(cell, 1, 1)
+    dim = DIM[cell]
     surface = create_surface(V, facets, "Γ0")
-    v = surface.x[surface.facets]
+    v = surface.x[surface.facets][:, :dim]
     centre = bend(np.full((1, surface.gdim), 0.5))[0]
     edges = np.concatenate((v[:, 1:] - v[:, :1], (centre - v[:, 0])[:, None]), axis=1)
     sign = 1 if surface.gdim == 2 else -1

@@ -15,6 +15,7 @@ from PIL import Image
 
 FOLDER = Path(__file__).parent
 PICTURES = {
+    "assembly": ("assembly",),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
     "modal_analysis": ("mode_3",),

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FACES, areas, face_keys
+from hypergap_dolfinx.gap.metric import FACES, FLAT, areas, face_keys
 from hypergap_dolfinx.graph import components
 
 INSET = 0.02  # least share of α that an interior node keeps from both surfaces
@@ -38,6 +38,12 @@ class Cells:
     cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
 
+    def flat(self) -> npt.NDArray[np.bool_]:
+        """Which cells are flat or inverted, ``(num_cells,)``."""
+        v = self.cells
+        D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
+        return ~(D > FLAT * scale)
+
 
 def unmatched(cells, outer) -> npt.NDArray[np.integer]:
     """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
@@ -52,6 +58,12 @@ def unmatched(cells, outer) -> npt.NDArray[np.integer]:
     faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
     _, which, count = np.unique(face_keys(faces), return_inverse=True, return_counts=True)
     return faces[count[which] == 1]
+
+
+def is_whole(cells, outer) -> bool:
+    """Whether each face has a cell on each side, or one cell and a triangle of the boundary."""
+    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
+    return bool((np.unique(face_keys(faces), return_counts=True)[1] == 2).all())
 
 
 def fill(mesh: Cells, outer, place: Place):
@@ -76,6 +88,8 @@ def fill(mesh: Cells, outer, place: Place):
         number = len(mesh.x) + len(nodes)
         cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
         nodes.append(node)
+    if not nodes:
+        return mesh, []
     x, alpha, normals, hosts = zip(*nodes, strict=True)
     return Cells(
         np.vstack((mesh.x, *x)),

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+import basix.ufl
+from hypergap_dolfinx.gap.surface import Surface
+
 
 @dataclass(frozen=True)
 class Hosts:
@@ -74,6 +77,26 @@ class GapCells:
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
     degree: int
-    """Degree of the φ_a that carry on simplices what both sides have in their facets."""
+    """Degree of the φ_a that have on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
+
+
+def geometry_element(surfaces: Sequence[Surface], degree: int):
+    """Basix' UFL element of Σ's coordinates: linear unless a surface is curved.
+
+    On triangles the bilinear map of a quadrilateral is of degree 2. Then geometry is taken at the
+    nodes of the φ_a: as displacements are, so that linear ones are exact. With φ_a of degree 1
+    that is at the vertices.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        degree: Degree of the φ_a.
+    """
+    n = surfaces[0].gdim
+    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
+    variant = basix.LagrangeVariant.equispaced
+    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
+        g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
+    cell = {2: "triangle", 3: "tetrahedron"}[n]
+    return basix.ufl.element("Lagrange", cell, g, lagrange_variant=variant, shape=(n,))

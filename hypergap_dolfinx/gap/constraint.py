@@ -106,7 +106,7 @@ def create_constraint(
         X = X.reshape(-1, X.shape[-1])[first]
         use = weight > ON_SURFACE
         point, dof, value = interpolation_weights(
-            surface, facets.ravel()[first[use]], X[use], weight[use]
+            surface, facets.ravel()[first[use]], X[use], weight[use], domain.element
         )
         entries.append((row[use][point], dof, value))
     sizes = [V.dofmap.index_map.size_local for V in spaces]

@@ -21,11 +21,12 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
-from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
 from hypergap_dolfinx.gap.feet import parametrise_by_feet
+from hypergap_dolfinx.gap.quadrilaterals import middle_rows
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.strip import mesh_strip, parametrise
-from hypergap_dolfinx.gap.surface import LAST_DIGITS, STRAIGHT, Surface, tabulate
+from hypergap_dolfinx.gap.surface import LAST_DIGITS, SAME_NODE, STRAIGHT, Surface, tabulate
 
 NOUGHT = 1e-13
 """Value of a shape function that counts as none: at a node of a triangle round-off makes
@@ -111,7 +112,7 @@ class GapDomain:
                 )
             if curved.any():
                 G[curved] = kernel.curved_gap_matrices(
-                    self.quadrature(2 * (k + g)),
+                    self.quadrature(kernel.curved_rule(self.x.shape[2], k, g)),
                     self.x[curved],
                     self.alpha_vertices[curved],
                     self.normal[curved],
@@ -149,19 +150,15 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     """
     tdim = surface0.gdim
     gap = mesh_gap(comm, surface0, surface1)
-    cell = {2: "triangle", 3: "tetrahedron"}[tdim]
     mine = np.flatnonzero(gap.rank == comm.rank)
 
     # Geometry: vertices are enough unless a surface is curved
     surfaces = (surface0, surface1)
-    g = max(s.geometry.degree if s.curved.any() else 1 for s in surfaces)
-    coordinates = basix.ufl.element(
-        "Lagrange", cell, g, lagrange_variant=basix.LagrangeVariant.equispaced, shape=(tdim,)
-    )
+    coordinates = geometry_element(surfaces, gap.degree)
+    g, points = coordinates.degree, coordinates.basix_element.points
     cells, x = gap.cells, gap.x
     if g > 1:
-        points = coordinates.basix_element.points
-        cells, first = _number_nodes(gap.cells, np.rint(points * g).astype(np.int64), g)
+        cells, first = _number_nodes(gap.cells, _lattice(coordinates.basix_element), g)
         hosts = gap.hosts(points, np.arange(len(cells)))
         x = interpolate_geometry(surfaces, hosts).reshape(-1, tdim)[first]
     nodes = x if comm.rank == 0 else np.empty((0, tdim))
@@ -187,7 +184,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         x=x_cells,
         alpha_vertices=alpha_vertices,
         normal=gap.normal[order],
-        curved=_curved(x_cells, coordinates.basix_element.points, np.abs(x).max()),
+        curved=_curved(x_cells, points, np.abs(x).max()),
         hosts=gap.hosts(space.ufl_element().basix_element.points, order),
         patch=gap.patch,
         covered=gap.covered,
@@ -216,6 +213,14 @@ def interpolate_geometry(surfaces: tuple[Surface, Surface], hosts: Hosts):
     return (1 - alpha) * x0 + alpha * x1
 
 
+def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int64]:
+    """Nodes of a simplex times the degree, as if they were equispaced, ``(num_nodes, n)``."""
+    equispaced = basix.create_element(
+        element.family, element.cell_type, element.degree, basix.LagrangeVariant.equispaced
+    )
+    return np.rint(equispaced.points * element.degree).astype(np.int64)
+
+
 def _number_nodes(cells, lattice, degree: int):
     """Number the Lagrange nodes of a mesh; a shared node gets one number.
 
@@ -237,7 +242,7 @@ def _number_nodes(cells, lattice, degree: int):
     return number.reshape(len(cells), -1).astype(np.int64), first
 
 
-def interpolation_weights(surface: Surface, facet, X, weight):
+def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     """Rows of a pull-back R_i: values of the trace's basis, times a weight.
 
     Args:
@@ -245,11 +250,19 @@ def interpolation_weights(surface: Surface, facet, X, weight):
         facet: Host facet of each point, ``(num_points,)``.
         X: Reference coordinates, ``(num_points, n - 1)``.
         weight: 1 − α on Γ0, α on Γ1; ``(num_points,)``.
+        nodes: Element of the φ_a, whose nodes on Γ_i the points are where the weight is one.
 
     Returns:
         The point, the global dof (block) and the value of each nonzero entry.
     """
-    values = tabulate(surface.element, X) * weight[:, None]
+    values = tabulate(surface.element, X)
+    if surface.facets.shape[1] == 4:
+        face = basix.create_element(
+            nodes.family, basix.CellType.triangle, nodes.degree, nodes.lagrange_variant
+        )
+        for place, row in zip(*middle_rows(surface.element, face), strict=True):
+            values[(weight > 1 - NOUGHT) & (np.abs(X - place).max(axis=1) < SAME_NODE)] = row
+    values *= weight[:, None]
     # A node of Σ that is a dof of the body has a single 1 in its row, and round-off beside it
     point, local = np.nonzero(np.abs(values) > NOUGHT)
     return point, surface.dofs[facet[point], local], values[point, local]

@@ -6,13 +6,13 @@
 """Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap import cavity, prisms
+from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.pieces import Side
@@ -23,8 +23,13 @@ GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in t
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
 VISITS = 30_000_000  # the same, times edges
-VARIANTS = ((True, False), (True, True), (False, False), (False, True))
-"""Whether with weights, and whether from Γ1 to Γ0: the first that gets through is taken."""
+VARIANTS = (
+    *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
+    *((False, False, 1e-8), (False, True, 1e-8)),
+)
+"""Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
+gets through is taken. Facets that are cut may be narrower than a displacement."""
+REOPENINGS = 5  # of the mesh, to cone cells that stay turned over
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -145,15 +150,16 @@ class Front:
         return self.left == 0 and not any(self.wrong)
 
 
-def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
+def advance(problem: Problem, weighted: bool, reverse: bool, share: float = 1.0) -> Front:
     """Let a front run from one surface to the other.
 
     Args:
         problem: The surfaces.
         weighted: Whether weights make the surfaces' edges locally regular.
         reverse: Whether it goes from Γ1 to Γ0.
+        share: By what share of the problem's shift Γ1 is displaced.
     """
-    module = library()
+    module, shift = library(), share * problem.shift
     lib, ffi = module.lib, module.ffi
 
     def pointer(array):
@@ -170,7 +176,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
     y = x - x.mean(axis=0)
     vertices = np.zeros((n, 10))
     vertices[:, :3] = y[order]
-    y[n0:] += sign * problem.shift
+    y[n0:] += sign * shift
     vertices[:, 3:6] = y[order]
     vertices[:, :6] /= problem.size
     vertices[:, 6:9] = sign * problem.normals[order]
@@ -185,7 +191,7 @@ def advance(problem: Problem, weighted: bool, reverse: bool) -> Front:
         sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
         lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
     weights = vertices[number, 9] * problem.size**2
-    walls = problem.walls(sign * problem.shift, weights)
+    walls = problem.walls(sign * shift, weights)
     start = np.ascontiguousarray(np.vstack((start, number[walls])))
     end = np.ascontiguousarray(end)
     max_cells = CELLS * (len(start) + len(end)) + 100
@@ -255,15 +261,73 @@ def twinned(problem: Problem) -> Front | None:
 class Filling:
     """Cells between two surfaces."""
 
-    cells: npt.NDArray[np.intp]
-    """``(num_cells, 4)``; interior vertices are numbered behind the others."""
+    mesh: cavity.Cells
+    """The cells; interior vertices are numbered behind the others."""
     hosts: list[tuple]
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
 
+    @property
+    def cells(self) -> npt.NDArray[np.integer]:
+        """``(num_cells, 4)``."""
+        return self.mesh.cells
 
-def construct(
-    problem: Problem, place: Place, num_bad: Callable[[Filling], int] = lambda _: 0
-) -> Filling | None:
+    def with_cells(self, cells) -> "Filling":
+        """Other cells between the same vertices."""
+        return Filling(replace(self.mesh, cells=cells), self.hosts)
+
+
+Margins = Callable[[Filling], npt.NDArray[np.float64]]
+"""How far cells are from being turned over: not positive where they are somewhere."""
+
+
+@dataclass
+class _Workshop:
+    """Between which triangles cells are sought, and how they are mended."""
+
+    outer: npt.NDArray[np.integer]
+    """The boundary's, counterclockwise seen from inside."""
+    place: Place
+    margins: Margins | None
+
+    def num_bad(self, filling: Filling) -> int:
+        return int((self.margins(filling) <= 0).sum()) if self.margins else 0
+
+    def coned(self, filling: Filling, gone) -> Filling | None:
+        """Cones where cells are taken away or missing."""
+        made = cavity.fill(filling.with_cells(filling.cells[~gone]).mesh, self.outer, self.place)
+        if made is None or not cavity.is_whole(made[0].cells, self.outer):
+            return None
+        return Filling(made[0], filling.hosts + made[1])
+
+    def swapped(self, filling: Filling) -> Filling:
+        """Other cells where some are turned over."""
+        margins = self.margins
+        if margins is None:
+            return filling
+        mesh = filling.mesh
+        cells = swaps.improve(mesh.cells, mesh.alpha, lambda c: margins(filling.with_cells(c)))
+        whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
+        return filling.with_cells(cells) if whole else filling
+
+    def reopened(self, filling: Filling) -> Filling:
+        """Cones in the place of cells that stay turned over, as long as they get fewer."""
+        for _ in range(REOPENINGS):
+            if self.margins is None:
+                break
+            bad = self.margins(filling) <= 0
+            for shared in (4, 3, 2, 1):  # the cells alone, then with more of those around them
+                ends = np.isin(filling.cells, filling.cells[bad]).sum(axis=1)
+                made = self.coned(filling, bad if shared == 4 else ends >= shared)
+                made = made and self.swapped(made)
+                if made and self.num_bad(made) < bad.sum():
+                    filling = made
+                    break
+            else:
+                break
+        return filling
+
+
+def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
     Else what the one leaves that gets farthest is filled with cones.
@@ -271,34 +335,42 @@ def construct(
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
-        num_bad: How many of the cells are of no use though their vertices' simplices are: curved
-            ones. The cells with the fewest are taken.
+        margins: Tells cells that are turned over though their vertices' simplices aren't: curved
+            ones. They are swapped for others, or replaced with cones. Where some stay, the cells
+            with the fewest are taken.
 
     Returns:
         The cells, None if there are none.
     """
+    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
+
+    def workshop(front: Front) -> _Workshop:
+        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
+        return _Workshop(outer, place, margins)
+
     for variant in (None, *VARIANTS):
         front = advance(problem, *variant) if variant else twinned(problem)
         if front is None:
             continue
-        if not front.is_valid:
-            fronts.append(front)
-            continue
-        filling = Filling(front.cells, [])
-        bad = num_bad(filling)
-        if not bad:
-            return filling
-        found.append((bad, filling))
-    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
-    for front in sorted(fronts, key=lambda front: front.left):
-        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
-        made = cavity.fill(mesh, outer, place)
+        if not front.is_valid:
+            fronts.append((front, Filling(mesh, [])))
+            continue
+        shop = workshop(front)
+        filling = shop.swapped(Filling(mesh, []))
+        found.append((shop.num_bad(filling), filling, shop))
+        if not found[-1][0]:
+            return filling
+    for front, filling in sorted(fronts, key=lambda pair: pair[0].left):
+        shop = workshop(front)
+        made = shop.coned(filling, filling.mesh.flat())
         if made is not None:
-            filling = Filling(made[0].cells, made[1])
-            bad = num_bad(filling)
-            if not bad:
-                return filling
-            found.append((bad, filling))
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+            made = shop.swapped(made)
+            found.append((shop.num_bad(made), made, shop))
+            if not found[-1][0]:
+                return made
+    if not found:
+        return None
+    _, filling, shop = min(found, key=lambda entry: entry[0])
+    return shop.reopened(filling)

@@ -30,6 +30,10 @@ import basix
 from hypergap_dolfinx.errors import InvertedCellError
 
 CHUNK = 8192  # cells at a time: what fits in a cache
+ENOUGH = 12
+"""Degree of a Gauss rule from which points are dear: 122 in a tetrahedron, of degree 16 there are
+729. The matrices of halves of distorted quadrilaterals, of degree 4 with geometry of degree 4, pass
+the linear patch test at 3e-14 with rules of degree 9 to 16, and at 2e-9 with 8."""
 
 
 def cofactor(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -73,6 +77,18 @@ def normal_and_direction(X, dalpha):
         for j in range(n):
             v[..., j] = sum(cof[..., i, j] * N[..., i] for i in range(n)) * inverse
     return N, v
+
+
+def curved_rule(dim: int, degree: int, geometry: int) -> int:
+    """Degree of the Gauss rule for curved cells.
+
+    Args:
+        dim: Dimension of the cells.
+        degree: Degree of the φ_a.
+        geometry: Degree of the geometry.
+    """
+    full = 2 * (degree + geometry)
+    return full if dim == 2 else min(full, max(ENOUGH, 2 * degree + 2))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@
 import numpy as np
 import numpy.typing as npt
 
-FLAT = 1e-9  # D of a cell over its longest edge's square that counts as none
+FLAT = 1e-9  # D of a cell over the product of its two edges on the surfaces that is none
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
 
@@ -22,12 +22,25 @@ def areas(x, alpha, normal):
         normal: Normals n of any length, ``(num_cells, 3)``.
 
     Returns:
-        D, and the square of each cell's longest edge from its first vertex, ``(num_cells,)`` each.
+        D, and what it is compared with, ``(num_cells,)`` each: the area of a base on a surface
+        (doubled), the product of two edges on the surfaces' lengths, or the square of the longest
+        edge from the first vertex.
     """
     n = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
     N = sum(d[:, k, None] * np.cross(e[:, (k + 1) % 3], e[:, (k + 2) % 3]) for k in range(3))
-    return np.einsum("ci,ci->c", N, n), np.einsum("cki,cki->ck", e, e).max(axis=1)
+    scale = np.einsum("cki,cki->ck", e, e).max(axis=1)
+    for face, corner in zip(FACES, range(4), strict=True):
+        base = (alpha[:, face] == alpha[:, face[:1]]).all(axis=1)
+        v = x[base][:, face]
+        twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
+        scale[base] = twice * np.abs(alpha[base, corner] - alpha[base, face[0]])
+    for a, b, c, d in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)):
+        pairs = (alpha[:, a] == alpha[:, b]) & (alpha[:, c] == alpha[:, d])
+        pairs &= alpha[:, a] != alpha[:, c]
+        lengths = (np.linalg.norm(x[pairs, i] - x[pairs, j], axis=1) for i, j in ((a, b), (c, d)))
+        scale[pairs] = np.prod(list(lengths), axis=0)
+    return np.einsum("ci,ci->c", N, n), scale
 
 
 def face_keys(faces: npt.NDArray[np.integer]) -> npt.NDArray:

@@ -140,7 +140,7 @@ class Multipliers:
         surface = self.surface
         points, v = surface.element.points, surface.x[surface.facets[facets[0]]]
         own = surface.points(facets[:1], points[local[:1]])
-        inverse = np.linalg.pinv(v[1:] - v[0])
+        inverse = np.linalg.pinv(v[1:3] - v[0])  # of a quadrilateral, along two edges
         exponents, reach = _exponents(surface.element), facets
         for _ in range(AROUND):
             known = self.on_facets[reach]
@@ -219,7 +219,7 @@ def smooth_pieces(surfaces: Sequence[Surface]) -> list[npt.NDArray[np.int32]]:
         joined = (before[start] >= 0) & ~corners[start]
         i, j = np.flatnonzero(joined), before[start[joined]]
     else:
-        behind = neighbours(union.facets, union.name, union.x)
+        behind = neighbours(union.polygons, union.name, union.x)
         apart = np.zeros(behind.shape, dtype=bool)
         apart[kinks(union, behind)] = True
         f, k = np.nonzero((behind > np.arange(len(behind))[:, None]) & ~apart)

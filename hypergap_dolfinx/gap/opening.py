@@ -63,6 +63,8 @@ class Opening:
     """Hosts of the cells' geometry nodes."""
     alpha: npt.NDArray[np.float64]
     """α at the vertices, ``(num_cells, n + 1)``."""
+    element: basix.finite_element.FiniteElement
+    """Of the cells' geometry."""
     table: GapElement
     """Gauss points."""
     points: npt.NDArray[np.float64]
@@ -100,7 +102,7 @@ class Opening:
         alpha = gap.alpha[gap.cells]
         table = GapElement.at(element, element, points, weights)
         w = weighted.vertex_weights(table, interpolate_geometry(surfaces, hosts), alpha)
-        return cls(sides, hosts, alpha, table, points, vertices, shares, w)
+        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w)
 
     def positions(self, u: Displacements) -> npt.NDArray[np.float64]:
         """Geometry nodes of the cells, ``(num_cells, num_geometry_nodes, n)``."""
@@ -117,7 +119,9 @@ class Opening:
             use = np.flatnonzero(weight != 0)
             X = self.hosts.X[side_number].reshape(len(alpha), -1)[use]
             facets = self.hosts.facets[side_number].ravel()[use]
-            point, dof, value = interpolation_weights(side.reference, facets, X, weight[use])
+            point, dof, value = interpolation_weights(
+                side.reference, facets, X, weight[use], self.element
+            )
             entries.append((use[point], np.searchsorted(side.dofs, dof) + offset, value))
             offset += len(side.dofs)
         i, j, value = (np.concatenate(part) for part in zip(*entries, strict=True))

@@ -3,7 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet."""
+"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet.
+
+A triangular facet is its own piece. A quadrilateral has four that meet at its middle, on which
+functions of the trace's degree do (``quadrilaterals``), or is cut into two halves, which need twice
+the degree to have all that the facet has, but may be cut up further.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,8 +16,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+import basix
+from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.gap.surface import Surface, unit_normals
-from hypergap_dolfinx.gap.triangulation import loops, neighbours, project
+from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 
@@ -32,11 +39,61 @@ class Side:
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
 
     @classmethod
-    def of(cls, surface: Surface, facets: npt.NDArray[np.intp]) -> "Side":
-        """The piece of a surface that some whole facets make up."""
-        vertices, triangles = np.unique(surface.facets[facets], return_inverse=True)
-        X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
-        return cls(surface, surface.x[vertices], triangles.reshape(-1, 3), facets, X)
+    def of(cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False) -> "Side":
+        """The piece of a surface that some whole facets make up.
+
+        Args:
+            surface: Γ_i.
+            facets: Numbers of the facets, ``(num_facets,)``.
+            halves: Whether quadrilaterals are cut into two triangles, to be cut up further, and
+                not into four.
+        """
+        vertices, corners = np.unique(surface.facets[facets], return_inverse=True)
+        x, corners = surface.x[vertices], corners.reshape(len(facets), -1)
+        if corners.shape[1] == 3:
+            X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
+            return cls(surface, x, corners, facets, X)
+        places, pieces = HALVES if halves else QUARTERS
+        if not halves:
+            middles = len(x) + np.arange(len(facets))
+            x = np.vstack((x, surface.points(facets, np.tile(places[4], (len(facets), 1)))))
+            corners = np.column_stack((corners, middles))
+        return cls(
+            surface,
+            x,
+            corners[:, pieces].reshape(-1, 3),
+            np.repeat(facets, len(pieces)),
+            np.tile(places[pieces], (len(facets), 1, 1)),
+        )
+
+    def in_halves(self) -> "Side":
+        """The same whole facets, to be cut up; vertices of facets keep their numbers."""
+        if self.surface.facets.shape[1] == 3:
+            return self
+        return Side.of(self.surface, np.unique(self.facets), halves=True)
+
+    @property
+    def degree(self) -> int:
+        """Degree of functions on the triangles that have what the facets' have."""
+        degree = self.surface.element.degree
+        if self.surface.facets.shape[1] == 3:
+            return degree
+        places, pieces = QUARTERS
+        quarters = (self.X[:, None] == places[pieces]).all(axis=(2, 3)).any(axis=1)
+        return degree if quarters.all() else 2 * degree
+
+    @property
+    def arrays(self) -> tuple[npt.NDArray, ...]:
+        """All but the surface."""
+        return self.x, self.triangles, self.facets, self.X
+
+    @property
+    def shares(self) -> npt.NDArray[np.float64]:
+        """Part of its facet that each triangle is, ``(num_triangles,)``."""
+        e, f = self.X[:, 1] - self.X[:, 0], self.X[:, 2] - self.X[:, 0]
+        facet = self.surface.geometry.cell_type
+        whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
+        return np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / whole
 
     @cached_property
     def behind(self) -> npt.NDArray[np.intp]:
@@ -78,7 +135,23 @@ class Side:
             points: ``(num_points, 3)``.
             seed: Triangle where the search starts, ``(num_points,)``.
         """
-        return project(self.x, self.triangles, self.behind, points, seed)
+        curved = self.surface.curved[self.facets].any()
+        refine = self._on_curved if curved else None
+        return project(self.x, self.triangles, self.behind, points, seed, refine)
+
+    def _on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
+        """Where points project on the curved facets, not to jump from one to the next."""
+        element = self.surface.geometry
+        nodes = self.surface.nodes[self.facets[triangle]]
+        edges = self.X[triangle, 1:] - self.X[triangle, :1]  # (point, ξ_j, X_i)
+
+        def geometry(xi):
+            values = element.tabulate(1, self.in_facets(triangle, xi))[..., 0]  # (1 + i, p, node)
+            x, *dx = (np.einsum("pa,pai->pi", value, nodes) for value in values)
+            return x, edges @ np.stack(dx, axis=1)
+
+        normals = self.vertex_normals[self.triangles[triangle]]
+        return along_normals(geometry, normals, points, xi)
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Reference coordinates in the host facet of points of triangles.

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.gap.domain import GapDomain
-from hypergap_dolfinx.gap.surface import Surface, thinness
-from hypergap_dolfinx.gap.triangulation import neighbours
+from hypergap_dolfinx.gap.surface import SAME_NODE, Surface, thinness
 
 SAG = 1e-5
 """Distance of curved facets from straight ones, in their lengths, that is taken for straight.
@@ -28,13 +27,8 @@ facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 tim
 with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
 error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
 Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
-OFF = 1e-3
-"""Distance between the sides' outlines, in lengths of their edges, that is taken for none."""
-
 WHOLE = 0.99
-"""Part of a facet's length from which it counts as not cut."""
-CORNER = np.radians(80)
-"""What an outline turns by, from one edge to the next, where it has a corner."""
+"""Part of a facet's length or area from which it counts as not cut."""
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -52,7 +46,6 @@ def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
     found = (
         distance(domain),
         straight_facets(domain.surfaces),
-        outlines(*domain.surfaces),
         uneven_facets(domain, sides),
     )
     return [line for line in found if line]
@@ -76,9 +69,7 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
         return None
     sags = []
     for surface in surfaces:
-        X = surface.geometry.points
-        straight = np.column_stack((1 - X.sum(axis=1), X)) @ surface.x[surface.facets]
-        sag = np.linalg.norm(surface.nodes - straight, axis=2).max(axis=1)
+        sag = np.linalg.norm(surface.nodes - surface.straight_nodes, axis=2).max(axis=1)
         sags.append(np.where(surface.curved, sag, 0))
     curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
     if all(curved) or not any(curved):
@@ -95,26 +86,29 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
 
 
 def _widths(v, w):
-    """Where simplices are narrowest compared with others.
+    """Where facets are narrowest compared with others, by the spread of their vertices.
 
     Args:
-        v: Vertices of each simplex, ``(num, d + 1, n)``.
+        v: Vertices of each facet, ``(num, num_vertices, n)``.
         w: Vertices of the one to compare it with.
 
     Returns:
-        How many times as wide the other is in that direction, and the simplex' own width in it,
+        How many times as wide the other is in that direction, and the facet's own width in it,
         ``(num,)`` each.
     """
-    d = v.shape[1] - 1
-    corners = np.vstack((np.zeros(d), np.eye(d))) - 1 / (d + 1)
-    L = np.linalg.cholesky(corners.T @ corners)  # of the covariance of the reference vertices
-    E, F = ((a[:, 1:] - a[:, :1]) for a in (v, w))  # (simplex, d, n)
-    metric = np.linalg.inv(E @ E.transpose(0, 2, 1))
-    A = np.linalg.inv(L) @ metric @ (E @ F.transpose(0, 2, 1)) @ L
-    squares, U = np.linalg.eigh(A @ A.transpose(0, 2, 1))
-    covector = U[:, :, -1] @ np.linalg.inv(L)
-    square = np.einsum("si,sij,sj->s", covector, metric, covector)
-    return np.sqrt(squares[:, -1]), 1 / (L[0, 0] * np.sqrt(square))
+    n = v.shape[2]
+    plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
+
+    def spread(x):
+        y = (x - x.mean(axis=1, keepdims=True)) @ plane
+        return y.transpose(0, 2, 1) @ y / x.shape[1]
+
+    inverse = np.linalg.inv(np.linalg.cholesky(spread(v)))
+    squares, U = np.linalg.eigh(inverse @ spread(w) @ inverse.transpose(0, 2, 1))
+    direction = np.einsum("sij,si->sj", inverse, U[:, :, -1])
+    # Of an edge, a right triangle or a square of width 1
+    unit = {2: 1 / 4, 3: 2 / 9, 4: 1 / 4}[v.shape[1]]
+    return np.sqrt(squares[:, -1]), 1 / (np.sqrt(unit) * np.linalg.norm(direction, axis=1))
 
 
 def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
@@ -134,9 +128,15 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     E = v[:, 1:] - v[:, :1]
     area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
     some = area > 0
-    if n == 2:  # where the sides overlap in part, the ends of Γ_i are cut facets
+    # Where the sides overlap in part, facets of Γ_i are cut
+    if n == 2:
         own = domain.hosts.facets[i][base, : n + 1][on[base]].reshape(-1, n)[:, 0]
         some &= area > WHOLE * domain.surfaces[i].size[own]
+    else:
+        X = domain.hosts.X[i][base, :4][on[base]].reshape(-1, 3, 2)
+        corner = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE
+        some &= (corner | _middles(X)).all(axis=1)
+        v = _whole_facets(domain, i, base, on[base], v)
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
@@ -146,6 +146,23 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     if not len(total):
         return 0.0
     return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
+
+
+def _middles(X) -> npt.NDArray[np.bool_]:
+    """Which vertices are middles of quadrilaterals, ``(num_bases, 3)``."""
+    return np.abs(X - 0.5).max(axis=2) < SAME_NODE
+
+
+def _whole_facets(domain: GapDomain, i: int, base, on, v):
+    """In the place of quarters of quadrilaterals these themselves."""
+    surface = domain.surfaces[i]
+    X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
+    hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
+    middle = _middles(X)
+    if surface.facets.shape[1] < 4 or not middle.any(axis=1).all():
+        return v
+    own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
+    return surface.x[surface.facets[own]]
 
 
 def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
@@ -160,78 +177,3 @@ def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
         f"Γ1's facets are {value:.2g} times narrower one way than those of Γ0 and than its own "
         f"cells are deep: λ oscillates, displacements hardly do. To trust λ, {advice}."
     )
-
-
-def outlines(surface0: Surface, surface1: Surface) -> str | None:
-    """In space the sides end at the same place, as far as straight edges can tell."""
-    if surface0.gdim == 2:
-        return None
-    rims = _Rim(surface0), _Rim(surface1)
-    if not all(len(rim.x) for rim in rims):
-        return None
-    (off0, area0), (off1, area1) = rims[0].off(rims[1]), rims[1].off(rims[0])
-    worst = off1 if off1[0] >= off0[0] else off0
-    if worst[0] <= 0:
-        return None
-    v = surface1.x[surface1.facets]
-    twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum()
-    share = 200 * max(area0, area1) / twice
-    return (
-        f"the outlines of Γ0 and Γ1 are up to {worst[1]:.3g} apart, at {worst[2]}: between them "
-        f"lies {share:.2g} % of Γ1's area, tied as if it were on both sides. Make both end at the "
-        "same place."
-    )
-
-
-class _Rim:
-    """The edges at which a surface in space ends."""
-
-    def __init__(self, surface: Surface):
-        behind = neighbours(surface.facets, surface.name, surface.x)
-        f, k = np.nonzero(behind < 0)
-        start, end = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
-        self.x = surface.x[start]  # (edge, 3)
-        self.t = surface.x[end] - self.x
-        self.length = np.linalg.norm(self.t, axis=1)
-        self.normal = surface.normals[f]
-        beside = np.where(behind[f] < 0, f[:, None], behind[f])
-        cosine = np.einsum("ei,eki->ek", self.normal, surface.normals[beside])
-        self.bend = np.arccos(np.clip(cosine, -1, 1)).max(axis=1, initial=0)  # to the next facets
-        # An arc's distance from its chord is its length times an eighth of what it turns by; what
-        # turns by more than a pentagon does is a corner, where both outlines have a node
-        edge_at = np.full(len(surface.x), -1)
-        edge_at[start] = np.arange(len(start))
-        following = edge_at[end]
-        unit = self.t / self.length[:, None]
-        cosine = np.einsum("ei,ei->e", unit, unit[following])
-        turn = np.arccos(np.clip(cosine, -1, 1))
-        turn[turn > CORNER] = 0
-        self.sag = self.length * turn / 8
-        np.maximum.at(self.sag, following, self.length[following] * turn / 8)
-
-    def off(self, other: "_Rim"):
-        """How far this rim's nodes lie off another one's edges, along the surface.
-
-        Returns:
-            The largest distance beyond what is explained by straight edges of curved rims, that
-            distance in all, and the place; and the area between the rims.
-        """
-        worst, area = (-np.inf, 0.0, self.x[0]), 0.0
-        for c in range(0, len(self.x), 256):
-            part = slice(c, c + 256)
-            y = self.x[part, None]
-            s = np.einsum("pei,ei->pe", y - other.x, other.t) / other.length**2
-            apart = y - (other.x + np.clip(s, 0, 1)[..., None] * other.t)
-            edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-            apart = apart[np.arange(len(apart)), edge]
-            n = other.normal[edge]
-            height = np.einsum("pi,pi->p", apart, n)
-            distance = np.linalg.norm(apart - height[:, None] * n, axis=1)
-            # A gap is fine; a facet's normal knows its direction as well as facets bend
-            explained = 2 * np.maximum(self.sag[part], other.sag[edge])
-            explained += np.abs(height) * (other.bend[edge] + self.bend[part])
-            beyond = distance - explained - OFF * np.maximum(self.length[part], other.length[edge])
-            area += (np.where(beyond > 0, distance, 0) * self.length[part]).sum()
-            p = beyond.argmax()
-            worst = max(worst, (beyond[p], distance[p], self.x[c + p]), key=lambda w: w[0])
-        return worst, area

@@ -5,9 +5,13 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
 
-Surfaces are taken apart into smooth pieces that face each other; a front of flips fills the slab
-between two pieces.
+Surfaces are taken apart into smooth pieces that face each other and cut to what both sides have in
+common; a front of flips fills the slab between two pieces.
 """
+
+import logging
+import time
+from collections import Counter
 
 from mpi4py import MPI
 
@@ -18,12 +22,16 @@ import basix
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
-from hypergap_dolfinx.gap.cells import GapCells, Hosts
-from hypergap_dolfinx.gap.kernel import GapElement, geometry_at_points
+from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element
+from hypergap_dolfinx.gap.clip import clip
+from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
+from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 def _place(sides: tuple[Side, Side]) -> Place:
@@ -62,20 +70,12 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)))
 
 
-def _num_turned(slab: Slab) -> int:
-    """How many cells are turned over somewhere, with the surfaces' curved geometry."""
+def _margins(slab: Slab) -> npt.NDArray[np.float64]:
+    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge²."""
     surfaces = [side.surface for side in slab.sides]
-    g = max(surface.geometry.degree for surface in surfaces)
-    k = max(surface.element.degree for surface in surfaces)
-    geometry, space = (
-        basix.create_element(
-            basix.ElementFamily.P,
-            basix.CellType.tetrahedron,
-            degree,
-            basix.LagrangeVariant.equispaced,
-        )
-        for degree in (g, k)
-    )
+    k = max(side.degree for side in slab.sides)
+    geometry = geometry_element(surfaces, k).basix_element
+    space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
     each = np.arange(len(slab.cells))
     hosts = slab.hosts(geometry.points, each)
     alpha = hosts.alpha[..., None]
@@ -83,30 +83,86 @@ def _num_turned(slab: Slab) -> int:
         surface.points(facet.ravel(), X.reshape(-1, 2)).reshape(*facet.shape, 3)
         for surface, facet, X in zip(surfaces, hosts.facets, hosts.X, strict=True)
     )
-    tables = GapElement.with_quadrature(geometry, space, 2 * (k + g))
+    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
     N, _ = geometry_at_points(tables, (1 - alpha) * x0 + alpha * x1, slab.alpha[slab.cells])
-    return int((np.einsum("cpi,ci->cp", N, slab.normal) <= 0).any(axis=1).sum())
+    v = slab.x[slab.cells]
+    scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
+    return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
+
+
+def _check_folded(side: Side):
+    """Curved facets that are folded have cells that are turned over whatever is beyond them."""
+    surface, element = side.surface, side.surface.geometry
+    points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
+    dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
+    for facet, normal in zip(side.facets, side.normals, strict=True):
+        d, e = (derivatives @ surface.nodes[facet] for derivatives in dX)
+        if (np.cross(d, e) @ normal <= 0).any():
+            raise InterfaceError(
+                f"a curved facet of {surface.name} at {surface.nodes[facet].mean(axis=0)} is "
+                "folded: its middle nodes are too far off; refine the mesh there or straighten it."
+            )
 
 
 def fill(sides: tuple[Side, Side]) -> Slab:
     """Cells between two facing pieces.
 
     Raises:
-        InterfaceError: Their boundaries don't match; there is no valid mesh.
+        InterfaceError: Their boundaries don't match; curved facets are folded; there is no valid
+            mesh.
     """
     problem = front.Problem.between(*sides)
-    straight = not any(side.surface.curved[side.facets].any() for side in sides)
+    degree = max(side.degree for side in sides)
+    straight = geometry_element([side.surface for side in sides], degree).degree == 1
 
-    def num_bad(filling: front.Filling) -> int:
-        return 0 if straight else _num_turned(_slab(sides, filling))
+    num_vertices = len(problem.x)
+    known: dict[bytes, float] = {}  # most cells are looked at many times
 
-    filling = front.construct(problem, _place(sides), num_bad)
+    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
+        data = np.ascontiguousarray(filling.cells, dtype=np.int64).tobytes()
+        keys = [data[i : i + 32] for i in range(0, len(data), 32)]
+        value = np.array([known.get(key, np.nan) for key in keys])
+        new = np.isnan(value)
+        if new.any():
+            value[new] = _margins(_slab(sides, filling.with_cells(filling.cells[new])))
+            lasting = new & (filling.cells < num_vertices).all(axis=1)  # not of interior vertices
+            known.update((keys[i], value[i]) for i in np.flatnonzero(lasting))
+        return value
+
+    filling = front.construct(problem, _place(sides), None if straight else margins)
     if filling is None:
         raise InterfaceError(
             f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
+    if not straight and (margins(filling) <= 0).any():
+        for side in sides:
+            _check_folded(side)
     return _slab(sides, filling)
+
+
+def summary(slabs: list[Slab]) -> str:
+    """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
+
+    A cell's quality is its D over its longest edge squared: 1 of a cube's corner with a base on one
+    side, 0 if it is flat. Kinds tell how many vertices are on Γ0, on Γ1 and between them.
+    """
+    D: list[npt.NDArray[np.float64]] = []
+    kinds: Counter[tuple[int, int]] = Counter()
+    for slab in slabs:
+        value, scale = areas(slab.x[slab.cells], slab.alpha[slab.cells], slab.normal)
+        D.append(value / scale)
+        alpha = slab.alpha[slab.cells]
+        number = np.column_stack([part.sum(axis=1) for part in (alpha == 0, alpha == 1)])
+        kind, count = np.unique(number, axis=0, return_counts=True)
+        kinds.update(dict(zip(map(tuple, kind.tolist()), count.tolist(), strict=True)))
+    quality = np.concatenate(D)
+    each = [f"{count} ({a}, {b})" for (a, b), count in sorted(kinds.items(), reverse=True)]
+    inner = sum(slab.inner.alpha.size for slab in slabs)
+    return (
+        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; {len(slabs)} pieces; "
+        f"quality {quality.min():.2g} at worst, {quality.mean():.2g} in the mean"
+    )
 
 
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
@@ -121,10 +177,10 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         The cells, the same on every rank.
 
     Raises:
-        InterfaceError: Surfaces that don't face each other or don't end at the same place, or
-            for which there is no valid mesh.
+        InterfaceError: Surfaces that don't face each other, or for which there is no valid mesh.
         RuntimeError: There is no C compiler.
     """
+    start = time.perf_counter()
     group0, group1 = facing_pieces(surface0, surface1)
     sides = [
         (
@@ -136,14 +192,26 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
     result, error = None, None
     if comm.rank == 0:
         try:
-            slabs = [fill(pair) for pair in sides]
-            result = [(slab.cells, slab.inner) for slab in slabs]
+            pairs = [common for pair in sides for common in clip(*pair)]
+            slabs = [fill(pair) for pair in pairs]
+            arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
+            result = [
+                (*part, slab.cells, slab.inner) for part, slab in zip(arrays, slabs, strict=True)
+            ]
         except (InterfaceError, RuntimeError) as e:
             error = e
     kind = comm.bcast(type(error) if error else InterfaceError)
     raise_on_all(comm, str(error) if error else None, kind)
-    slabs = [Slab(pair, *part) for pair, part in zip(sides, comm.bcast(result), strict=True)]
+    slabs = [
+        Slab((Side(surface0, *own), Side(surface1, *other)), *part)
+        for own, other, *part in comm.bcast(result)
+    ]
+    covered = np.zeros(len(surface1.facets))
+    for slab in slabs:
+        np.add.at(covered, slab.sides[1].facets, slab.sides[1].shares)
 
+    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
+        LOG.info("Σ has %s; %.2g s", summary(slabs), time.perf_counter() - start)
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
@@ -165,7 +233,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
         normal=np.vstack([slab.normal for slab in slabs]),
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=group1,
-        covered=np.ones(len(group1)),
-        degree=max(surface0.element.degree, surface1.element.degree),
+        covered=covered,
+        degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
     )

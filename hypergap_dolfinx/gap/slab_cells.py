@@ -20,7 +20,7 @@ class Slab:
     """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
 
     sides: tuple[Side, Side]
-    cells: npt.NDArray[np.int64]
+    cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
     inner: Hosts
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
@@ -78,8 +78,10 @@ class Slab:
         total = np.zeros_like(self.x)
         for i, side in enumerate(self.sides):
             unit = (1 - 2 * i) * side.normals
+            corner = self.offsets[i] + side.triangles.ravel()
             for k in range(3):
-                np.add.at(total, self.offsets[i] + side.triangles[:, k], unit)
+                each = np.repeat(unit[:, k], 3)
+                total[:, k] += np.bincount(corner, each, minlength=len(total))
             if self.inner.alpha.size:
                 total[-self.inner.alpha.size :] += unit[self.inner.facets[i][0]]
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
@@ -130,7 +132,13 @@ class Slab:
             at = np.zeros((*alpha.shape, 2))
             host[on], at[on] = self._own_facet(i, vertices, weights, on)
             away = ~on & (np.abs(alpha - (1 - i)) > 1e-12)
-            host[away], at[away] = side.project(x[away], host[away])
+            first, which = _same(vertices, weights, away)
+            # From what lies around the point: other cells that have it find the same
+            around = np.where(support[None], vertices[:, None], -1)[away][first]
+            seed = np.where(around >= 0, self.seeds[i][around], -1).max(axis=1)
+            seed = np.where(seed >= 0, seed, host[away][first])
+            found, there = side.project(x[away][first], seed)
+            host[away], at[away] = found[which], there[which]
             facets.append(side.facets[host])
             X.append(side.in_facets(host.ravel(), at.reshape(-1, 2)).reshape(at.shape))
         # An interior vertex has the hosts that gave it its place
@@ -173,6 +181,30 @@ class Slab:
 
     def _seed_of(self, i: int, v):
         return self.seeds[i][v.max(axis=1) + self.offsets[i]]
+
+
+def _same(vertices, weights, some):
+    """Points of cells that are one, by their vertices and weights.
+
+    Args:
+        vertices: ``(num_cells, 4)``.
+        weights: Of the vertices at the points of each cell, ``(num_points, 4)``.
+        some: Which points, ``(num_cells, num_points)``.
+
+    Returns:
+        Where each is met first, and the number of each point's.
+    """
+    cell, point = np.nonzero(some)
+    values, code = np.unique(np.round(weights, 9), return_inverse=True)
+    code = code.reshape(weights.shape)[point]
+    key = np.where(weights[point] != 0, vertices[cell] * len(values) + code, -1)
+    key.sort(axis=1)
+    order = np.lexsort(key.T)
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (key[order[1:]] != key[order[:-1]]).any(axis=1)
+    which = np.empty(len(order), dtype=np.intp)
+    which[order] = np.cumsum(new) - 1
+    return order[new], which
 
 
 def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:

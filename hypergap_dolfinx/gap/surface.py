@@ -49,7 +49,9 @@ class Surface:
     """One side Γ_i of an interface: the same arrays on every rank.
 
     The vertices of a facet are ordered such that its normal points out of the body: in 2D the
-    body is on the left, in 3D the vertices turn counterclockwise seen from outside.
+    body is on the left, in 3D triangles turn counterclockwise seen from outside. Those of a
+    quadrilateral are in the order of its reference coordinates, (0, 0), (1, 0), (0, 1), (1, 1),
+    which turn so too.
     """
 
     name: str
@@ -57,7 +59,7 @@ class Surface:
     x: npt.NDArray[np.float64]
     """Vertex coordinates, ``(num_vertices, n)``."""
     facets: npt.NDArray[np.int32]
-    """Vertices of each facet, ``(num_facets, n)``."""
+    """Vertices of each facet, ``(num_facets, n)``; of quadrilaterals ``(num_facets, 4)``."""
     nodes: npt.NDArray[np.float64]
     """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
     dofs: npt.NDArray[np.int64]
@@ -76,26 +78,50 @@ class Surface:
         """Geometric dimension n."""
         return self.x.shape[1]
 
+    @property
+    def polygons(self) -> npt.NDArray[np.int32]:
+        """Vertices of each facet, one after the other around it: edge k goes from k to k + 1."""
+        return around(self.facets)
+
     @cached_property
     def size(self) -> npt.NDArray[np.float64]:
-        """Diameter of each facet (longest edge), ``(num_facets,)``."""
-        v = self.x[self.facets]
+        """Longest edge of each facet, ``(num_facets,)``."""
+        v = self.x[self.polygons]
         edges = v - np.roll(v, 1, axis=1)
         return np.linalg.norm(edges, axis=2).max(axis=1)
 
     @cached_property
     def normals(self) -> npt.NDArray[np.float64]:
-        """Unit outward normals of the facets' vertex simplices, ``(num_facets, n)``."""
+        """Unit outward normals of the facets' vertices, ``(num_facets, n)``."""
         return unit_normals(self.x[self.facets])
 
     @cached_property
+    def straight_nodes(self) -> npt.NDArray[np.float64]:
+        """Where the geometry nodes are that the vertices alone would give, as ``nodes``."""
+        linear = basix.create_element(basix.ElementFamily.P, self.geometry.cell_type, 1)
+        return tabulate(linear, self.geometry.points) @ self.x[self.facets]
+
+    @cached_property
     def curved(self) -> npt.NDArray[np.bool_]:
-        """Which facets' geometry nodes leave the vertex simplex, ``(num_facets,)``."""
-        straight = _barycentric(self.geometry.points) @ self.x[self.facets]
-        deviation = np.abs(self.nodes - straight).max(axis=(1, 2))
+        """Which facets' geometry nodes are elsewhere than their vertices say, ``(num_facets,)``.
+
+        A quadrilateral with nothing but vertices isn't curved, though it may be warped.
+        """
+        return self._is_off(np.abs(self.nodes - self.straight_nodes).max(axis=(1, 2)))
+
+    @cached_property
+    def affine(self) -> npt.NDArray[np.bool_]:
+        """Which facets are affine images of the reference facet, ``(num_facets,)``."""
+        v = self.x[self.facets]
+        if v.shape[1] < 4:
+            return ~self.curved
+        twist = np.abs(v[:, 0] - v[:, 1] - v[:, 2] + v[:, 3]).max(axis=1)
+        return ~(self.curved | self._is_off(twist))
+
+    def _is_off(self, deviation) -> npt.NDArray[np.bool_]:
+        """Whether a distance at each facet is more than round-off."""
         # Coordinates carry a rounding error of their own, which grows away from the origin
-        noise = LAST_DIGITS * np.abs(self.x).max()
-        return deviation > STRAIGHT * self.size + noise
+        return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of reference points.
@@ -122,22 +148,33 @@ def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.f
 
 
 def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Barycentric coordinates of points of a reference simplex, ``(num_points, dim + 1)``."""
+    """Weights of the first dim + 1 vertices of an affine facet, ``(num_points, dim + 1)``."""
     return np.column_stack((1 - X.sum(axis=1), X))
 
 
 def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Unit normals of simplices ``(num, n, n)`` in n dimensions.
+    """Unit normals of facets with the given vertices, ``(num, num_vertices, n)``.
 
     They point to the right of an edge, and up from a counterclockwise triangle.
     """
-    t = v[:, 1:] - v[:, :1]
-    if v.shape[2] == 2:
-        normal = np.column_stack((t[:, 0, 1], -t[:, 0, 0]))
-    else:
-        normal = np.cross(t[:, 0], t[:, 1])
+    normal = normals_by_area(v)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return normal / np.where(length > 0, length, 1)
+
+
+def normals_by_area(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Normals as long as an edge, or as twice the area of a triangle or a quadrilateral."""
+    if v.shape[2] == 2:
+        t = v[:, 1] - v[:, 0]
+        return np.column_stack((t[:, 1], -t[:, 0]))
+    if v.shape[1] == 3:
+        return np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    return np.cross(v[:, 3] - v[:, 0], v[:, 2] - v[:, 1])  # its diagonals
+
+
+def around(facets: npt.NDArray) -> npt.NDArray:
+    """Vertices of facets, ``(num_facets, num_vertices)``, one after the other around each."""
+    return facets[:, [0, 1, 3, 2]] if facets.shape[1] == 4 else facets
 
 
 def _match(points, reference) -> npt.NDArray[np.intp] | None:
@@ -157,8 +194,8 @@ def _facet_tables(cell_type, element, facet_element):
     vertices = basix.geometry(cell_type)
     tables = []
     for facet in basix.topology(cell_type)[fdim]:
-        for turned in (facet, [facet[0], *facet[:0:-1]] if fdim == 2 else facet[::-1]):
-            v = vertices[turned[: fdim + 1]]
+        for turned in (facet, [facet[0], facet[2], facet[1]] if fdim == 2 else facet[::-1]):
+            v = vertices[turned[: fdim + 1]]  # facets of reference cells are affine
             tables.append(_match(_barycentric(facet_element.points) @ v, element.points))
             assert tables[-1] is not None
     return np.reshape(tables, (-1, 2, len(facet_element.points)))
@@ -215,6 +252,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
             "bodies must be 2D in the plane or 3D in space."
         )
     topology = mesh.topology
+    raise_on_all(comm, _cell_error(topology, name))
     topology.create_entities(fdim)
     topology.create_connectivity(fdim, fdim + 1)
     topology.create_connectivity(fdim + 1, fdim)
@@ -239,11 +277,6 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     # Order the vertices of each facet such that its normal points out of the cell
     cmap = compat.coordinate_element(mesh)
     facet_type = basix.cell.subentity_types(cell_type)[fdim][0]
-    simplex = facet_type in (basix.CellType.interval, basix.CellType.triangle)
-    if not simplex:
-        raise InterfaceError(
-            f"{name} has {facet_type.name} facets; 3D interfaces need tetrahedral bodies so far."
-        )
     P = basix.ElementFamily.P
     variant = basix.LagrangeVariant(int(cmap.variant))
     cell_geometry = basix.create_element(P, cell_type, cmap.degree, variant)
@@ -256,7 +289,9 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
     nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
     vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
-    centre = x[cell_nodes].mean(axis=1)
+    # Of the vertices: in a thin cell, nodes of curved edges may lie beyond the facet's plane
+    corners = [dofs[0] for dofs in cell_geometry.entity_dofs[0]]
+    centre = x[cell_nodes[:, corners]].mean(axis=1)
     v = x[nodes[:, 0][:, vertex_nodes]]
     turn = (np.einsum("fi,fi->f", unit_normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
     each = np.arange(len(facets))
@@ -282,7 +317,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
 
     # Number by position: node numbers depend on the number of ranks, coordinates don't
     _, at, vertices = np.unique(vertices, return_index=True, return_inverse=True)
-    vertices = vertices.reshape(-1, n)
+    vertices = vertices.reshape(-1, len(vertex_nodes))
     vertex_x = nodes_x[:, vertex_nodes].reshape(-1, n)[at]
     order = np.lexsort(vertex_x.T[::-1])
     rank_of = np.empty_like(order)
@@ -314,13 +349,22 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     to_cells = mesh.topology.connectivity(n - 1, n)
     cells = to_cells.array[to_cells.offsets[facets]]
     x = mesh.geometry.x[:, :n]
-    v = x[entities_to_geometry(mesh, n - 1, facets)[:, :n]]
+    v = x[entities_to_geometry(mesh, n - 1, facets)[:, : 2 ** (n - 1)]]
     height = np.einsum(
         "fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], unit_normals(v)
     )
-    length = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).max(axis=1, initial=0)
+    polygon = v[:, around(np.arange(v.shape[1])[None])[0]]
+    length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=1), axis=2).max(axis=1, initial=0)
     ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
     return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
+
+
+def _cell_error(topology, name: str) -> str | None:
+    """Whether a mesh's cells have facets that this module knows, or what is wrong."""
+    cells = topology.cell_name()
+    if cells in ("triangle", "quadrilateral", "tetrahedron", "hexahedron"):
+        return None
+    return f"{name} lies on {cells} cells; bodies in space are made of tetrahedra or hexahedra."
 
 
 def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:

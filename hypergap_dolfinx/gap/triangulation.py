@@ -15,6 +15,8 @@ from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 from hypergap_dolfinx.graph import components
 
 SAMPLES = 64  # facets of a piece that are asked what lies opposite
+FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
+NEWTON = 6  # steps to where a line along a surface's normals meets it
 
 
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -23,12 +25,12 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     Edge k of a facet goes from its vertex k to vertex k + 1.
 
     Args:
-        facets: Vertices of each facet, ``(num_facets, 3)``.
+        facets: Vertices of each facet, one after the other, ``(num_facets, 3)`` or ``(…, 4)``.
         name: What messages call the surface.
         x: Vertex coordinates.
 
     Returns:
-        ``(num_facets, 3)``.
+        As ``facets``.
 
     Raises:
         InterfaceError: More than two facets meet in an edge.
@@ -46,7 +48,14 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
         )
     at = np.minimum(np.searchsorted(key[order], b * n + a), len(key) - 1)
     other = order[at]
-    return np.where(key[other] == b * n + a, other // 3, -1).reshape(-1, 3)
+    return np.where(key[other] == b * n + a, other // facets.shape[1], -1).reshape(facets.shape)
+
+
+def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Where edges of facets start and end; their numbers count on around the facet."""
+    polygons = surface.polygons
+    num = polygons.shape[1]
+    return polygons[facet, k % num], polygons[facet, (k + 1) % num]
 
 
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
@@ -65,10 +74,10 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     g = behind[f, k]
     n0, n1 = surface.normals[f], surface.normals[g]
     turn = np.arctan2(np.linalg.norm(np.cross(n0, n1), axis=1), np.einsum("ei,ei->e", n0, n1))
-    a, b = surface.facets[f, k], surface.facets[f, (k + 1) % 3]
-    # The vertices opposite, and the edges there that don't touch this one
-    opposite = np.column_stack((surface.facets[f].sum(axis=1), surface.facets[g].sum(axis=1)))
-    opposite = opposite - (a + b)[:, None]
+    a, b = edge_ends(surface, f, k)
+    # A vertex opposite in each facet, and the edges there that don't touch this one
+    m = np.argmax(behind[g] == f[:, None], axis=1)
+    opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
     t = surface.x[b] - surface.x[a]
     t /= np.linalg.norm(t, axis=1, keepdims=True)
     noise = NOISE * np.abs(surface.x).max() / surface.size.min()
@@ -94,9 +103,9 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
     """Which edges of a surface run along edges of the other one."""
     (f, k), (g, m) = edges, other_edges
-    a, b = surface.x[surface.facets[f, k]], surface.x[surface.facets[f, (k + 1) % 3]]
-    start = other.x[other.facets[g, m]]
-    t = other.x[other.facets[g, (m + 1) % 3]] - start
+    a, b = (surface.x[end] for end in edge_ends(surface, f, k))
+    start, end = (other.x[end] for end in edge_ends(other, g, m))
+    t = end - start
     length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
     near = np.empty(len(f), dtype=bool)
     chunk = max(1, 2_000_000 // max(1, len(g)))
@@ -122,7 +131,7 @@ def facing_pieces(surface0: Surface, surface1: Surface):
         InterfaceError: The surfaces branch or don't face each other.
     """
     surfaces = (surface0, surface1)
-    behind = [neighbours(s.facets, s.name, s.x) for s in surfaces]
+    behind = [neighbours(s.polygons, s.name, s.x) for s in surfaces]
     lines = [kinks(s, b) for s, b in zip(surfaces, behind, strict=True)]
     pieces = []
     for i, surface in enumerate(surfaces):
@@ -233,7 +242,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
     return found
 
 
-def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed):
+def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, refine=None):
     """Walk over a surface from a facet to the one that a point projects into.
 
     Beyond a boundary the last facet is extrapolated.
@@ -244,18 +253,35 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         behind: The facets' neighbours.
         points: Points, ``(num_points, 3)``.
         seed: Where the walk starts, ``(num_points,)``.
+        refine: ``refine(facet, points, X)``: better coordinates than those on straight facets, with
+            which a second walk goes on.
 
     Returns:
         Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
     """
-    origin = x[facets[:, 0]]
-    inverse = np.linalg.pinv((x[facets[:, 1:]] - origin[:, None]).transpose(0, 2, 1))
-    facet, best = np.array(seed, dtype=np.intp), np.full(len(points), -np.inf)
+    origin, d, e = x[facets[:, 0]], *(x[facets[:, k]] - x[facets[:, 0]] for k in (1, 2))
+    dd, de, ee = (np.einsum("fi,fi->f", a, b) for a, b in ((d, d), (d, e), (e, e)))
+    det = np.maximum(dd * ee - de**2, 1e-300)
+
+    def flat(f, p):
+        y = p - origin[f]
+        yd, ye = np.einsum("pi,pi->p", y, d[f]), np.einsum("pi,pi->p", y, e[f])
+        return np.column_stack((ee[f] * yd - de[f] * ye, dd[f] * ye - de[f] * yd)) / det[f, None]
+
+    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)
+    if refine is None:
+        return host, X
+    return _walk(behind, points, host, lambda f, p: refine(f, p, flat(f, p)), FURTHER)
+
+
+def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
+    """The facets that points lie in, and coordinates(facet, point) there."""
+    best, facet = np.full(len(points), -np.inf), facet.copy()
     host, X = facet.copy(), np.zeros((len(points), 2))
     active = np.arange(len(points))
-    for _ in range(100):
+    for _ in range(steps):
         f = facet[active]
-        at = np.einsum("pvi,pi->pv", inverse[f], points[active] - origin[f])
+        at = coordinates(f, points[active])
         weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
         inside = weights.min(axis=1)
         better = inside > best[active]
@@ -272,3 +298,34 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         if not len(active):
             break
     return host, X
+
+
+def along_normals(surface, n, points, X) -> npt.NDArray[np.float64]:
+    """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
+
+    Other than the facets' normals these don't jump from one facet to the next, so points near each
+    other get to places near each other.
+
+    Args:
+        surface: Takes ``X`` to places, ``(num_points, 3)``, and their derivatives,
+            ``(num_points, 2, 3)``.
+        n: Normals at the vertices of each point's triangle, ``(num_points, 3, 3)``.
+        points: ``(num_points, 3)``.
+        X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
+    """
+    dn = n[:, 1:] - n[:, :1]
+    z = np.column_stack((X, np.zeros(len(X))))  # coordinates, and how far off
+    done = np.zeros(len(X), dtype=bool)
+    for _ in range(NEWTON):
+        x, dx = surface(z[:, :2])
+        normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
+        off = x + z[:, 2:] * normal - points
+        square = np.einsum("pji,pji->p", dx, dx)
+        done = np.einsum("pi,pi->p", off, off) < 1e-20 * square
+        if done.all():
+            break
+        J = np.concatenate((dx + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
+        J[np.abs(np.linalg.det(J)) < 1e-6 * square] = np.eye(3)
+        z = z - np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
+        z[:, :2] = np.clip(z[:, :2], X - 1, X + 1)
+    return np.where(done[:, None], z[:, :2], X)

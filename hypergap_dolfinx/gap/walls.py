@@ -32,6 +32,8 @@ class Rim:
 
     length: float
     """Length of the loops."""
+    shared: npt.NDArray[np.float64]
+    """Parameters of coincident nodes, from 0 to 1, where walls end; infinite if there are none."""
 
     def walls(self, n0: int, shift, weights) -> npt.NDArray[np.intp]:
         """Triangles between the loops.
@@ -50,6 +52,10 @@ class Rim:
         s0, s1 = self.s[0], self.s[1] + np.append(moved, moved[0])
         middles = [_middles(s0, weights[c0] / self.length**2)]
         middles.append(_middles(s1, weights[n0 + c1] / self.length**2))
+        for i, s in enumerate(self.s):  # edges shorter than the shift stay in their wall
+            wall = np.searchsorted(self.shared, (s[1:] + s[:-1]) / 2) - 1
+            ends = self.shared[wall], self.shared[wall + 1]
+            middles[i] = wall + np.clip(middles[i], *ends)
         side, edge, apex = merge(*middles)
         a, b = (np.where(side == i, edge, 0) for i in (0, 1))
         a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
@@ -76,18 +82,18 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     if len(loops0) != len(loops1):
         raise InterfaceError(
             f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: in 3D both sides must cover the same part of the interface."
+            f"{side1.x.mean(axis=0)}: do the surfaces have the same shape there?"
         )
     found = []
     for loop1 in loops1:
         distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
         loop0 = loops0.pop(int(np.argmin(distances)))
-        c0, c1, s0, s1 = _parametrise(side0, loop0, side1, loop1)
+        c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
         x = side1.x[c1]
         chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
         length = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum()
         size = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-300)
-        found.append(Rim((c0, c1), (s0, s1), chord / size / length, length))
+        found.append(Rim((c0, c1), (s0, s1), chord / size / length, length, shared))
     return found
 
 
@@ -102,7 +108,7 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
 
     Returns:
         The loops, and parameters (one more than nodes: the last closes the loop), equal at
-        coincident nodes.
+        coincident nodes; and those.
 
     Raises:
         InterfaceError: The loops are apart.
@@ -130,10 +136,12 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
     anchors0 = np.concatenate(([0.0], s0[i[keep]], [1.0]))
     anchors1 = np.concatenate(([0.0], s1[j[keep]], [1.0]))
     s1 = np.interp(s1, anchors1, anchors0)
+    ends = np.unique(anchors0)
     if not shared.any():  # Γ1's first node lies a little off Γ0's
+        ends = np.array((-np.inf, np.inf))
         t = x0[1] - x0[0]
         s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
-    return loop0, loop1, s0, s1
+    return loop0, loop1, s0, s1, ends
 
 
 def _arc(x) -> npt.NDArray[np.float64]:
@@ -144,7 +152,7 @@ def _arc(x) -> npt.NDArray[np.float64]:
 
 
 def _check_apart(side0: Side, loop0, side1: Side, loop1):
-    """Partial overlap would need the surfaces' intersection: not in 3D."""
+    """Outlines that match, or were cut to match, are near each other."""
     x0, x1 = side0.x[loop0], side1.x[loop1]
     t = np.roll(x0, -1, axis=0) - x0
     length = np.linalg.norm(t, axis=1)
@@ -163,7 +171,5 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
             worst = distance.argmax()
             raise InterfaceError(
                 f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "in 3D both sides must cover the same part of the interface. Give only the facets "
-                "of the common part; to have some, split the larger surface along the outline of "
-                "the other in the mesher."
+                "do the surfaces have the same shape there?"
             )

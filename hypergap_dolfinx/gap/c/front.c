@@ -23,7 +23,7 @@ typedef struct {
 typedef struct {
   double t;
   int triangle, move; // move: an edge 0, 1, 2, or −1 − vertex
-  int stamp, stamp_behind;
+  int stamp, behind, stamp_behind; // of the triangle, and of the one behind the edge
 } Event;
 
 typedef struct {
@@ -88,7 +88,8 @@ static void push(Front *f, double t, int triangle, int move)
     f->max_events = size;
   }
   const Triangle *tri = f->triangle + triangle;
-  Event e = {t, triangle, move, tri->stamp, move < 0 ? 0 : f->triangle[tri->behind[move]].stamp};
+  int behind = move < 0 ? triangle : tri->behind[move];
+  Event e = {t, triangle, move, tri->stamp, behind, f->triangle[behind].stamp};
   int i = f->num_events++;
   for (; i > 0 && f->heap[(i - 1) / 4].t > t; i = (i - 1) / 4)
     f->heap[i] = f->heap[(i - 1) / 4];
@@ -123,7 +124,7 @@ static int is_stale(const Front *f, const Event *e)
     return 1;
   if (e->move < 0)
     return f->home[-1 - e->move] != e->triangle;
-  return f->triangle[tri->behind[e->move]].stamp != e->stamp_behind;
+  return tri->behind[e->move] != e->behind || f->triangle[e->behind].stamp != e->stamp_behind;
 }
 
 // ---------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@
 
 enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 
-#define FLAT 1e-9      // D of a cell over its longest edge's square that counts as none
+#define FLAT 1e-9      // D of a cell over the product of its two edges on the surfaces that is none
 #define COLLINEAR 1e-12 // the same for A of a triangle
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
 #define SWEEPS_OF_QUADRATICS 50
@@ -60,21 +60,27 @@ static inline void unit_sum(const double *a, const double *b, const double *c, c
 }
 
 // D(a,b,c,d) = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, with edges e_k from a and n the mean normal:
-// positive if the cell is not inverted. Relative to the square of the longest e_k.
+// positive if the cell is not inverted. Relative to the lengths of its two edges on the surfaces; of
+// a cell with a base on one, D is the base's area, which may be as small as it is.
 static double D(const Points *p, int a, int b, int c, int d, const double *n, double *scale)
 {
   const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};
   const int on[4] = {a >= p->n0, b >= p->n0, c >= p->n0, d >= p->n0};
-  double e[3][3], sum = 0, longest = 0;
+  double e[3][3], sum = 0;
   for (int k = 0; k < 3; ++k)
-  {
     minus(v[k + 1]->x, v[0]->x, e[k]);
-    longest = fmax(longest, dot(e[k], e[k]));
-  }
   for (int k = 0; k < 3; ++k)
     if (on[k + 1] != on[0])
       sum += (on[k + 1] - on[0]) * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
-  *scale = longest;
+  *scale = 0;
+  if (on[0] + on[1] + on[2] + on[3] == 2)
+    for (int k = 0; k < 3; ++k)
+      if (on[k + 1] == on[0])
+      {
+        double other[3];
+        minus(e[(k + 1) % 3], e[(k + 2) % 3], other);
+        *scale = sqrt(dot(e[k], e[k]) * dot(other, other));
+      }
   return sum;
 }
 

@@ -1,0 +1,349 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A piece of a surface with the other one's outline in it, and what it is cut into."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.cutting import Cutting
+from hypergap_dolfinx.gap.outlines import Edges, locate
+from hypergap_dolfinx.gap.pieces import Side
+
+CHORDS = 2
+"""Straight parts that stand for an edge of a curved outline, per degree of its geometry."""
+
+
+class Cut:
+    """A piece with nodes and edges put into it; its own triangles stay until the end.
+
+    Nodes are the piece's vertices, and new ones on its edges or in its triangles. Where they lie is
+    told by weights of vertices, in the triangulation of straight triangles.
+    """
+
+    def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
+        """A piece whose outline (loops of vertices) has nodes where it is curved."""
+        self.side, self.snap = side, snap
+        self.num_vertices = len(side.x)
+        self.loops = [loop.tolist() for loop in outline]
+        self.at: list[
+            tuple
+        ] = []  # of each new node: an edge and a parameter, or a triangle's weights
+        self.on: dict[tuple[int, int], list[tuple[float, int]]] = {}  # nodes on each edge
+        self.inside: dict[int, list[int]] = defaultdict(list)  # nodes in each triangle
+        self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
+        self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
+        self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
+        corner = side.triangles.ravel()
+        self._fans = np.argsort(corner, kind="stable") // 3
+        self._starts = np.searchsorted(np.sort(corner), np.arange(self.num_vertices + 1))
+        degree = side.surface.geometry.degree
+        for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
+            if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
+                for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
+                    self.on_edge(a, b, s)
+
+    # Nodes
+
+    def around(self, a: int, b: int | None = None) -> list[int]:
+        """The triangles at a vertex, or at an edge."""
+        fan = self._fans[self._starts[a] : self._starts[a + 1]]
+        if b is not None:
+            fan = fan[(self.side.triangles[fan] == b).any(axis=1)]
+        return fan.tolist()
+
+    def on_edge(self, a: int, b: int, s: float) -> int:
+        """The node at a parameter on an edge: a new one unless there is one beside it."""
+        if a > b:
+            a, b, s = b, a, 1 - s
+        near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
+        for r, node in [(0.0, a), (1.0, b), *self.on.get((a, b), [])]:
+            if abs(s - r) <= near:
+                return node
+        return self._new(a, b, s)
+
+    def _new(self, a: int, b: int, s: float) -> int:
+        node = self.num_vertices + len(self.at)
+        self.at.append((a, b, s))
+        self.on[a, b] = sorted([*self.on.get((a, b), []), (s, node)])
+        return node
+
+    def in_triangle(self, triangle: int, weights) -> int:
+        """The node at a place in a triangle; on its edge or its vertex if it is beside it."""
+        v = self.side.triangles[triangle].tolist()
+        x = self.side.x[v]
+        twice = float(np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])))
+        for k in range(3):
+            a, b = v[k], v[(k + 1) % 3]
+            length = float(np.linalg.norm(x[(k + 1) % 3] - x[k]))
+            if weights[(k + 2) % 3] * twice <= self.snap * length:
+                wa, wb = max(weights[k], 0.0), max(weights[(k + 1) % 3], 0.0)
+                return self.on_edge(a, b, wb / (wa + wb))
+        node = self.num_vertices + len(self.at)
+        self.at.append((triangle, np.asarray(weights)))
+        self.inside[triangle].append(node)
+        return node
+
+    def host(self, node: int) -> tuple[int, npt.NDArray[np.float64]]:
+        """A triangle that a node lies in, and the weights of its vertices."""
+        weights = np.zeros(3)
+        if node >= self.num_vertices and len(at := self.at[node - self.num_vertices]) == 2:
+            return at
+        a, b, s = (
+            (node, None, 0.0) if node < self.num_vertices else self.at[node - self.num_vertices]
+        )
+        triangle = self.around(a, b)[0]
+        v = self.side.triangles[triangle].tolist()
+        weights[v.index(a)] = 1 - s
+        if b is not None:
+            weights[v.index(b)] = s
+        return triangle, weights
+
+    def places(self, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Where nodes are on the (curved) surface, and its normals there."""
+        hosts = [self.host(node) for node in nodes]
+        triangle = np.array([t for t, _ in hosts], dtype=np.intp)
+        weights = np.array([w for _, w in hosts]).reshape(-1, 3)
+        x = self.side.points(triangle, weights[:, 1:])
+        n = self.side.vertex_normals[self.side.triangles[triangle]]
+        return x, np.einsum("pv,pvi->pi", weights, n)
+
+    def flat(self, node: int) -> npt.NDArray[np.float64]:
+        """Where a node is in the triangulation of straight triangles."""
+        if node < self.num_vertices:
+            return self.side.x[node]
+        triangle, weights = self.host(node)
+        return weights @ self.side.x[self.side.triangles[triangle]]
+
+    def triangles_at(self, node: int) -> list[int]:
+        """The triangles that a node lies in or at."""
+        if node < self.num_vertices:
+            return self.around(node)
+        at = self.at[node - self.num_vertices]
+        return [at[0]] if len(at) == 2 else self.around(at[0], at[1])
+
+    def edge_of(self, nodes) -> tuple[int, int] | None:
+        """The edge that two nodes both lie on."""
+        ends: list[set[int]] = []
+        for node in nodes:
+            if node < self.num_vertices:
+                ends.append({node})
+            elif len(at := self.at[node - self.num_vertices]) == 3:
+                ends.append({at[0], at[1]})
+            else:
+                return None
+        edge = ends[0] | ends[1]
+        if len(edge) > 2:
+            return None
+        a, b = sorted(edge)
+        return (a, b) if self.around(a, b) else None
+
+    def between(self, a: int, b: int) -> list[int]:
+        """The nodes on an edge from one of its vertices to the other, both included."""
+        if a > b:
+            return self.between(b, a)[::-1]
+        return [a, *(node for _, node in self.on.get((a, b), [])), b]
+
+    # Its own outline
+
+    def outline(self) -> list[list[int]]:
+        """Loops of nodes."""
+        return [
+            [node for a, b in pairwise([*loop, loop[0]]) for node in self.between(a, b)[:-1]]
+            for loop in self.loops
+        ]
+
+    def edges(self) -> tuple[list[tuple], Edges]:
+        """The outline's edges: their places on the vertices' edges, and where they are in space."""
+        places: list[tuple] = []
+        ends: list[tuple[int, int]] = []
+        for loop in self.loops:
+            for a, b in pairwise([*loop, loop[0]]):
+                nodes = self.between(a, b)
+                s = [0.0, *(r for r, _ in self.on.get((min(a, b), max(a, b)), [])), 1.0]
+                s = s if a < b else [1 - r for r in s[::-1]]
+                places += [(a, b, *pair) for pair in pairwise(s)]
+                ends += pairwise(nodes)
+        start, normal0 = self.places([a for a, _ in ends])
+        end, normal1 = self.places([b for _, b in ends])
+        normal = normal0 + normal1
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        return places, Edges(start, end, normal)
+
+    # The other's outline
+
+    def draw(self, u: int, v: int):
+        """Put a segment between two nodes into the triangles that it crosses."""
+        start, target = self.flat(u), self.flat(v)
+        along = target - start
+        square = float(along @ along)
+        triangles = np.array([self.triangles_at(node)[0] for node in (u, v)])
+        across = np.cross(along, self.side.normals[triangles].sum(axis=0))
+        across /= max(float(np.linalg.norm(across)), 1e-300)
+        done = 0.0
+        for _ in range(len(self.side.triangles) + 2):
+            near = self.triangles_at(u)
+            common = set(near).intersection(self.triangles_at(v))
+            if common:
+                self._join(u, v, min(common))
+                return
+            best = None
+            for triangle in near:
+                for progress, step in self._exits(u, triangle, start, along / square, across):
+                    if progress > done and (best is None or progress < best[0]):
+                        best = progress, triangle, step
+            if best is None:
+                break
+            done, triangle, step = best
+            w = self.on_edge(*step) if len(step) == 3 else step[0]
+            if w != u:
+                self._join(u, w, triangle)
+            u = w
+        raise InterfaceError(
+            f"the outline of the other side can't be drawn on {self.side.surface.name} from "
+            f"{start} to {target}: do the surfaces have the same shape there?"
+        )
+
+    def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
+        """Where a plane leaves a triangle, seen from a node in it: how far, and the place.
+
+        A place is a vertex, or an edge and a parameter on it.
+        """
+        v = self.side.triangles[triangle].tolist()
+        x = self.side.x[v] - start
+        d = [0.0 if abs(s) <= self.snap else s for s in (x @ across).tolist()]
+        t = (x @ along).tolist()
+        at = () if u < self.num_vertices else self.at[u - self.num_vertices]
+        own = set(at[:2]) if len(at) == 3 else {u}
+        for k in range(3):
+            m = (k + 1) % 3
+            if d[k] == 0 and v[k] != u:
+                yield t[k], (v[k],)
+            if d[k] * d[m] < 0 and not (own <= {v[k], v[m]}):
+                s = d[k] / (d[k] - d[m])
+                yield t[k] + s * (t[m] - t[k]), (v[k], v[m], s)
+
+    def _join(self, u: int, v: int, triangle: int):
+        if self.edge_of((u, v)):
+            self.runs.append((u, v))
+        elif u != v:
+            self.segments[triangle].append((u, v))
+            self.path.append((u, v))
+
+    def follow(self, other: "Cut", outline: list[list[int]], twins: dict[int, int]):
+        """Draw the other piece's outline, where it lies inside.
+
+        Args:
+            other: The other piece.
+            outline: Loops of its nodes.
+            twins: Nodes of the own outline at the same place as nodes of the other one.
+        """
+        own = {pair for loop in self.outline() for pair in pairwise([*loop, loop[0]])}
+        parts = [pair for loop in outline for pair in pairwise([loop[0], *loop[::-1]])]
+        if not parts:
+            return
+        crossing = []
+        for u, v in parts:
+            here = twins.get(u, -1), twins.get(v, -1)
+            if here in own or here[::-1] in own:
+                self.runs.append(here)
+            else:
+                crossing.append((u, v))
+        (x, n), (y, m) = (other.places([pair[i] for pair in crossing]) for i in (0, 1))
+        inside = locate(self.side, (x + y) / 2, n + m)[0] >= 0
+        crossing = [pair for pair, within in zip(crossing, inside.tolist(), strict=True) if within]
+        free = sorted({node for pair in crossing for node in pair if node not in twins})
+        place, normal = other.places(free)
+        triangle, weights = locate(self.side, place, normal)
+        if (triangle < 0).any():
+            raise InterfaceError(
+                f"the outline of {other.side.surface.name} at {place[triangle.argmin()]} lies "
+                f"neither on {self.side.surface.name} nor beside it: do the surfaces have the same "
+                "shape there?"
+            )
+        nodes = dict(twins)
+        for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
+            nodes[node] = self.in_triangle(t, w)
+        for u, v in crossing:
+            if nodes[u] != nodes[v]:
+                self.draw(nodes[u], nodes[v])
+
+    # The triangles
+
+    def triangulation(self):
+        """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
+        t = self.side.triangles
+        touched = set(self.inside) | set(self.segments)
+        touched.update(triangle for edge in self.on for triangle in self.around(*edge))
+        new, origin, weights = [], [], []
+        for triangle in sorted(touched):
+            nodes, w, cells = self._cut(triangle)
+            new += [[nodes[i] for i in cell] for cell in cells]
+            weights += [w[list(cell)] for cell in cells]
+            origin += [triangle] * len(cells)
+        whole = np.setdiff1d(np.arange(len(t)), sorted(touched))
+        cells = np.vstack((t[whole], np.array(new, dtype=np.intp).reshape(-1, 3)))
+        origin = np.concatenate((whole, np.array(origin, dtype=np.intp)))
+        unit = np.broadcast_to(np.eye(3), (len(whole), 3, 3))
+        return cells, origin, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
+
+    def _cut(self, triangle: int):
+        """A triangle's nodes, their weights, and the triangles between them."""
+        corners = self.side.triangles[triangle].tolist()
+        nodes: list[int] = list(corners)
+        edges: list[range] = []
+        for k in range(3):
+            inner = self.between(corners[k], corners[(k + 1) % 3])[1:-1]
+            edges.append(range(len(nodes), len(nodes) + len(inner)))
+            nodes += inner
+        first = len(nodes)
+        nodes += self.inside.get(triangle, [])
+        w = np.zeros((len(nodes), 3))
+        w[:3] = np.eye(3)
+        for i, node in enumerate(nodes[3:], 3):
+            at = self.at[node - self.num_vertices]
+            if len(at) == 2:
+                w[i] = at[1]
+            else:
+                w[i, corners.index(at[0])], w[i, corners.index(at[1])] = 1 - at[2], at[2]
+        x = self.side.x[corners]
+        e, f = x[1] - x[0], x[2] - x[0]
+        length = np.linalg.norm(e)
+        flat = np.array(
+            [(0, 0), (1, 0), ((e @ f) / length**2, np.linalg.norm(np.cross(e, f)) / length**2)]
+        )
+        cutting = Cutting((w @ flat).tolist())
+        for k, between in enumerate(edges):
+            last = k
+            for point in between:
+                cutting.split_edge(last, (k + 1) % 3, point)
+                last = point
+        for point in range(first, len(nodes)):
+            cutting.insert(point)
+        number = {node: i for i, node in enumerate(nodes)}
+        for u, v in self.segments.get(triangle, []):
+            if not cutting.fix(number[u], number[v]):
+                raise InterfaceError(
+                    f"{self.side.surface.name} can't be cut along the other side's outline at "
+                    f"{x.mean(axis=0)}"
+                )
+        cutting.relax()
+        return nodes, w, cutting.triangles()
+
+    def drawn(self) -> list[tuple[int, int]]:
+        """The edges along the other's outline, from node to node."""
+        found = list(self.path)
+        for u, v in self.runs:
+            a, b = self.edge_of((u, v)) or (u, v)
+            nodes = self.between(a, b)
+            i, j = nodes.index(u), nodes.index(v)
+            run = nodes[i : j + 1] if i < j else nodes[j : i + 1][::-1]
+            found += pairwise(run)
+        return found

@@ -1,0 +1,128 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra in the parts of an assembly from a CAD file, with Gmsh: part by part, or in one."""
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+
+AROUND = 8
+"""Edges around a cylinder, for cells as large as a part is thick."""
+# Gmsh's nodes of a tetrahedron in DOLFINx's order
+_NODES = {1: [0, 1, 2, 3], 2: [0, 1, 2, 3, 8, 9, 5, 7, 6, 4]}
+
+
+def parts_of_assembly(
+    comm: MPI.Comm, filename: str | Path, factor: float, *, degree: int = 1
+) -> list[tuple[str, dolfinx.mesh.Mesh]]:
+    """A mesh of each part of an assembly.
+
+    Args:
+        comm: Communicator.
+        filename: STEP file.
+        factor: Cell size in each part over its thickness 2 V / A, volume over half of its surface;
+            around cylinders there are at least 8 / factor edges.
+        degree: Degree of the geometry, 1 or 2.
+
+    Returns:
+        Names and meshes, in the file's order.
+    """
+    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, False, comm.rank == 0))
+    return [
+        (name, _create(comm, x, cells, degree)) for name, cells in zip(names, parts, strict=True)
+    ]
+
+
+def fused_assembly(
+    comm: MPI.Comm, filename: str | Path, factor: float, *, degree: int = 1
+) -> tuple[list[str], dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
+    """One conforming mesh of an assembly, with the smaller part's cells where two of them meet.
+
+    Args:
+        comm: Communicator.
+        filename: As for :func:`parts_of_assembly`.
+        factor: The same.
+        degree: The same.
+
+    Returns:
+        The parts' names, the mesh, and the number of the part that each cell is in.
+    """
+    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, True, comm.rank == 0))
+    mesh = _create(comm, x, np.concatenate(parts), degree)
+    part = np.repeat(np.arange(len(parts), dtype=np.int32), [len(cells) for cells in parts])
+    owned = np.arange(len(mesh.topology.original_cell_index), dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(mesh, 3, owned, part[mesh.topology.original_cell_index])
+    return names, mesh, tags
+
+
+def _create(comm: MPI.Comm, x: npt.NDArray, cells: npt.NDArray, degree: int) -> dolfinx.mesh.Mesh:
+    """A mesh of what rank 0 has."""
+    if comm.rank == 0:
+        used, cells = np.unique(cells, return_inverse=True)
+        x, cells = x[used], cells.reshape(-1, len(_NODES[degree]))
+    else:
+        x, cells = x[:0], cells[:0]
+    element = basix.ufl.element(
+        "Lagrange",
+        "tetrahedron",
+        degree,
+        lagrange_variant=basix.LagrangeVariant.equispaced,
+        shape=(3,),
+    )
+    return dolfinx.mesh.create_mesh(comm, cells.astype(np.int64), e=element, x=x)
+
+
+def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, here: bool):
+    """Names of the parts, all nodes, and each part's cells; None where Gmsh isn't to run."""
+    if not here:
+        return None
+    import gmsh
+
+    gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", AROUND / factor)
+        gmsh.option.setNumber("Mesh.ElementOrder", degree)
+        cad, model = gmsh.model.occ, gmsh.model
+        volumes = cad.importShapes(str(filename))
+        cad.synchronize()
+        # "Shapes/…/BOLT/bolt & & 256"
+        names = [model.getEntityName(*v).split("&")[0].split("/")[-1].strip() for v in volumes]
+        sizes = []
+        for volume in volumes:
+            area = sum(cad.getMass(*face) for face in model.getBoundary([volume], oriented=False))
+            sizes.append(factor * 2 * cad.getMass(*volume) / area)
+        if fused:
+            _, pieces = cad.fragment(volumes[:1], volumes[1:])
+            volumes = [piece for (piece,) in pieces]
+            cad.synchronize()
+        fields = []
+        for (_, tag), size in zip(volumes, sizes, strict=True):
+            fields.append(model.mesh.field.add("Constant"))
+            model.mesh.field.setNumbers(fields[-1], "VolumesList", [tag])
+            model.mesh.field.setNumber(fields[-1], "VIn", size)
+            model.mesh.field.setNumber(fields[-1], "VOut", 1e22)
+        smallest = model.mesh.field.add("Min")
+        model.mesh.field.setNumbers(smallest, "FieldsList", fields)
+        model.mesh.field.setAsBackgroundMesh(smallest)
+        model.mesh.generate(3)
+        tags, x, _ = model.mesh.getNodes()
+        kind = model.mesh.getElementType("Tetrahedron", degree)
+        cells = [model.mesh.getElementsByType(kind, tag)[1] for _, tag in volumes]
+    finally:
+        gmsh.finalize()
+    order, nodes = np.argsort(tags), _NODES[degree]
+    cells = [
+        np.searchsorted(tags, c, sorter=order).reshape(-1, len(nodes))[:, nodes] for c in cells
+    ]
+    return names, x.reshape(-1, 3)[order], cells

@@ -1,0 +1,183 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Pieces that overlap in part: what is left has the right area, hosts and slabs."""
+
+import numpy as np
+import pytest
+from helpers import sweep
+from test_front import side
+
+from hypergap_dolfinx import InterfaceError
+from hypergap_dolfinx.gap import slab
+from hypergap_dolfinx.gap.clip import clip
+from hypergap_dolfinx.gap.cutting import Cutting
+
+pytestmark = pytest.mark.serial
+SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+
+
+def square(n, place=lambda x: x):
+    """A grid of a square, mapped; counterclockwise seen from above."""
+    g = np.linspace(0, 1, n + 1)
+    x = np.array([(a, b, 0) for a in g for b in g])
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    b = a + n + 1
+    t = np.vstack((np.column_stack((a, b, a + 1)), np.column_stack((b, b + 1, a + 1))))
+    return place(x), t
+
+
+def placed(angle, size, centre):
+    """Turned about its centre, scaled and moved."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    turn = np.array([(c, s, 0), (-s, c, 0), (0, 0, 1)])
+    size = np.append(np.broadcast_to(size, 2), 1)
+    return lambda x: ((x - (0.5, 0.5, 0)) * size) @ turn + np.append(centre, 0)
+
+
+def common_area(p, q):
+    """Area that two convex polygons have in common."""
+    for a, b in zip(q, np.roll(q, -1, axis=0), strict=True):
+        height = (b[0] - a[0]) * (p[:, 1] - a[1]) - (b[1] - a[1]) * (p[:, 0] - a[0])
+        found = []
+        for i in range(len(p)):
+            j = (i + 1) % len(p)
+            if height[i] >= 0:
+                found.append(p[i])
+            if height[i] * height[j] < 0:
+                found.append(p[i] + height[i] / (height[i] - height[j]) * (p[j] - p[i]))
+        if len(found) < 3:
+            return 0.0
+        p = np.array(found)
+    x, y = p[:, 0], p[:, 1]
+    return abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def area(piece):
+    v = piece.x[piece.triangles]
+    return np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1).sum() / 2
+
+
+def check(one, other, exact, tolerance=1e-14, parts=1):
+    """Both ways round: areas, hosts, shares, and a slab without a gap."""
+    for (x0, t0), (x1, t1) in ((one, other), (other, one)):
+        pairs = clip(side("Γ0", x0, t0), side("Γ1", x1, t1[:, ::-1]))
+        assert len(pairs) == parts
+        volume = 0.0
+        for pair in pairs:
+            for piece in pair:
+                each = np.arange(len(piece.triangles))
+                for at in ((0, 0), (1, 0), (0, 1), (0.2, 0.3)):
+                    weights = np.array((1 - at[0] - at[1], *at))
+                    x = np.einsum("v,tvi->ti", weights, piece.x[piece.triangles])
+                    here = piece.points(each, np.tile(at, (len(each), 1)).astype(float))
+                    np.testing.assert_allclose(here, x, rtol=0, atol=1e-14)
+                v = piece.surface.x[piece.surface.facets[piece.facets]]
+                whole = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1) / 2
+                assert piece.shares @ whole == pytest.approx(area(piece), rel=1e-12)
+            made = slab.fill(pair)
+            y = np.dstack((made.x[made.cells][:, :, :2], made.alpha[made.cells]))
+            cells = np.linalg.det(y[:, 1:] - y[:, :1]) / 6
+            assert cells.min() > -1e-18
+            volume += cells.sum()
+        for i in (0, 1):
+            assert sum(area(pair[i]) for pair in pairs) == pytest.approx(exact, abs=tolerance)
+        assert volume == pytest.approx(exact, abs=tolerance)
+
+
+SCENES = {
+    "inside": (placed(0, 0.45, (0.51, 0.5)), 0.45**2),
+    "rotated": (placed(30, 0.45, (0.51, 0.5)), 0.45**2),
+    "over an edge": (placed(0, 0.5, (0.9, 0.45)), 0.5 * 0.35),
+    "over a corner": (placed(20, 1, (1, 1)), 0.25),
+    "in a corner": (placed(0, 0.5, (0.25, 0.25)), 0.25),
+    "crossing": (placed(0, (1.4, 0.4), (0.5, 0.5)), 0.4),
+    "crossing askew": (placed(40, (2, 0.3), (0.5, 0.5)), None),
+}
+
+
+@pytest.mark.parametrize("n", ((4, 3), (3, 7), (8, 4)))
+@pytest.mark.parametrize("scene", SCENES)
+def test_kinds(scene, n):
+    place, exact = SCENES[scene]
+    if exact is None:
+        exact = common_area(place(SQUARE)[:, :2], SQUARE[:, :2])
+    check(square(n[0]), square(n[1], place), exact)
+
+
+def test_matching_outlines_are_not_cut():
+    one, other = square(4), square(5)
+    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
+    assert clip(*sides) == [sides]
+
+
+def test_two_patches_and_a_hole():
+    x, t = square(6)
+    low, high = x[t].min(axis=1)[:, :2], x[t].max(axis=1)[:, :2]
+    two = t[(high[:, 0] < 0.34) | (low[:, 0] > 0.65)]
+    check((x, two), square(5, placed(10, 0.9, (0.5, 0.5))), *two_parts(x, two))
+    ring = t[((low < 0.32) | (high > 0.68)).any(axis=1)]
+    check((x, ring), square(5, placed(0, 0.9, (0.5, 0.5))), 0.81 - 1 / 9)
+
+
+def two_parts(x, two):
+    """Area that the strips have in common with the turned square, and how many parts it is."""
+    turned = placed(10, 0.9, (0.5, 0.5))(SQUARE)[:, :2]
+    strips = (SQUARE[:, :2] * (1 / 3, 1) + (shift, 0) for shift in (0, 2 / 3))
+    return sum(common_area(turned, strip) for strip in strips), 1e-14, 2
+
+
+def test_random():
+    rng = np.random.default_rng(1)
+    for case in sweep(range(200), 10):
+        n, m = rng.integers(1, 9, 2)
+        angle = rng.choice([0, 30, 45, rng.uniform(0, 360)])
+        size, centre = rng.uniform(0.2, 1.6, 2), rng.uniform(0.1, 0.9, 2)
+        if case % 2:  # nodes and edges at one place
+            size, centre = np.maximum(np.rint(size * n), 1) / n, np.rint(centre * n) / n
+        place = placed(angle, size, centre)
+        exact = common_area(place(SQUARE)[:, :2], SQUARE[:, :2])
+        check(square(n), square(m, place), exact, 1e-7)
+
+
+CUTS = (1e-12, 1e-9, 1.1e-8, 1e-7, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 0.9)
+
+
+@pytest.mark.parametrize("cut", sweep(CUTS, 3))
+def test_narrow_cuts(cut):
+    for place in (
+        placed(0, (0.5 + cut / 4, 0.5), (0.25 + cut / 8, 0.5)),
+        placed(0, 0.5, (0.5 + cut / 4, 0.5 + cut / 4)),
+        placed(0, 0.5, (0.75 + cut / 4, 0.55)),
+        placed(0, 0.5, (0.25 - cut / 4, 0.25 - cut / 4)),
+    ):
+        exact = common_area(place(SQUARE)[:, :2], SQUARE[:, :2])
+        check(square(4), square(3, place), exact, 1e-8)
+
+
+def test_nothing_in_common():
+    sides = square(3), square(3, placed(0, 1, (2.5, 0.5)))
+    with pytest.raises(InterfaceError, match="nothing in common"):
+        clip(side("Γ0", *sides[0]), side("Γ1", sides[1][0], sides[1][1][:, ::-1]))
+
+
+def test_cutting():
+    """Points on edges and inside, and segments between them, all at their places."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        inner = rng.dirichlet((1, 1, 1), 6)[:, 1:]
+        points = [(0, 0), (1, 0), (0, 1), (0.4, 0), (0.4 + 1e-8, 0), *inner[inner[:, 0].argsort()]]
+        cutting = Cutting(points)
+        cutting.split_edge(0, 1, 3)
+        cutting.split_edge(3, 1, 4)
+        for point in range(5, len(points)):
+            cutting.insert(point)
+        for u in range(5, len(points) - 1):  # from left to right: they don't cross
+            assert cutting.fix(u, u + 1)
+        cutting.relax()
+        v = np.array(points)[cutting.triangles()]
+        twice = np.linalg.det(v[:, 1:] - v[:, :1])
+        assert twice.min() > 0
+        assert twice.sum() == pytest.approx(1, rel=1e-14)

@@ -1,0 +1,139 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Solids that overlap in part: patch tests with all stresses, cuts of any width."""
+
+import numpy as np
+import pytest
+from helpers import comm, sweep
+from test_clip import placed
+from test_solids_interfaces import NU, errors, linear, stress
+
+import basix
+import meshes
+import ufl
+from dolfinx import fem
+from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.gap.clip import clip
+from hypergap_dolfinx.gap.pieces import Side
+
+SCENES = {
+    "inside": (0, 0.45, (0.51, 0.5)),
+    "rotated": (30, 0.45, (0.51, 0.5)),
+    "over an edge": (0, 0.5, (0.9, 0.45)),
+    "over a corner": (20, 1, (1, 1)),
+    "crossing": (40, (2, 0.4), (0.5, 0.5)),
+}
+
+
+def linear_stress():
+    gradient = np.array(linear(np.eye(3)))
+    strain = (gradient + gradient.T) / 2
+    return (strain + NU / (1 - 2 * NU) * np.trace(strain) * np.eye(3)) / (1 + NU)
+
+
+def free_load(tie, i, V):
+    """A source whose work is that of the linear field's traction on the free part of a side."""
+    surfaces = tie.domain.surfaces
+    own, other = (Side.of(s, np.arange(len(s.facets))) for s in (surfaces[i], surfaces[1 - i]))
+    pair = (own, other) if i == 0 else (other, own)
+    parts = [(own.facets, own.X, 1.0)]
+    parts += [(p[i].facets, p[i].X, -1.0) for p in clip(*pair)]
+    points, weights = basix.make_quadrature(basix.CellType.triangle, 4)
+    load = np.zeros((V.dofmap.index_map.size_local, 3))
+    surface = surfaces[i]
+    for facets, X, sign in parts:
+        at = X[:, :1] + np.einsum("qj,tji->tqi", points, X[:, 1:] - X[:, :1])
+        phi = surface.element.tabulate(0, at.reshape(-1, 2))[0, :, :, 0]
+        phi = phi.reshape(len(X), len(points), -1)
+        v = surface.x[surface.facets[facets]]
+        area = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])  # times the normal
+        t = sign * (area @ linear_stress()) * np.linalg.det(X[:, 1:] - X[:, :1])[:, None]
+        values = np.einsum("q,tqa,ti->tai", weights, phi, t)
+        np.add.at(load, surface.dofs[facets], values)
+    mass = fem.form(ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V)) * ufl.dx)
+    M = fem.assemble_matrix(mass).to_scipy()
+    from scipy.sparse.linalg import spsolve
+
+    source = fem.Function(V)
+    source.x.array[:] = spsolve(M.tocsc(), load.ravel())
+    return source
+
+
+def solve(scene, degree, swap, n=((4, 4, 2), (3, 3, 2))):
+    """Errors of displacement, stress (L²) and traction (largest)."""
+    bodies = (
+        meshes.block(comm, n[0], lambda x: x - (0, 0, 1), cell="tetrahedron"),
+        meshes.block(comm, n[1], lambda x: placed(*scene)(x / (1, 1, 2)), cell="tetrahedron"),
+    )
+    sides, forms, loads = [], [], []
+    for (mesh, ft), tag in zip(bodies, (meshes.FRONT, meshes.BACK), strict=True):
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        exact = stress(ufl.as_vector(linear(ufl.SpatialCoordinate(mesh))))
+        tags = tuple(t for t in range(1, 7) if t != tag)
+        ds = ufl.Measure("ds", mesh, subdomain_data=ft)(tags)
+        forms.append(ufl.inner(stress(u), ufl.sym(ufl.grad(v))) * ufl.dx)
+        loads.append(ufl.dot(ufl.dot(exact, ufl.FacetNormal(mesh)), v) * ds)
+        sides.append((V, ft.find(tag)))
+    tie = Tie(*(sides[::-1] if swap else sides))
+    for i, (V, _) in enumerate(sides):
+        source = free_load(tie, 1 - i if swap else i, V)
+        loads[i] += ufl.inner(source, ufl.TestFunction(V)) * ufl.dx
+    g = fem.Function(sides[0][0])
+    g.interpolate(lambda x: np.array(linear(x)))
+    held = fem.locate_dofs_topological(sides[0][0], 2, bodies[0][1].find(meshes.BACK))
+    problem = TiedProblem(forms, loads, bcs=[fem.dirichletbc(g, held)], ties=[tie])
+    us = problem.solve()
+    q = tie.quadrature(2 * degree)
+    error = np.abs(q.evaluate(tie.traction(problem)) - q.normal @ linear_stress()).max()
+    return *errors(us, (linear, linear), (1.0, 1.0)), error / np.abs(linear_stress()).max()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("scene", SCENES)
+def test_patch(scene, degree, swap):
+    l2, s, traction = solve(SCENES[scene], degree, swap)
+    print(l2, s, traction)
+    assert max(l2, s) <= 1e-11
+    assert traction <= 1e-9
+
+
+CUTS = (1e-12, 1e-9, 1.1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.29, 0.31, 0.5, 0.9)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("cut", sweep(CUTS, 4))
+def test_narrow_cuts(cut, degree, swap):
+    """The block ends a little beyond an edge of the plate's facets, both ways."""
+    for centre in ((0.5 + cut / 4,) * 2, (0.25 - cut / 4, 0.5)):
+        l2, s, traction = solve((0, 0.5, centre), degree, swap)
+        print(cut, l2, s, traction)
+        assert max(l2, s) <= 5e-10
+        assert traction <= 1e-6
+
+
+@pytest.mark.ranks(2)
+def test_ranks():
+    """The same Σ on any number of ranks: the area, and the part of each facet."""
+    sides = []
+    for n, tag, place in (
+        ((4, 4, 1), meshes.FRONT, lambda x: x - (0, 0, 1)),
+        ((3, 3, 1), meshes.BACK, placed(20, 1, (1, 1))),
+    ):
+        mesh, ft = meshes.block(comm, n, place, cell="tetrahedron")
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), ft.find(tag)))
+    for ends in (sides, sides[::-1]):
+        tie = Tie(*ends)
+        q = tie.quadrature(2)
+        assert q.integrate(np.ones_like(q.weights)) == pytest.approx(0.25, rel=1e-13)
+        surface = tie.domain.surfaces[1]
+        v = surface.x[surface.facets]
+        area = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1) / 2
+        assert tie.domain.covered @ area == pytest.approx(0.25, rel=1e-13)

@@ -1,0 +1,300 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which bodies touch, and with which facets."""
+
+from itertools import pairwise, product
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import comm, raises, two_blocks
+
+import basix.ufl
+import dolfinx
+import meshes
+from dolfinx import fem
+from hypergap_dolfinx import InterfaceError, find_touching
+
+PLANE, SPACE = ("triangle", "quadrilateral"), ("tetrahedron", "hexahedron")
+# Facets as simplices, with the vertices in DOLFINx's order
+SIMPLICES = {"tetrahedron": [[0, 1, 2]], "hexahedron": [[0, 1, 2], [1, 2, 3]]}
+
+
+def space(n, low, high, cell, mapping=lambda x: x, c=comm, **options):
+    """A space on a block from one corner to the other, mapped."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    options = {"cell": cell, **options}
+    mesh, _ = meshes.block(c, n, lambda x: mapping(low + x * (high - low)), **options)
+    return fem.functionspace(mesh, ("Lagrange", 1))
+
+
+def ring(n, inner, outer, cell, degree=1):
+    """A ring around the z axis, in the plane or in space; n edges around."""
+
+    def mapping(x):
+        angle = 2 * np.pi * x[:, 1:2]
+        return np.hstack((x[:, :1] * np.cos(angle), x[:, :1] * np.sin(angle), x[:, 2:]))
+
+    dim = 2 if cell in PLANE else 3
+    low, high = ((r, end, end) for end, r in enumerate((inner, outer)))
+    options = {"degree": degree, "periodic": True}
+    return space((1, n, 2)[:dim], low[:dim], high[:dim], cell, mapping, **options)
+
+
+def vertices(V, facets=None):
+    """The vertices of exterior facets on all ranks, ``(num_facets, num_vertices, n)``."""
+    mesh = V.mesh
+    n = mesh.geometry.dim
+    mesh.topology.create_connectivity(n - 1, n)
+    if facets is None:
+        facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    num = {"tetrahedron": 3, "hexahedron": 4}.get(mesh.topology.cell_name(), 2)
+    nodes = dolfinx.mesh.entities_to_geometry(mesh, n - 1, facets)[:, :num]
+    x = np.concatenate(comm.allgather(mesh.geometry.x[nodes, :n]))
+    return x[np.lexsort(x.mean(axis=1).T)]
+
+
+def middles(V, facets):
+    """The middles of facets on all ranks, in one order."""
+    return vertices(V, facets).mean(axis=1)
+
+
+def hit(V, points):
+    """The middles of the exterior facets in which one of some points lies."""
+    x = vertices(V)
+    found = np.zeros(len(x), dtype=bool)
+    for simplex in SIMPLICES.get(V.mesh.topology.cell_name(), [[0, 1]]):
+        t = x[:, simplex[1:]] - x[:, simplex[:1]]
+        d = points - x[:, None, simplex[0]]  # (facet, point, n)
+        s = np.einsum("fpi,fis->fps", d, np.linalg.pinv(t))
+        off = np.linalg.norm(d - np.einsum("fps,fsi->fpi", s, t), axis=2)
+        found |= ((off < 1e-9) & (s > 0).all(axis=2) & (s.sum(axis=2) < 1)).any(axis=1)
+    return x[found].mean(axis=1)
+
+
+def bodies(found, spaces):
+    """Numbers of the bodies that touch."""
+    return [tuple(spaces.index(V) for V, _ in sides) for sides in found]
+
+
+def facets_of(V, on):
+    """The middles of the exterior facets that have a property."""
+    x = vertices(V).mean(axis=1)
+    return x[on(x)]
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("cell", PLANE + SPACE)
+def test_block_on_a_plate(cell):
+    """In the middle of a facet, over several ones, on their edges, over the plate's corner."""
+    axes = [0, 2] if cell in PLANE else [0, 1, 2]
+
+    def block(n, low, high):
+        return space(np.array(n)[axes], np.array(low)[axes], np.array(high)[axes], cell)
+
+    plate = block((6, 4, 1), (0, 0, 0), (6, 4, 1))
+    for low, high in (
+        ((1.4, 2.7), (1.6, 2.8)),
+        ((1.4, 1.4), (3.6, 2.5)),
+        ((1, 1), (3, 2)),
+        ((4.5, 3.5), (7, 5)),
+    ):
+        (sides,) = find_touching([plate, block((2, 3, 2), (*low, 1), (*high, 2))])
+        ends = zip(low, np.minimum(high, (6, 4)), strict=True)
+        grid = np.meshgrid(*(np.linspace(a, b, 40)[1:-1] + 1e-3 for a, b in ends), [1.0])
+        points = np.stack([x.ravel() for x in grid], axis=1)[:, axes]
+        for V, facets in sides:
+            assert facets.dtype == np.int32
+            np.testing.assert_array_equal(middles(V, facets), hit(V, points))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("cell", ("quadrilateral", "tetrahedron"))
+def test_forty_blocks(cell):
+    """Meshed each in its own way; blocks with but an edge or a corner in common don't touch."""
+    num = (8, 5) if cell in PLANE else (5, 4, 2)
+    places = list(product(*map(range, num)))
+    spaces = [
+        space((1 + k % 3, 1 + k % 2, 2)[: len(num)], at, np.add(at, 1), cell)
+        for k, at in enumerate(places)
+    ]
+    found = find_touching(spaces)
+    x = np.array(places)
+    expected = [
+        (i, j)
+        for i, j in product(range(len(x)), repeat=2)
+        if i < j and np.abs(x[i] - x[j]).sum() == 1
+    ]
+    assert bodies(found, spaces) == expected
+    for (i, j), sides in zip(expected, found, strict=True):
+        axis = np.abs(x[i] - x[j]).argmax()
+        at = max(x[i, axis], x[j, axis])
+        for V, facets in sides:
+            on = facets_of(V, lambda x, axis=axis, at=at: np.isclose(x[:, axis], at))
+            np.testing.assert_array_equal(middles(V, facets), on)
+
+
+@pytest.mark.ranks(cell=["triangle"], n=[(6, 50)])
+@pytest.mark.parametrize("cell", PLANE + SPACE)
+@pytest.mark.parametrize("n", ((6, 50), (6, 8), (8, 8), (9, 7), (50, 6), (12, 60)))
+def test_bush_in_a_hole(n, cell):
+    """Two polygons of a circle, however coarse; not the bush's ends, nor what is far."""
+    spaces = [ring(n[0], 0.5, 1, cell), ring(n[1], 1, 3, cell)]
+    (sides,) = find_touching(spaces)
+    for V, facets in sides:
+        flat = (lambda x: np.ones(len(x), dtype=bool)) if cell in PLANE else _on_the_side
+        on = facets_of(V, lambda x, flat=flat: (abs(_radius(x) - 1) < 0.14) & flat(x))
+        np.testing.assert_array_equal(middles(V, facets), on)
+    loose = [ring(n[0], 0.3, 0.5, cell), spaces[1]]
+    assert find_touching(loose) == []
+    assert bodies(find_touching(loose, distance=0.6), loose) == [(0, 1)]
+
+
+def _radius(x):
+    return np.linalg.norm(x[:, :2], axis=1)
+
+
+def _on_the_side(x):
+    return (x[:, 2] > 1e-9) & (x[:, 2] < 1 - 1e-9)
+
+
+@pytest.mark.parametrize("cell", PLANE)
+@pytest.mark.parametrize("n", ((4, 37), (37, 4), (4, 5)))
+def test_curved_facets(n, cell):
+    """A quarter of a circle in an edge."""
+    spaces = [ring(n[0], 0.5, 1, cell, 2), ring(n[1], 1, 3, cell, 2)]
+    ((a, b),) = find_touching(spaces)
+    assert [comm.allreduce(len(facets)) for _, facets in (a, b)] == list(n)
+
+
+@pytest.mark.ranks(2, degree=[2])
+@pytest.mark.parametrize("degree", (1, 2))
+def test_nested_shells(degree):
+    pytest.importorskip("gmsh")
+    radii = (0.5, 0.8, 1.2, 2)
+    options = {"octant": False, "degree": degree}
+    spaces, tags = [], []
+    for (inner, outer), h in zip(pairwise(radii), (0.2, 0.7, 0.25), strict=True):
+        mesh, ft = meshes.spherical_shell(comm, h, inner, outer, **options)
+        spaces.append(fem.functionspace(mesh, ("Lagrange", 1)))
+        tags.append(ft)
+    found = find_touching(spaces)
+    assert bodies(found, spaces) == [(0, 1), (1, 2)]
+    for (a, b), i in zip(found, (0, 1), strict=True):
+        expected = (tags[i].find(meshes.OUTER), tags[i + 1].find(meshes.INNER))
+        for (V, facets), on in zip((a, b), expected, strict=True):
+            owned = on[on < V.mesh.topology.index_map(2).size_local]
+            np.testing.assert_array_equal(facets, owned)
+
+
+@pytest.mark.parametrize("steps", (1, 8))
+@pytest.mark.parametrize("cell", ("quadrilateral", "hexahedron"))
+def test_rounded_and_chamfered_edges(cell, steps):
+    """What goes away from the plate isn't on it: a chamfer; of a fillet a facet at most."""
+    axes = [0, 2] if cell in PLANE else [0, 1, 2]
+
+    def mapping(x):
+        x = x.copy()
+        angle = np.maximum(x[:, 0] - 1, 0) * np.pi / 2  # from 0 to a quarter turn at x = 2
+        low, beyond = x[:, -1] == 0, x[:, 0] > 1
+        x[beyond, 0] = 1 + np.where(low, np.sin(angle), x[:, 0] - 1)[beyond] / 2
+        x[low, -1] = (1 - np.cos(angle[low])) / 2
+        return x
+
+    def block(n, low, high, **options):
+        return space(np.array(n)[axes], np.array(low)[axes], np.array(high)[axes], cell, **options)
+
+    rounded = block((2 * steps, 3, 1), (0, 0, 0), (2, 1, 1), mapping=mapping)
+    plate = block((90, 4, 1), (-1, -1, -1), (2, 3, 0))
+    ((side0, side1),) = find_touching([rounded, plate])
+    x, y = middles(*side0), middles(*side1)
+    rows = 1 if cell in PLANE else 3
+    assert np.isclose(x[:, -1], 0).sum() == steps * rows
+    assert len(x) <= (steps + (steps > 1)) * rows
+    first = np.sin(np.pi / 2 / steps) / 2 if steps > 1 else 0  # facet of the fillet
+    assert y[:, 0].min() > 0 and y[:, 0].max() < 1 + first
+
+
+@pytest.mark.parametrize("cell", ("triangle", "tetrahedron"))
+def test_layer(cell):
+    """A layer fifty times thinner than facets are long: what lies behind it doesn't touch."""
+    dim = 2 if cell in PLANE else 3
+    ends = [(0, 1), (1, 1.02), (1.02, 2)]
+    spaces = [
+        space((k + 1,) * (dim - 1) + (1,), (0,) * (dim - 1) + (a,), (1,) * (dim - 1) + (b,), cell)
+        for k, (a, b) in enumerate(ends)
+    ]
+    assert bodies(find_touching(spaces), spaces) == [(0, 1), (1, 2)]
+
+
+@pytest.mark.ranks
+def test_parts_of_a_mesh():
+    """Three bricks of one mesh, in no order, and a plate below."""
+    square = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], dtype=float)
+    x = np.vstack([np.add(square, (start, 0)) for start in (2, 0, 1)])
+    cells = np.arange(12).reshape(3, 4)
+    element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
+    if comm.rank:
+        x, cells = x[:0], cells[:0]
+    bricks = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
+    spaces = [fem.functionspace(bricks, ("Lagrange", 1))]
+    spaces.append(space((2, 1), (0, -1), (3, 0), "triangle"))
+    found = find_touching(spaces)
+    # The parts are numbered from left to right
+    assert bodies(found, spaces) == [(0, 0), (0, 1), (0, 0), (0, 1), (0, 1)]
+    assert [middles(*side)[0, 0] for sides in found for side in sides[:1]] == [1, 0.5, 2, 1.5, 2.5]
+    assert [comm.allreduce(len(side[1])) for _, side in found] == [1, 1, 1, 2, 1]
+
+
+def test_nothing_touches():
+    blocks = [space((2, 2), at, np.add(at, 1), "triangle") for at in ((0, 0), (1, 1), (-1, 1.01))]
+    assert find_touching(blocks) == find_touching(blocks[:1]) == find_touching([]) == []
+    blocks = [space((1, 1, 1), at, np.add(at, 1), "hexahedron") for at in product((0, 1), repeat=3)]
+    assert find_touching([blocks[i] for i in (0, 3, 5, 6)]) == []
+    same = space((2, 2), (0, 0), (1, 1), "quadrilateral")  # in one place: normals agree
+    assert find_touching([space((3, 3), (0, 0), (1, 1), "quadrilateral"), same]) == []
+
+
+def test_distance():
+    for gap in (0.2, -0.2):  # apart, or in each other
+        spaces = [
+            space((3, 2), (0, 0), (1, 1), "triangle"),
+            space((2, 2), (0, 1 + gap), (1, 2), "quadrilateral"),
+        ]
+        assert find_touching(spaces) == find_touching(spaces, distance=0.19) == []
+        ((a, b),) = find_touching(spaces, distance=0.21)
+        assert [comm.allreduce(len(facets)) for _, facets in (a, b)] == [3, 2]
+
+
+@pytest.mark.ranks(2)
+def test_wrong_input():
+    (V, _), (W, _) = two_blocks()
+    for spaces, distance, error, message in (
+        ([V, W], 0, ValueError, "distance must be a positive length, not 0"),
+        ([V, W.mesh], None, ValueError, r"spaces\[1\] is a Mesh, not a function space"),
+        ([V, W, V], None, InterfaceError, r"spaces\[0\] and spaces\[2\] are on one mesh"),
+        ([V, fem.functionspace(W.mesh, ("DG", 1))], None, InterfaceError, r"spaces\[1\].*Lagrange"),
+        (
+            [V, space((1, 1, 1), (0, 0, 0), (1, 1, 1), "hexahedron")],
+            None,
+            InterfaceError,
+            r"spaces\[1\] lies on a 3-dimensional mesh in 3 dimensions; bodies must be all 2D",
+        ),
+        (
+            [V, space((1, 1), (0, 0), (1, 1), "triangle", c=MPI.COMM_SELF)],
+            None,
+            InterfaceError,
+            "different communicators",
+        ),
+    ):
+        if "communicators" in message and comm.size == 1:
+            continue  # one rank's communicators are alike
+        with raises(error, message):
+            find_touching(spaces, distance)
+    W.mesh.geometry.x[:1] = np.nan
+    with raises(InterfaceError, r"spaces\[1\] has NaN or infinite coordinates"):
+        find_touching([V, W])
