@@ -26,8 +26,9 @@ from hypergap_dolfinx.gap.surface import Surface
 ON_VERTEX = 1e-9
 """Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
 
-COVERED = 0.5
-"""Part of a facet of Γ1 that Σ must reach for multipliers of its own."""
+COVERED = 0.95
+"""Part of a facet of Γ1 that Σ must reach for multipliers of its own: with it a flat punch's corner
+has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
 
 Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
