@@ -152,7 +152,7 @@ def results(content, name):
     return found
 
 
-LONG = ("error_against_run_time", "hyperelasticity")
+LONG = ("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap")
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = ("gap_domain", "kernel_speed", "pressurised_cylinder")
 """On ranks they show no more than the sphere, for which ``make test`` takes one rank."""

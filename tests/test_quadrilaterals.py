@@ -174,7 +174,7 @@ def test_unevenness(n):
 # Patch tests
 
 
-@pytest.mark.parametrize("case", sweep(patch_test_3d.cases("hexahedron"), 31))
+@pytest.mark.parametrize("case", sweep(patch_test_3d.cases("hexahedron"), 53))
 def test_patch(case):
     test, names, *rest = case
     errors = patch_test_3d.solve(comm, patch_test_3d.pair(names), *rest, test)

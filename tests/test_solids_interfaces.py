@@ -193,7 +193,7 @@ def shell_alone(h, exact):
     ("E_ball", "swap"),
     (
         (1.0, False),
-        (10.0, True),
+        pytest.param(10.0, True, marks=pytest.mark.slow),
         pytest.param(1.0, True, marks=pytest.mark.slow),
         pytest.param(10.0, False, marks=pytest.mark.slow),
     ),
