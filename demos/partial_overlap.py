@@ -291,7 +291,7 @@ def rows_of(comm, cells, degrees):
     """A row for each flat scene, and two for each curved one."""
     rows = []
     for scene, cell, degree, swap in itertools.product(FLAT, cells, degrees, (False, True)):
-        for E in ((1.0, 1.0), (1.0, 100.0)):
+        for E in ((1.0, 1.0), (1.0, 10.0)):
             progress.show(comm, f"{scene}, degree {degree}")
             name = scene + (", two materials" if E[1] != 1 else "")
             l2, stress, traction = flat_patch(comm, scene, cell, degree, swap, E)

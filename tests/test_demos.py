@@ -89,8 +89,11 @@ DEMOS = {
         {"*.ok": True},
         {"*.l2": 5e-3},
     ),
-    "partial_overlap_all": Demo(
-        "--cell tetrahedron hexahedron", {"*.ok": True}, script="partial_overlap", slow=True
+    "partial_overlap_tetrahedra": Demo(
+        "--cell tetrahedron", {"*.ok": True}, script="partial_overlap", slow=True
+    ),
+    "partial_overlap_hexahedra": Demo(
+        "--cell hexahedron --degree 1", {"*.ok": True}, script="partial_overlap", slow=True
     ),
     "patch_test": Demo(
         below={"*.l2": 1e-12, "*.stress": 1e-12}, pictures=("patch_test",), slow=True
@@ -152,7 +155,10 @@ def results(content, name):
     return found
 
 
-LONG = ("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap")
+LONG = (
+    *("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap"),
+    *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
+)
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = ("gap_domain", "kernel_speed", "pressurised_cylinder")
 """On ranks they show no more than the sphere, for which ``make test`` takes one rank."""
