@@ -35,10 +35,8 @@ def side(name, x, t):
     return Side.of(surface, np.arange(len(t)))
 
 
-def filled(one, other):
-    """The slab between two triangulations, both counterclockwise seen from Γ1; checked."""
-    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
-    made = slab.fill(sides)
+def check_cells(made):
+    """None is flat, and they fill what lies between the sides of a slab."""
     D, scale = areas(made.x[made.cells], made.alpha[made.cells], made.normal)
     assert (D > 1e-9 * scale).all()
     # Every face has one cell on each side, or is a facet or on a wall
@@ -47,12 +45,16 @@ def filled(one, other):
     assert count.max() == 2
     outer = faces[count == 1]
     on = (made.alpha[outer] == 1).sum(axis=1)
-    n0 = len(sides[0].x)
     for i, number in ((0, 0), (1, 3)):
-        facets = np.sort(sides[i].triangles + i * n0, axis=1)
+        facets = np.sort(made.sides[i].triangles + made.offsets[i], axis=1)
         np.testing.assert_array_equal(outer[on == number], np.unique(facets, axis=0))
-    closed = (sides[0].behind >= 0).all()
-    assert closed == ((on == 0) | (on == 3)).all()
+    assert all((s.behind >= 0).all() == ((on == 0) | (on == 3)).all() for s in made.sides)
+
+
+def filled(one, other):
+    """The slab between two triangulations, both counterclockwise seen from Γ1; checked."""
+    made = slab.fill((side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])))
+    check_cells(made)
     return made
 
 

@@ -11,12 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from test_front import side
+from test_front import check_cells, side
 
 import basix
 from hypergap_dolfinx.gap import update
 from hypergap_dolfinx.gap.kernel import GapElement, alpha_derivatives, geometry_at_points
-from hypergap_dolfinx.gap.metric import FACES, areas
 from hypergap_dolfinx.gap.slab import fill, mesh_slab
 from hypergap_dolfinx.gap.update import moved, update_slab
 
@@ -64,17 +63,9 @@ def surfaces(one, other):
 def check(gap):
     """All that makes a Σ of one piece valid."""
     (slab,) = gap.slabs
-    D, scale = areas(gap.x[gap.cells], gap.alpha[gap.cells], gap.normal)
-    assert (D > 1e-9 * scale).all()
-    faces = np.sort(gap.cells[:, FACES].reshape(-1, 3), axis=1)
-    faces, count = np.unique(faces, axis=0, return_counts=True)
-    assert count.max() == 2
-    outer = faces[count == 1]
-    on = (gap.alpha[outer] == 1).sum(axis=1)
-    for i, number in ((0, 0), (1, 3)):
-        facets = np.sort(slab.sides[i].triangles + slab.offsets[i], axis=1)
-        np.testing.assert_array_equal(outer[on == number], np.unique(facets, axis=0))
-    assert all((s.behind >= 0).all() == ((on == 0) | (on == 3)).all() for s in slab.sides)
+    check_cells(slab)
+    for name in ("x", "alpha", "cells", "normal"):
+        np.testing.assert_array_equal(getattr(gap, name), getattr(slab, name))
     # Hosts are where the vertices are
     points = np.vstack((np.zeros(3), np.eye(3)))
     hosts = gap.hosts(points, np.arange(len(gap.cells)))

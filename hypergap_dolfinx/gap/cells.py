@@ -7,16 +7,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 import basix.ufl
 from hypergap_dolfinx.gap.surface import Surface
-
-if TYPE_CHECKING:
-    from hypergap_dolfinx.gap.slab_cells import Slab
 
 
 @dataclass(frozen=True)
@@ -86,8 +82,6 @@ class GapCells:
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
     straight: npt.NDArray[np.bool_] | None = None
     """Which edges of each tetrahedron stay straight, ``(num_cells, 6)``; None if none has to."""
-    slabs: Sequence["Slab"] = ()
-    """In space, the pieces that Σ consists of."""
 
 
 def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:

@@ -144,7 +144,7 @@ def create_constraint(
 
     global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
     G_e = domain.gap_matrices()
-    narrow, D_e, sign = domain.narrow_cells()
+    narrow = domain.narrow_cells()
     G_e[narrow] = 0
     rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
     columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
@@ -156,7 +156,7 @@ def create_constraint(
         GR.destroy()
     G.destroy()
     if comm.allreduce(len(narrow)):
-        _add_factored(B, R_A, R_B, D_e, sign, global_dofs[narrow])
+        _add_factored(B, R_A, R_B, *domain.gap_factors(narrow), global_dofs[narrow])
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()

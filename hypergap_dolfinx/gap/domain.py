@@ -127,23 +127,28 @@ class GapDomain:
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
-    def narrow_cells(self) -> tuple[npt.NDArray[np.intp], npt.NDArray, npt.NDArray]:
-        """Cells whose matrices have large entries that cancel each other, and factors of these.
-
-        Returns:
-            The cells, ``(num_narrow,)``, and D and w with G_ab = Σ_p w_p D_pa D_pb, w_p = ±1 (a
-            Gauss rule's weight may be negative): ``(num_narrow, num_points, num_nodes)`` and
-            ``(num_points,)``.
-        """
-        n, k = self.x.shape[2], self.element.degree
-        element = self.quadrature(kernel.curved_rule(n, k, self.geometry.degree))
+    def narrow_cells(self) -> npt.NDArray[np.intp]:
+        """Cells whose matrices have large entries that cancel each other, ``(num_narrow,)``."""
         middle = kernel.GapElement.with_quadrature(self.geometry, self.element, 0)
         _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
-        narrow = np.flatnonzero((np.abs(v) > NARROW).any(axis=(1, 2)))
-        N, v = kernel.geometry_at_points(element, self.x[narrow], self.alpha_vertices[narrow])
+        return np.flatnonzero((np.abs(v) > NARROW).any(axis=(1, 2)))
+
+    def gap_factors(self, cells: npt.NDArray[np.intp]) -> tuple[npt.NDArray, npt.NDArray]:
+        """Factors of the element matrices: G_ab = Σ_p w_p D_pa D_pb.
+
+        Args:
+            cells: Some of the cells, ``(num,)``.
+
+        Returns:
+            D, ``(num, num_points, num_nodes)``, and w_p = ±1 (a Gauss rule's weight may be
+            negative), ``(num_points,)``.
+        """
+        rule = kernel.curved_rule(self.x.shape[2], self.element.degree, self.geometry.degree)
+        element = self.quadrature(rule)
+        N, v = kernel.geometry_at_points(element, self.x[cells], self.alpha_vertices[cells])
         size = np.sqrt(np.abs(element.weights) * np.linalg.norm(N, axis=2))
         D = size[..., None] * kernel.alpha_derivatives(element, v)
-        return narrow, D, np.sign(element.weights)
+        return D, np.sign(element.weights)
 
 
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:

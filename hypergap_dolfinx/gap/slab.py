@@ -13,6 +13,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -35,6 +36,14 @@ from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.gap.triangulation import facing_pieces
 
 LOG = logging.getLogger("hypergap_dolfinx")
+
+
+@dataclass(frozen=True)
+class SlabCells(GapCells):
+    """Σ in space, which remembers what it consists of."""
+
+    slabs: Sequence[Slab] = ()
+    """A slab for each two pieces that face each other."""
 
 
 def _place(sides: tuple[Side, Side]) -> Place:
@@ -178,7 +187,7 @@ def _no_compiler() -> str | None:
     return None
 
 
-def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapCells:
+def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
 
     Args:
@@ -218,7 +227,7 @@ def share(
     surfaces: tuple[Surface, Surface],
     patch: npt.NDArray[np.int32],
     make: Callable[[], list[Slab]],
-) -> GapCells:
+) -> SlabCells:
     """Σ from slabs that one rank makes. Collective.
 
     Args:
@@ -283,7 +292,7 @@ def share(
         return found
 
     straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
-    return GapCells(
+    return SlabCells(
         x=np.vstack([slab.x for slab in slabs]),
         alpha=np.concatenate([slab.alpha for slab in slabs]),
         cells=np.vstack([slab.cells + start for slab, start in zip(slabs, offsets)]),

@@ -12,11 +12,11 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.metric import FLAT, areas
 from hypergap_dolfinx.gap.outlines import differing
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.slab import curved_margins, fill, mesh_slab, share
+from hypergap_dolfinx.gap.slab import SlabCells, curved_margins, fill, mesh_slab, share
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
 
@@ -37,8 +37,8 @@ def moved(surface: Surface, nodes: npt.NDArray[np.float64]) -> Surface:
 
 
 def update_slab(
-    comm: MPI.Comm, gap: GapCells, surface0: Surface, surface1: Surface
-) -> tuple[GapCells, bool]:
+    comm: MPI.Comm, gap: SlabCells, surface0: Surface, surface1: Surface
+) -> tuple[SlabCells, bool]:
     """Σ between surfaces in space that have moved since it was made. Collective.
 
     Its cells are kept as long as all of them stay positive; a piece where one turns over is filled
