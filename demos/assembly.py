@@ -15,8 +15,6 @@
 
 # +
 import argparse
-import ctypes
-import gc
 import json
 import sys
 import time
@@ -32,6 +30,7 @@ from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as dmesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+from demos.error_against_run_time import forget_peak, memory
 from hypergap_dolfinx import Tie, TiedProblem, find_touching, progress
 from meshes.cad import fused_assembly, parts_of_assembly
 
@@ -179,25 +178,6 @@ def balance(model, us):
         work = integral(ufl.action(ufl.action(a, u), moved))
         reaction.append(work if L is None else work - integral(ufl.action(L, moved)))
     return float(np.linalg.norm(np.add(reaction, FORCE)) / np.linalg.norm(FORCE))
-
-
-def memory(name):
-    """This process's memory in bytes: now (VmRSS) or at its peak (VmHWM)."""
-    try:
-        status = Path("/proc/self/status").read_text()
-        return 1024 * int(status.split(f"{name}:")[1].split()[0])
-    except OSError:  # not Linux
-        return 0
-
-
-def forget_peak():
-    """Give freed memory back, and count peaks from now on."""
-    gc.collect()
-    try:
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        pass
 
 
 def run(make, factor, degree, geometry, solver):

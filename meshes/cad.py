@@ -13,8 +13,8 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import basix.ufl
 import dolfinx
+from meshes.structured import coordinate_element
 
 AROUND = 12
 """Edges around a cylinder, for cells as large as a part is thick; of 8 the polygon's area, which
@@ -73,13 +73,7 @@ def _create(comm: MPI.Comm, x: npt.NDArray, cells: npt.NDArray, degree: int) -> 
         x, cells = x[used], cells.reshape(-1, len(_NODES[degree]))
     else:
         x, cells = x[:0], cells[:0]
-    element = basix.ufl.element(
-        "Lagrange",
-        "tetrahedron",
-        degree,
-        lagrange_variant=basix.LagrangeVariant.equispaced,
-        shape=(3,),
-    )
+    element = coordinate_element("tetrahedron", degree, 3)
     return dolfinx.mesh.create_mesh(comm, cells.astype(np.int64), e=element, x=x)
 
 

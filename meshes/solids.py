@@ -29,6 +29,7 @@ from meshes.structured import (
     PLANE_Z,
     RIGHT,
     TOP,
+    coordinate_element,
 )
 
 HOLE, SIDE = 14, 15
@@ -120,13 +121,7 @@ def of_degree(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.mesh.Mesh:
     """A straight mesh with geometry nodes of a higher degree."""
     if degree == 1:
         return mesh
-    element = basix.ufl.element(
-        "Lagrange",
-        mesh.topology.cell_name(),
-        degree,
-        lagrange_variant=basix.LagrangeVariant.equispaced,
-        shape=(3,),
-    )
+    element = coordinate_element(mesh.topology.cell_name(), degree, 3)
     V = fem.functionspace(mesh, element)
     index_map = V.dofmap.index_map
     nodes = V.dofmap.list[: mesh.topology.index_map(3).size_local]

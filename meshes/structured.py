@@ -38,6 +38,13 @@ _CELLS = {
 }
 
 
+def coordinate_element(cell: str, degree: int, dim: int):
+    """Element of geometry with equispaced nodes, as Gmsh has them."""
+    return basix.ufl.element(
+        "Lagrange", cell, degree, lagrange_variant=basix.LagrangeVariant.equispaced, shape=(dim,)
+    )
+
+
 def block(
     comm: MPI.Comm,
     n: Sequence[int],
@@ -68,9 +75,7 @@ def block(
         or cube is 0 and 1, BOTTOM and TOP for the second, BACK and FRONT for the third.
     """
     dim = len(n)
-    element = basix.ufl.element(
-        "Lagrange", cell, degree, lagrange_variant=basix.LagrangeVariant.equispaced, shape=(dim,)
-    )
+    element = coordinate_element(cell, degree, dim)
     points = element.basix_element.points
     linear = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 1)
     weights = linear.tabulate(0, points)[0, :, :, 0]
@@ -168,13 +173,7 @@ def spherical_layers(
     Returns:
         The mesh and its facet tags INNER, OUTER, PLANE_X, PLANE_Y and PLANE_Z.
     """
-    element = basix.ufl.element(
-        "Lagrange",
-        "hexahedron",
-        degree,
-        lagrange_variant=basix.LagrangeVariant.equispaced,
-        shape=(3,),
-    )
+    element = coordinate_element("hexahedron", degree, 3)
     inside = np.rint(degree * element.basix_element.points).astype(np.int64)
     x, cells = np.empty((0, 3)), np.empty((0, len(inside)), dtype=np.int64)
     if comm.rank == 0:
