@@ -354,6 +354,11 @@ def layer(nodes, t, outwards, thickness=0.02):
     for k in range(3):  # unit normals: a large facet would hide small ones at a tip
         np.add.at(total, t[:, k], normal / twice)
     total /= np.linalg.norm(total, axis=1, keepdims=True)
+    for _ in range(50):  # inwards of all facets at a vertex, also of five around a tube
+        unseen = np.einsum("ti,tki->tk", normal / twice, total[t]) < 0.1
+        for k in range(3):
+            np.add.at(total, t[unseen[:, k], k], 0.2 * (normal / twice)[unseen[:, k]])
+        total /= np.linalg.norm(total, axis=1, keepdims=True)
     h = np.sqrt(twice.mean())
     # Prisms, cut by the order of their vertices, so that neighbours agree
     a, b, c = np.sort(t, axis=1).T

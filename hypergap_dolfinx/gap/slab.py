@@ -29,6 +29,7 @@ from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
+from hypergap_dolfinx.gap.parting import join_unmatched
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.straight import marked, straightened
@@ -205,6 +206,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
     start = time.perf_counter()
     surfaces = surface0, surface1
     groups, behind = facing_pieces(*surfaces)
+    groups = join_unmatched(surfaces, groups, behind)
 
     def make() -> list[Slab]:
         sides = [
