@@ -75,8 +75,14 @@ class Rim:
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
     def is_on(self, other: "Rim") -> bool:
-        """Whether its nodes lie on another one's edges, as far as straight edges can tell."""
-        _, _, off, nearest, to_node = self.off(other)
+        """Whether its nodes lie on another one's edges, as far as straight edges can tell.
+
+        It goes the other way round, as outlines of surfaces do that face each other: else these lie
+        beside each other.
+        """
+        edge, _, off, nearest, to_node = self.off(other)
+        if np.einsum("ei,ei->", self.t, other.t[edge]) > 0:
+            return False
         if off.max() <= OFF:
             return True
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)

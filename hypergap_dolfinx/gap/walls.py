@@ -86,8 +86,8 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
         )
     found = []
     for loop1 in loops1:
-        distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
-        loop0 = loops0.pop(int(np.argmin(distances)))
+        distances = [_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
+        loop0 = loops0.pop(distances.index(min(distances)))
         c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
         x = side1.x[c1]
         chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
@@ -97,10 +97,19 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     return found
 
 
-def _mean_distance(x, y) -> float:
-    """Mean distance of a few of the points to the nearest of the others."""
-    some = x[np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))]
-    return float(np.linalg.norm(some[:, None] - y, axis=2).min(axis=1).mean())
+def _distance(x, y) -> tuple[bool, float]:
+    """Whether two loops go different ways round, and how far they are apart in the mean.
+
+    Both rims of a narrow band are near each other, but the band is on the left of both.
+    """
+    some = np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))
+    t = np.roll(y, -1, axis=0) - y
+    apart = x[some, None] - y
+    s = np.einsum("pei,ei->pe", apart, t) / np.maximum(np.einsum("ei,ei->e", t, t), 1e-300)
+    distance = np.linalg.norm(apart - np.clip(s, 0, 1)[..., None] * t, axis=2)
+    ahead = (np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0))[some]
+    against = np.einsum("pi,pi->", ahead, t[distance.argmin(axis=1)]) < 0
+    return bool(against), float(distance.min(axis=1).mean())
 
 
 def _parametrise(side0: Side, loop0, side1: Side, loop1):
