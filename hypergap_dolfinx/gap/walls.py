@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
@@ -82,7 +82,7 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     if len(loops0) != len(loops1):
         raise InterfaceError(
             f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: do the surfaces have the same shape there?"
+            f"{spot(side1.x)}: do the surfaces have the same shape there?"
         )
     found = []
     for loop1 in loops1:
@@ -179,6 +179,6 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
         if distance.max() > REACH * size:
             worst = distance.argmax()
             raise InterfaceError(
-                f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "do the surfaces have the same shape there?"
+                f"the boundary of Γ1 at {spot(x1[c + worst])} lies {distance[worst]:.3g} off that "
+                "of Γ0: do the surfaces have the same shape there?"
             )
