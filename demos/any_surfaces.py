@@ -342,7 +342,7 @@ def scene(seed, degree, finest=0.1):
     return name, [(size * x @ turn.T, t) for x, t in meshes]
 
 
-def layer(nodes, t, outwards, thickness=0.02):
+def layer(nodes, t, outwards, thickness=0.02, comm=MPI.COMM_SELF):
     """A thin layer of tetrahedra behind a surface, and the facets on the surface."""
     n = t.max() + 1
     x, middles = nodes[:n], nodes[n:]
@@ -376,7 +376,9 @@ def layer(nodes, t, outwards, thickness=0.02):
         cells = np.hstack((cells, len(x) + which.reshape(-1, 6)))
         x = np.vstack((x, straight))
     element = basix.ufl.element("Lagrange", "tetrahedron", degree, shape=(3,))
-    mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), e=element, x=x)
+    part = slice(None if comm.rank == 0 else 0)  # one rank has all, and hands them out
+    cells, x = cells.astype(np.int64)[part], x[part]
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)
     corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)[:, :3]]

@@ -24,6 +24,7 @@ from hypergap_dolfinx import (
     TiedProblem,
     find_touching,
 )
+from hypergap_dolfinx.errors import spot
 
 pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
@@ -98,6 +99,15 @@ def test_lists_of_facets():
     (V, facets), other = two_blocks()
     tie = Tie((V, facets.tolist()), other)
     assert len(tie.surfaces[0].facets) == 3
+
+
+def test_places_in_messages():
+    """Round-off isn't printed, nor more digits than anybody reads."""
+    assert spot(np.array([1e-17, 1 / 3, -2])) == "(0, 0.33333, -2)"
+    assert spot(np.array([(0, 1e6 / 3, -1e-12), (2, 1e6 / 3, 0)])) == "(1, 333333, 0)"
+    assert spot(np.array([(0.0, 0), (0, 0)])) == "(0, 0)"
+    assert spot(np.array((1e-9, -2e-9 / 3))) == "(1e-09, -6.6667e-10)"
+    assert spot(np.array((np.nan, 1.0))) == "(nan, 1)"
 
 
 @two_ranks()
