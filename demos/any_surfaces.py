@@ -256,13 +256,25 @@ def sheet(rng, h, outlines, graph):
         _, count = np.unique(edges, axis=0, return_counts=True)
         if (count == 1).sum() == len(rim) and len(x) - len(count) + len(t) == 2 - len(loops):
             radii = [outline for outline in outlines if np.ndim(outline) == 0]
-            return Shape(
+            shape = Shape(
                 x,
                 t,
                 lambda p, q, at_rim: between(p, q, at_rim, radii),
                 lambda p: np.column_stack((p, graph(*p.T))),
             )
+            if not folded(shape):
+                return shape
     return None
+
+
+def folded(shape):
+    """Whether a triangle in the plane is turned over where its edges are on a circle."""
+    edges, which, at_rim = shape.edges()
+    m = shape.middle(*shape.p[edges].swapaxes(0, 1), at_rim)[which]  # behind each vertex
+    a = shape.p[shape.triangles]
+    ahead = 4 * m - 3 * a - np.roll(a, -1, axis=1)  # how the edges of degree 2 start at a vertex
+    back = 4 * np.roll(m, 1, axis=1) - 3 * a - np.roll(a, 1, axis=1)
+    return (np.linalg.det(np.stack((ahead, back), axis=2)) <= 0).any()
 
 
 def between(p, q, at_rim, radii):

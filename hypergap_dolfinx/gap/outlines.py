@@ -80,13 +80,29 @@ class Rim:
         It goes the other way round, as outlines of surfaces do that face each other: else these lie
         beside each other.
         """
-        edge, _, off, nearest, to_node = self.off(other)
-        if np.einsum("ei,ei->", self.t, other.t[edge]) > 0:
+        edge, s, off, nearest, to_node = self.off(other)
+        if is_along(self.x, other.x, edge, s):
             return False
         if off.max() <= OFF:
             return True
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
         return paired and bool(to_node.max() <= NEARLY)
+
+
+def is_along(x, y, edge, s, some=slice(None)) -> bool:
+    """Whether two loops go the same way round.
+
+    Args:
+        x: Nodes of the one, ``(num_nodes, 3)``.
+        y: Nodes of the other one.
+        edge: Its edge that is nearest to each of the first one's nodes.
+        s: The parameter on it, from 0 to 1.
+        some: The nodes of the first one that these are of.
+    """
+    # Chords of two edges: at a node the nearest edge may be the one before or the one behind it
+    ways = [np.roll(z, -1, axis=0) - np.roll(z, 1, axis=0) for z in (x, y)]
+    other = (1 - s)[:, None] * ways[1][edge] + s[:, None] * ways[1][(edge + 1) % len(y)]
+    return bool(np.einsum("ni,ni->", ways[0][some], other) > 0)
 
 
 def _angle(a, b) -> npt.NDArray[np.float64]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap.outlines import is_along
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
@@ -106,10 +107,11 @@ def _distance(x, y) -> tuple[bool, float]:
     t = np.roll(y, -1, axis=0) - y
     apart = x[some, None] - y
     s = np.einsum("pei,ei->pe", apart, t) / np.maximum(np.einsum("ei,ei->e", t, t), 1e-300)
-    distance = np.linalg.norm(apart - np.clip(s, 0, 1)[..., None] * t, axis=2)
-    ahead = (np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0))[some]
-    against = np.einsum("pi,pi->", ahead, t[distance.argmin(axis=1)]) < 0
-    return bool(against), float(distance.min(axis=1).mean())
+    s = np.clip(s, 0, 1)
+    distance = np.linalg.norm(apart - s[..., None] * t, axis=2)
+    edge = distance.argmin(axis=1)
+    same_way = is_along(x, y, edge, s[np.arange(len(some)), edge], some)
+    return not same_way, float(distance.min(axis=1).mean())
 
 
 def _parametrise(side0: Side, loop0, side1: Side, loop1):
