@@ -256,13 +256,25 @@ def sheet(rng, h, outlines, graph):
         _, count = np.unique(edges, axis=0, return_counts=True)
         if (count == 1).sum() == len(rim) and len(x) - len(count) + len(t) == 2 - len(loops):
             radii = [outline for outline in outlines if np.ndim(outline) == 0]
-            return Shape(
+            shape = Shape(
                 x,
                 t,
                 lambda p, q, at_rim: between(p, q, at_rim, radii),
                 lambda p: np.column_stack((p, graph(*p.T))),
             )
+            if not folded(shape):
+                return shape
     return None
+
+
+def folded(shape):
+    """Whether a triangle in the plane is turned over where its edges are on a circle."""
+    edges, which, at_rim = shape.edges()
+    m = shape.middle(*shape.p[edges].swapaxes(0, 1), at_rim)[which]  # behind each vertex
+    a = shape.p[shape.triangles]
+    ahead = 4 * m - 3 * a - np.roll(a, -1, axis=1)  # how the edges of degree 2 start at a vertex
+    back = 4 * np.roll(m, 1, axis=1) - 3 * a - np.roll(a, 1, axis=1)
+    return (np.linalg.det(np.stack((ahead, back), axis=2)) <= 0).any()
 
 
 def between(p, q, at_rim, radii):
@@ -342,7 +354,7 @@ def scene(seed, degree, finest=0.1):
     return name, [(size * x @ turn.T, t) for x, t in meshes]
 
 
-def layer(nodes, t, outwards, thickness=0.02):
+def layer(nodes, t, outwards, thickness=0.02, comm=MPI.COMM_SELF):
     """A thin layer of tetrahedra behind a surface, and the facets on the surface."""
     n = t.max() + 1
     x, middles = nodes[:n], nodes[n:]
@@ -354,6 +366,11 @@ def layer(nodes, t, outwards, thickness=0.02):
     for k in range(3):  # unit normals: a large facet would hide small ones at a tip
         np.add.at(total, t[:, k], normal / twice)
     total /= np.linalg.norm(total, axis=1, keepdims=True)
+    for _ in range(50):  # inwards of all facets at a vertex, also of five around a tube
+        unseen = np.einsum("ti,tki->tk", normal / twice, total[t]) < 0.1
+        for k in range(3):
+            np.add.at(total, t[unseen[:, k], k], 0.2 * (normal / twice)[unseen[:, k]])
+        total /= np.linalg.norm(total, axis=1, keepdims=True)
     h = np.sqrt(twice.mean())
     # Prisms, cut by the order of their vertices, so that neighbours agree
     a, b, c = np.sort(t, axis=1).T
@@ -371,7 +388,9 @@ def layer(nodes, t, outwards, thickness=0.02):
         cells = np.hstack((cells, len(x) + which.reshape(-1, 6)))
         x = np.vstack((x, straight))
     element = basix.ufl.element("Lagrange", "tetrahedron", degree, shape=(3,))
-    mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), e=element, x=x)
+    part = slice(None if comm.rank == 0 else 0)  # one rank has all, and hands them out
+    cells, x = cells.astype(np.int64)[part], x[part]
+    mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)
     corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)[:, :3]]

@@ -7,6 +7,11 @@
 
 from mpi4py import MPI
 
+import numpy as np
+import numpy.typing as npt
+
+DIGITS = 6  # of coordinates in messages
+
 
 class InterfaceError(ValueError):
     """The facets or spaces given to a tie can't form an interface.
@@ -21,6 +26,19 @@ class InvertedCellError(RuntimeError):
 
 class SolveError(RuntimeError):
     """The linear solver failed; nothing that it returned may be used."""
+
+
+def spot(x: npt.NDArray[np.floating]) -> str:
+    """A place for a message, without what is round-off in its coordinates.
+
+    Args:
+        x: Its coordinates, or those of points of which it is the middle, ``(…, n)``.
+    """
+    middle = x.reshape(-1, x.shape[-1]).mean(axis=0)
+    size = np.abs(x[np.isfinite(x)]).max(initial=0)
+    decimals = DIGITS - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
+    rounded = (round(float(value), decimals) + 0.0 for value in middle)
+    return f"({', '.join(f'{value:.{DIGITS}g}' for value in rounded)})"
 
 
 def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):

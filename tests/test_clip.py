@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers import sweep
-from test_front import side
+from test_front import check_cells, side
 
 from hypergap_dolfinx import InterfaceError
 from hypergap_dolfinx.gap import slab
@@ -206,3 +206,26 @@ def test_cutting():
         twice = np.linalg.det(v[:, 1:] - v[:, :1])
         assert twice.min() > 0
         assert twice.sum() == pytest.approx(1, rel=1e-14)
+
+
+@pytest.mark.parametrize("depth", (0.01, 0.05))
+@pytest.mark.parametrize(("n", "m"), ((16, 18), (20, 33)))
+def test_a_bush_engaged_by_less_than_a_facet(n, m, depth):
+    """Both rims of the band are near each other: they are told apart by which way round they go."""
+
+    def tube(num, low, high, turn):
+        angle = 2 * np.pi * np.arange(num) / num + turn
+        x = np.column_stack((np.cos(angle), np.sin(angle)))
+        x = np.vstack([np.column_stack((x, np.full(num, z))) for z in (low, high)])
+        a, b = np.arange(num), np.roll(np.arange(num), -1)
+        one, two = np.column_stack((a, b, num + b)), np.column_stack((a, num + b, num + a))
+        return x, np.vstack((one, two))
+
+    hole, bush = tube(n, 0, 0.3, 0), tube(m, 0.3 - depth, 1, 0.1)
+    pair = side("Γ0", *hole), side("Γ1", bush[0], bush[1][:, ::-1])
+    (common,) = clip(*pair)
+    for one in common:
+        x = one.x[one.triangles]
+        area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
+        assert abs(area / (2 * np.pi * depth) - 1) < 0.03
+    check_cells(slab.fill(common))

@@ -24,6 +24,7 @@ from hypergap_dolfinx import (
     TiedProblem,
     find_touching,
 )
+from hypergap_dolfinx.errors import spot
 
 pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
@@ -100,6 +101,15 @@ def test_lists_of_facets():
     assert len(tie.surfaces[0].facets) == 3
 
 
+def test_places_in_messages():
+    """Round-off isn't printed, nor more digits than anybody reads."""
+    assert spot(np.array([1e-17, 1 / 3, -2])) == "(0, 0.33333, -2)"
+    assert spot(np.array([(0, 1e6 / 3, -1e-12), (2, 1e6 / 3, 0)])) == "(1, 333333, 0)"
+    assert spot(np.array([(0.0, 0), (0, 0)])) == "(0, 0)"
+    assert spot(np.array((1e-9, -2e-9 / 3))) == "(1e-09, -6.6667e-10)"
+    assert spot(np.array((np.nan, 1.0))) == "(nan, 1)"
+
+
 @two_ranks()
 def test_branching_facets():
     """Two squares that touch at a corner, with both their edges there."""
@@ -111,7 +121,7 @@ def test_branching_facets():
     mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.ones(x.shape[1], bool))
-    with raises(InterfaceError, r"^Γ0 branches at \[1\. 1\.\]: its facets must form chains .* tie"):
+    with raises(InterfaceError, r"^Γ0 branches at \(1, 1\): its facets must form chains .* tie"):
         Tie((V, facets), two_blocks()[1])
 
 

@@ -384,7 +384,7 @@ def test_inverted_cell(matrices, apex):
     good, bad = [(0, 0), (1, 0), apex], [(1, 0), (0, 0), apex]
     alpha, up = np.tile((0, 0, 1.0), (2, 1)), np.tile((0, 1.0), (2, 1))
     matrices(tables, np.array([good, good], dtype=float), alpha, up)
-    with pytest.raises(InvertedCellError, match=r"^1 gap elements are inverted .* at \[0\.5"):
+    with pytest.raises(InvertedCellError, match=r"^1 gap elements are inverted .* at \(0\.5"):
         matrices(tables, np.array([good, bad], dtype=float), alpha, up)
 
 

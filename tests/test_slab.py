@@ -291,8 +291,10 @@ def test_neighbours_and_projection():
 
 
 def test_branching_surface():
-    x = np.zeros((4, 3))
-    with pytest.raises(InterfaceError, match="branches at"):
+    x = np.zeros((5, 3))
+    with pytest.raises(InterfaceError, match=r"branches at \(0, 0, 0\)"):
+        neighbours(np.array([(0, 1, 2), (0, 1, 3), (1, 0, 4)]), "Γ0", x)
+    with pytest.raises(InterfaceError, match=r"folded at .* turned over"):
         neighbours(np.array([(0, 1, 2), (0, 1, 3)]), "Γ0", x)
 
 

@@ -124,6 +124,8 @@ class _Behind:
     def of(self, faces) -> npt.NDArray[np.intp]:
         """Cells that are left and have the faces, −1 where there is none."""
         found = np.full(len(faces), -1)
+        if not len(self._key):
+            return found
         first = np.searchsorted(self._key, face_keys(faces))
         wanted = face_keys(faces)
         for i in (0, 1):

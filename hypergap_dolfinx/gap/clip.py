@@ -7,7 +7,7 @@
 
 import numpy as np
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.cut import Cut
 from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
@@ -135,7 +135,7 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
         raise InterfaceError(
-            f"Γ0 around {side0.x.mean(axis=0)} and Γ1 around {side1.x.mean(axis=0)} have nothing "
+            f"Γ0 around {spot(side0.x)} and Γ1 around {spot(side1.x)} have nothing "
             "in common: neither lies opposite to the other; check the tags."
         )
     return _matched(*(_parts(side) for side in kept))
@@ -164,6 +164,6 @@ def _matched(parts0: list[Side], parts1: list[Side]) -> list[tuple[Side, Side]]:
     if left or len(pairs) < len(parts0):
         raise InterfaceError(
             f"Γ0 and Γ1 have {len(parts0)} and {len(parts1)} parts in common, around "
-            f"{parts0[len(pairs) - 1].x.mean(axis=0)}: do the surfaces have the same shape there?"
+            f"{spot(parts0[len(pairs) - 1].x)}: do the surfaces have the same shape there?"
         )
     return pairs

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.cutting import Cutting
 from hypergap_dolfinx.gap.outlines import Edges, locate
 from hypergap_dolfinx.gap.pieces import Side
@@ -208,7 +208,7 @@ class Cut:
             u = w
         raise InterfaceError(
             f"the outline of the other side can't be drawn on {self.side.surface.name} from "
-            f"{start} to {target}: do the surfaces have the same shape there?"
+            f"{spot(start)} to {spot(target)}: do the surfaces have the same shape there?"
         )
 
     def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
@@ -264,9 +264,9 @@ class Cut:
         triangle, weights = locate(self.side, place, normal)
         if (triangle < 0).any():
             raise InterfaceError(
-                f"the outline of {other.side.surface.name} at {place[triangle.argmin()]} lies "
-                f"neither on {self.side.surface.name} nor beside it: do the surfaces have the same "
-                "shape there?"
+                f"the outline of {other.side.surface.name} at {spot(place[triangle.argmin()])} "
+                f"lies neither on {self.side.surface.name} nor beside it: do the surfaces have the "
+                "same shape there?"
             )
         nodes = dict(twins)
         for node, t, w in zip(free, triangle.tolist(), weights, strict=True):

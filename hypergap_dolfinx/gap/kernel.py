@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InvertedCellError
+from hypergap_dolfinx.errors import InvertedCellError, spot
 
 CHUNK = 8192  # cells at a time: what fits in a cache
 ENOUGH = 12
@@ -242,6 +242,6 @@ def _check_orientation(N, normal, x):
     if wrong.any():
         raise InvertedCellError(
             f"{wrong.sum()} gap elements are inverted or empty, the first at "
-            f"{x[wrong.argmax()].mean(axis=0)}: Γ0 and Γ1 differ too much there; refine the "
+            f"{spot(x[wrong.argmax()])}: Γ0 and Γ1 differ too much there; refine the "
             "coarser side or make the two surfaces closer in shape."
         )

@@ -47,31 +47,62 @@ class Rim:
             _angle(self.normal, np.roll(self.normal, -1, axis=0)),
         )
 
-    def is_on(self, other: "Rim") -> bool:
-        """Whether its nodes lie on another one's edges, as far as straight edges can tell."""
-        off, to_node, nearest = [], [], []
+    def off(self, other: "Rim"):
+        """How far its nodes are off another one, as far as straight edges can tell.
+
+        Returns:
+            The nearest edge and the parameter on it, from 0 to 1; how far off it is; the nearest
+            node and how far off that is; all ``(num_nodes,)``, distances in lengths of edges.
+        """
+        found = []
         for c in range(0, len(self.x), 256):
             part = slice(c, c + 256)
             y = self.x[part, None]
             s = np.einsum("pei,ei->pe", y - other.x, other.t) / other.length**2
-            apart = y - (other.x + np.clip(s, 0, 1)[..., None] * other.t)
+            s = np.clip(s, 0, 1)
+            apart = y - (other.x + s[..., None] * other.t)
             edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-            apart = apart[np.arange(len(apart)), edge]
-            height, distance = _along(apart, other.normal[edge])
+            each = np.arange(len(apart))
+            height, distance = _along(apart[each, edge], other.normal[edge])
             # A gap is fine; a facet's normal knows its direction as well as facets bend
             explained = 2 * np.maximum(self.sag[part], other.sag[edge])
             bend = np.minimum(other.bend[edge] + self.bend[part], STEEP)
             explained += height * np.tan(bend)
             length = np.maximum(self.length[part], other.length[edge])
-            off.append((distance - explained) / length)
             near = np.linalg.norm(y - other.x, axis=2).argmin(axis=1)
-            apart = self.x[part] - other.x[near]
-            to_node.append(_along(apart, other.normal[near])[1] / length)
-            nearest.append(near)
-        if np.concatenate(off).max() <= OFF:
+            to_node = _along(self.x[part] - other.x[near], other.normal[near])[1] / length
+            found.append((edge, s[each, edge], (distance - explained) / length, near, to_node))
+        return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+    def is_on(self, other: "Rim") -> bool:
+        """Whether its nodes lie on another one's edges, as far as straight edges can tell.
+
+        It goes the other way round, as outlines of surfaces do that face each other: else these lie
+        beside each other.
+        """
+        edge, s, off, nearest, to_node = self.off(other)
+        if is_along(self.x, other.x, edge, s):
+            return False
+        if off.max() <= OFF:
             return True
-        paired = len(np.unique(np.concatenate(nearest))) == len(self.x) == len(other.x)
-        return paired and bool(np.concatenate(to_node).max() <= NEARLY)
+        paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
+        return paired and bool(to_node.max() <= NEARLY)
+
+
+def is_along(x, y, edge, s, some=slice(None)) -> bool:
+    """Whether two loops go the same way round.
+
+    Args:
+        x: Nodes of the one, ``(num_nodes, 3)``.
+        y: Nodes of the other one.
+        edge: Its edge that is nearest to each of the first one's nodes.
+        s: The parameter on it, from 0 to 1.
+        some: The nodes of the first one that these are of.
+    """
+    # Chords of two edges: at a node the nearest edge may be the one before or the one behind it
+    ways = [np.roll(z, -1, axis=0) - np.roll(z, 1, axis=0) for z in (x, y)]
+    other = (1 - s)[:, None] * ways[1][edge] + s[:, None] * ways[1][(edge + 1) % len(y)]
+    return bool(np.einsum("ni,ni->", ways[0][some], other) > 0)
 
 
 def _angle(a, b) -> npt.NDArray[np.float64]:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all, spot
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
@@ -29,11 +29,11 @@ from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
+from hypergap_dolfinx.gap.parting import pairs_of_pieces
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.straight import marked, straightened
 from hypergap_dolfinx.gap.surface import Surface
-from hypergap_dolfinx.gap.triangulation import facing_pieces
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -108,7 +108,7 @@ def _check_folded(side: Side):
         d, e = (derivatives @ surface.nodes[facet] for derivatives in dX)
         if (np.cross(d, e) @ normal <= 0).any():
             raise InterfaceError(
-                f"a curved facet of {surface.name} at {surface.nodes[facet].mean(axis=0)} is "
+                f"a curved facet of {surface.name} at {spot(surface.nodes[facet])} is "
                 "folded: its middle nodes are too far off; refine the mesh there or straighten it."
             )
 
@@ -142,7 +142,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     filling = front.construct(problem, _place(sides), None if straight else margins)
     if filling is None:
         raise InterfaceError(
-            f"no mesh of the gap between Γ0 and Γ1 around {sides[1].x.mean(axis=0)}. Do the "
+            f"no mesh of the gap between Γ0 and Γ1 around {spot(sides[1].x)}. Do the "
             "surfaces have the same shape there? Refine the coarser one."
         )
     if len(filling.straight):
@@ -204,7 +204,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
     """
     start = time.perf_counter()
     surfaces = surface0, surface1
-    groups, behind = facing_pieces(*surfaces)
+    groups, num, behind = pairs_of_pieces(*surfaces)
 
     def make() -> list[Slab]:
         sides = [
@@ -212,7 +212,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
                 Side.of(surface, np.flatnonzero(group == g), behind=neighbours)
                 for surface, group, neighbours in zip(surfaces, groups, behind, strict=True)
             ]
-            for g in range(int(groups[1].max()) + 1)
+            for g in range(num)
         ]
         return [fill(common) for pair in sides for common in clip(*pair)]
 

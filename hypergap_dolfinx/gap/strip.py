@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 
@@ -120,8 +120,8 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
         count = np.bincount(ends, minlength=len(surface.x))
         if (count > 1).any():
             raise InterfaceError(
-                f"{surface.name} branches at {surface.x[count.argmax()]}: its facets must form "
-                "chains (make one tie for each branch)."
+                f"{surface.name} branches at {spot(surface.x[count.argmax()])}: its facets must "
+                "form chains (make one tie for each branch)."
             )
     edge_to = np.full(len(surface.x), -1)
     edge_to[end] = np.arange(len(end))
@@ -316,8 +316,8 @@ def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
             )
     across = any(_overlap(i, j, surface0, surface1, np.inf) for i in chains0 for j in chains1)
     return (
-        f"Γ0 and Γ1 don't face each other: no part of Γ1 (around {surface1.x.mean(axis=0)}, "
-        f"{distance:.3g} away) lies opposite Γ0 (around {surface0.x.mean(axis=0)}); check the tags"
+        f"Γ0 and Γ1 don't face each other: no part of Γ1 (around {spot(surface1.x)}, "
+        f"{distance:.3g} away) lies opposite Γ0 (around {spot(surface0.x)}); check the tags"
         + " (faces to be tied across a distance want one tie, not one for each tag)" * across
         + "."
     )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
@@ -39,7 +39,7 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
         As ``facets``.
 
     Raises:
-        InterfaceError: More than two facets meet in an edge.
+        InterfaceError: More than two facets meet in an edge, or two that are turned over.
     """
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
@@ -49,9 +49,15 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     twice = np.flatnonzero(key[1:] == key[:-1])
     if len(twice):
         at = order[twice[0]]
+        place = spot(x[[a[at], b[at]]])
+        if (key // 2 == key[twice[0]] // 2).sum() == 2:
+            raise InterfaceError(
+                f"{name} is folded at {place}: the two facets at an edge there have their bodies "
+                "on opposite sides; are cells turned over?"
+            )
         raise InterfaceError(
-            f"{name} branches at {(x[a[at]] + x[b[at]]) / 2}: more than two facets meet in an "
-            "edge there (make one tie for each branch)."
+            f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
+            "for each branch)."
         )
     behind = np.full(len(a), -1)
     one, two = order[:-1][same], order[1:][same]
@@ -147,23 +153,24 @@ def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArr
     return near
 
 
-def facing_pieces(surface0: Surface, surface1: Surface):
+def facing_pieces(surfaces: tuple[Surface, Surface], behind):
     """Smooth pieces of both surfaces that lie opposite to each other.
 
     A piece ends at its surface's boundary, and where both surfaces have a kink.
 
+    Args:
+        surfaces: Γ0 and Γ1.
+        behind: The facets' neighbours, for both.
+
     Returns:
-        The number of the pair of pieces that each facet belongs to, for both surfaces, and the
-        facets' neighbours, for both.
+        The number of the pair of pieces that each facet belongs to, for both surfaces.
 
     Raises:
-        InterfaceError: The surfaces branch or don't face each other.
+        InterfaceError: The surfaces don't face each other.
     """
-    surfaces = (surface0, surface1)
-    behind = [neighbours(s.polygons, s.name, s.x) for s in surfaces]
-    lines = [kinks(surface0, behind[0])]
+    lines = [kinks(surfaces[0], behind[0])]
     if len(lines[0][0]):  # else it doesn't matter where the other one has some
-        lines.append(kinks(surface1, behind[1]))
+        lines.append(kinks(surfaces[1], behind[1]))
     pieces = []
     for i, surface in enumerate(surfaces):
         f, k = np.nonzero(behind[i] >= 0)
@@ -186,7 +193,7 @@ def facing_pieces(surface0: Surface, surface1: Surface):
         own, theirs = np.arange(num[i]), votes.argmax(axis=1)
         pairs.append((own, num[0] + theirs) if i == 0 else (theirs, num[0] + own))
     group = components(sum(num), *(np.concatenate(part) for part in zip(*pairs, strict=True)))
-    return (group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]), behind
+    return group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]
 
 
 def _centres(surface: Surface, facets=slice(None)) -> npt.NDArray[np.float64]:
@@ -233,7 +240,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     if (cosine > FACES).all():
         angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
         raise InterfaceError(
-            f"Γ0 and Γ1 don't face each other: everywhere around {middles.mean(axis=0)} they are "
+            f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "
             f"more than {angle:.0f}° from parallel; check the tags."
         )
     apart = middles - centres[found]
@@ -248,8 +255,8 @@ def _opposite(surface: Surface, pieces, other: Surface):
     return pieces[samples], found
 
 
-def _middle(surface: Surface, other: Surface, name: str):
-    return (surface if surface.name == name else other).x.mean(axis=0)
+def _middle(surface: Surface, other: Surface, name: str) -> str:
+    return spot((surface if surface.name == name else other).x)
 
 
 def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
@@ -274,7 +281,7 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
     count = np.bincount(start, minlength=len(x))
     if (count > 1).any():
         raise InterfaceError(
-            f"{name} touches itself in a single vertex at {x[count.argmax()]}; tie the parts "
+            f"{name} touches itself in a single vertex at {spot(x[count.argmax()])}; tie the parts "
             "there with ties of their own."
         )
     after = dict(zip(start.tolist(), end.tolist(), strict=True))

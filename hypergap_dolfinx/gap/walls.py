@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap.outlines import is_along
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
@@ -82,12 +83,12 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     if len(loops0) != len(loops1):
         raise InterfaceError(
             f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
-            f"{side1.x.mean(axis=0)}: do the surfaces have the same shape there?"
+            f"{spot(side1.x)}: do the surfaces have the same shape there?"
         )
     found = []
     for loop1 in loops1:
-        distances = [_mean_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
-        loop0 = loops0.pop(int(np.argmin(distances)))
+        distances = [_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
+        loop0 = loops0.pop(distances.index(min(distances)))
         c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
         x = side1.x[c1]
         chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
@@ -97,10 +98,20 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
     return found
 
 
-def _mean_distance(x, y) -> float:
-    """Mean distance of a few of the points to the nearest of the others."""
-    some = x[np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))]
-    return float(np.linalg.norm(some[:, None] - y, axis=2).min(axis=1).mean())
+def _distance(x, y) -> tuple[bool, float]:
+    """Whether two loops go different ways round, and how far they are apart in the mean.
+
+    Both rims of a narrow band are near each other, but the band is on the left of both.
+    """
+    some = np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))
+    t = np.roll(y, -1, axis=0) - y
+    apart = x[some, None] - y
+    s = np.einsum("pei,ei->pe", apart, t) / np.maximum(np.einsum("ei,ei->e", t, t), 1e-300)
+    s = np.clip(s, 0, 1)
+    distance = np.linalg.norm(apart - s[..., None] * t, axis=2)
+    edge = distance.argmin(axis=1)
+    same_way = is_along(x, y, edge, s[np.arange(len(some)), edge], some)
+    return not same_way, float(distance.min(axis=1).mean())
 
 
 def _parametrise(side0: Side, loop0, side1: Side, loop1):
@@ -170,6 +181,6 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
         if distance.max() > REACH * size:
             worst = distance.argmax()
             raise InterfaceError(
-                f"the boundary of Γ1 at {x1[c + worst]} lies {distance[worst]:.3g} off that of Γ0: "
-                "do the surfaces have the same shape there?"
+                f"the boundary of Γ1 at {spot(x1[c + worst])} lies {distance[worst]:.3g} off that "
+                "of Γ0: do the surfaces have the same shape there?"
             )

@@ -20,7 +20,7 @@ import basix
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all, spot
 from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT
 from hypergap_dolfinx.solve.every import SAME_PLACE
 from hypergap_dolfinx.solve.interface import Interface
@@ -83,7 +83,7 @@ def check_cells(mesh: Mesh, name: str):
         if bad.any():
             i = int(bad.argmax())
             message = (
-                f"{name} has a cell without volume or turned over in part, at {x[i].mean(axis=0)} "
+                f"{name} has a cell without volume or turned over in part, at {spot(x[i])} "
                 f"(det J from {det[i].min():.3g} to {det[i].max():.3g}); mend its mesh."
             )
             break
@@ -215,6 +215,7 @@ class Coincidences:
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
-                f"the prescribed displacements contradict {name} at {self.x[i]}: {values[0][i]} "
-                f"on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on one side only."
+                f"the prescribed displacements contradict {name} at {spot(self.x[i])}: "
+                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on "
+                "one side only."
             )
