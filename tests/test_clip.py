@@ -16,6 +16,7 @@ from hypergap_dolfinx import InterfaceError
 from hypergap_dolfinx.gap import slab
 from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.cutting import Cutting
+from hypergap_dolfinx.gap.triangulation import project
 
 pytestmark = pytest.mark.serial
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
@@ -146,7 +147,7 @@ def test_random():
         check(square(n), square(m, place), exact, 1e-7)
 
 
-CUTS = (1e-12, 1e-9, 1.1e-8, 1e-7, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 0.9)
+CUTS = (1e-12, 1e-9, 3e-9, 1.1e-8, 1e-7, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 0.9)
 
 
 @pytest.mark.parametrize("cut", sweep(CUTS, 3))
@@ -159,6 +160,40 @@ def test_narrow_cuts(cut):
     ):
         exact = common_area(place(SQUARE)[:, :2], SQUARE[:, :2])
         check(square(4), square(3, place), exact, 1e-8)
+
+
+@pytest.mark.parametrize("angle", [1e-7, 1e-5, 1e-3, 0.1])
+def test_no_blunt_angles(angle):
+    """Where an outline all but follows edges, what is cut is narrow, but no triangle is flat."""
+    one, other = square(4), square(3, placed(angle, 0.5, (0.5, 0.5)))
+    pairs = clip(side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1]))
+    narrow = 1.0
+    for piece in (piece for pair in pairs for piece in pair):
+        v = piece.x[piece.triangles]
+        for k in range(3):
+            e, f = v[:, (k + 1) % 3] - v[:, k], v[:, (k + 2) % 3] - v[:, k]
+            lengths = np.linalg.norm(e, axis=1) * np.linalg.norm(f, axis=1)
+            assert (np.einsum("ti,ti->t", e, f) / lengths).min() > -0.981
+            narrow = min(narrow, (np.linalg.norm(np.cross(e, f), axis=1) / lengths).min())
+    assert narrow < np.radians(angle) * 10
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-6, 1e-8])
+def test_narrow_triangles(width):
+    """A walk gives coordinates in them that are right in the facet, as far as it is wide."""
+    rng = np.random.default_rng(0)
+    x = np.array([(0, 0, 0), (1, 0, 0), (0.9, width, 0), (0, width, 0), (1, 1, 0), (0, 1, 0.0)])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    t = np.array([(0, 1, 2), (0, 2, 3), (3, 2, 4), (3, 4, 5), (1, 4, 2)])
+    at = rng.dirichlet((1, 1, 1), (len(t), 20))
+    piece = side("Γ0", x @ turn, t)
+    t = piece.triangles
+    points = np.einsum("tpv,tvi->tpi", at, piece.x[t]).reshape(-1, 3)
+    triangle, xi = project(piece.x, t, piece.behind, points, np.zeros(len(points), dtype=np.intp))
+    weights = np.column_stack((1 - xi.sum(axis=1), xi))
+    found = np.einsum("pv,pvi->pi", weights, piece.x[t[triangle]])
+    np.testing.assert_allclose(found, points, rtol=0, atol=1e-15)
+    assert weights.min() > -1e-14 / width
 
 
 def test_tree():

@@ -14,7 +14,7 @@ from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.triangulation import neighbours
 from hypergap_dolfinx.graph import components
 
-SNAP = 1e-8
+SNAP = 2e-9
 """Distance, in lengths of the outlines' edges, below which nodes and edges are at one place."""
 
 

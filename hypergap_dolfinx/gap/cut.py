@@ -19,6 +19,10 @@ from hypergap_dolfinx.gap.pieces import Side
 
 CHORDS = 2
 """Straight parts that stand for an edge of a curved outline, per degree of its geometry."""
+BLUNT = -0.98
+"""Cosine of an angle below which the edge opposite to it gets a node at its foot."""
+ROUNDS = 5
+"""Times that angles are looked at: feet make others blunt where edges are almost parallel."""
 
 
 class Cut:
@@ -280,11 +284,20 @@ class Cut:
     def triangulation(self):
         """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
         t = self.side.triangles
-        touched = set(self.inside) | set(self.segments)
-        touched.update(triangle for edge in self.on for triangle in self.around(*edge))
+        made: dict[int, tuple] = {}
+        for _ in range(ROUNDS):
+            touched = set(self.inside) | set(self.segments)
+            touched.update(triangle for edge in self.on for triangle in self.around(*edge))
+            for triangle in sorted(touched.difference(made)):
+                made[triangle] = self._cut(triangle)
+            changed = {f for triangle in sorted(made) for f in self._widen(triangle, made)}
+            if not changed:
+                break
+            for triangle in changed:
+                made.pop(triangle, None)
         new, origin, weights = [], [], []
         for triangle in sorted(touched):
-            nodes, w, cells = self._cut(triangle)
+            nodes, w, cells = made.get(triangle) or self._cut(triangle)
             new += [[nodes[i] for i in cell] for cell in cells]
             weights += [w[list(cell)] for cell in cells]
             origin += [triangle] * len(cells)
@@ -293,6 +306,62 @@ class Cut:
         origin = np.concatenate((whole, np.array(origin, dtype=np.intp)))
         unit = np.broadcast_to(np.eye(3), (len(whole), 3, 3))
         return cells, origin, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
+
+    def _widen(self, triangle: int, made: dict[int, tuple]) -> set[int]:
+        """Put nodes into edges that are opposite to a blunt angle of what a triangle is cut into.
+
+        Functions of degree 2 on a triangle that is flat but not narrow at any of its edges have
+        gradients of any size: a middle node may differ from the mean of two beside it.
+
+        Returns:
+            The triangles that have to be cut anew.
+        """
+        nodes, w, cells = made[triangle]
+        x = w @ self._plane(triangle)
+        changed: set[int] = set()
+        done: set[tuple[int, int]] = set()
+        for cell in cells:
+            for k in range(3):
+                a, b, c = (cell[(k + i) % 3] for i in range(3))
+                d, e = x[b] - x[a], x[c] - x[a]
+                if d @ e > BLUNT * float(np.linalg.norm(d) * np.linalg.norm(e)):
+                    continue
+                edge = min(b, c), max(b, c)
+                if edge in done:
+                    continue
+                done.add(edge)
+                along = x[c] - x[b]
+                s = -float(d @ along) / float(along @ along)
+                changed |= self._put(triangle, nodes[b], nodes[c], s, (1 - s) * w[b] + s * w[c])
+        return changed
+
+    def _put(self, triangle: int, u: int, v: int, s: float, weights) -> set[int]:
+        """A node between two others of a triangle, and the triangles that it changes."""
+        if edge := self.edge_of((u, v)):
+            a, b = edge
+            parameter = [0.0 if n == a else 1.0 if n == b else self._at(n)[2] for n in (u, v)]
+            self.on_edge(a, b, (1 - s) * parameter[0] + s * parameter[1])
+            return set(self.around(a, b))
+        node = self.in_triangle(triangle, weights)
+        for segments in (self.segments[triangle], self.path):
+            for i, pair in enumerate(segments):
+                if set(pair) == {u, v}:
+                    segments[i : i + 1] = [(pair[0], node), (node, pair[1])]
+                    break
+        return {triangle}
+
+    def _at(self, node: int) -> tuple:
+        """Where a new node is."""
+        return self.at[node - self.num_vertices]
+
+    def _plane(self, triangle: int) -> npt.NDArray[np.float64]:
+        """A triangle's corners in its plane, the first edge of length one, ``(3, 2)``."""
+        x = self.side.x[self.side.triangles[triangle]]
+        e, f = x[1] - x[0], x[2] - x[0]
+        length = np.linalg.norm(e)
+        return np.array(
+            [(0, 0), (1, 0), ((e @ f) / length**2, np.linalg.norm(np.cross(e, f)) / length**2)]
+        )
 
     def _cut(self, triangle: int):
         """A triangle's nodes, their weights, and the triangles between them."""
@@ -313,13 +382,7 @@ class Cut:
                 w[i] = at[1]
             else:
                 w[i, corners.index(at[0])], w[i, corners.index(at[1])] = 1 - at[2], at[2]
-        x = self.side.x[corners]
-        e, f = x[1] - x[0], x[2] - x[0]
-        length = np.linalg.norm(e)
-        flat = np.array(
-            [(0, 0), (1, 0), ((e @ f) / length**2, np.linalg.norm(np.cross(e, f)) / length**2)]
-        )
-        cutting = Cutting((w @ flat).tolist())
+        cutting = Cutting((w @ self._plane(triangle)).tolist())
         for k, between in enumerate(edges):
             last = k
             for point in between:
@@ -332,7 +395,7 @@ class Cut:
             if not cutting.fix(number[u], number[v]):
                 raise InterfaceError(
                     f"{self.side.surface.name} can't be cut along the other side's outline at "
-                    f"{x.mean(axis=0)}"
+                    f"{self.side.x[corners].mean(axis=0)}"
                 )
         cutting.relax()
         return nodes, w, cutting.triangles()

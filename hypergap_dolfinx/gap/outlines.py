@@ -15,7 +15,7 @@ from hypergap_dolfinx.gap.search import FACING
 
 CORNER = np.radians(80)
 """What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 1e-8
+OFF = 4e-10
 """Distance of outlines, in lengths of their edges, that is none: so far off the outline is then."""
 NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""

@@ -316,13 +316,18 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
         Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
     """
     origin, d, e = x[facets[:, 0]], *(x[facets[:, k]] - x[facets[:, 0]] for k in (1, 2))
-    dd, de, ee = (np.einsum("fi,fi->f", a, b) for a, b in ((d, d), (d, e), (e, e)))
-    det = np.maximum(dd * ee - de**2, 1e-300)
+    N = np.cross(d, e)
+    square = np.maximum(np.einsum("fi,fi->f", N, N), 1e-300)[:, None]
+    grad0, grad1 = np.cross(e, N) / square, np.cross(N, d) / square
 
     def flat(f, p):
         y = p - origin[f]
-        yd, ye = np.einsum("pi,pi->p", y, d[f]), np.einsum("pi,pi->p", y, e[f])
-        return np.column_stack((ee[f] * yd - de[f] * ye, dd[f] * ye - de[f] * yd)) / det[f, None]
+        X = np.zeros((len(y), 2))
+        for _ in range(2):  # in narrow facets the first time leaves round-off over their width
+            X[:, 0] += np.einsum("pi,pi->p", y, grad0[f])
+            X[:, 1] += np.einsum("pi,pi->p", y, grad1[f])
+            y = p - (origin[f] + X[:, :1] * d[f] + X[:, 1:] * e[f])
+        return X
 
     host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)
     if refine is None:
