@@ -329,7 +329,7 @@ def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
     host, X = facet.copy(), np.zeros((len(points), 2))
     active = np.arange(len(points))
     for step in range(steps):
-        if step & (step - 1) == 0:  # at 0, 1, 2, 4, 8: who comes back to that facet goes in a circle
+        if step & (step - 1) == 0:  # at 0, 1, 2, 4, 8 …: who comes back there goes in a circle
             mark = facet.copy()
         f = facet[active]
         at = coordinates(f, points[active])
