@@ -19,7 +19,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import fields, quality
-from hypergap_dolfinx.gap.adjust import adjust_surface
+from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
@@ -134,12 +134,13 @@ class Tie(disposal.Owner):
         self._spaces = (V0, V1)
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
-            move = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
+            move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
         shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
-        self._domain = create_gap_domain(comm, *surfaces)
+        known = with_surfaces(before, surfaces) if adjust else None
+        self._domain = known or create_gap_domain(comm, *surfaces)
         self._adjusts = adjust
         for doubt in quality.doubts(self._domain, (side0, side1)) if self._tells else ():
             if comm.rank == 0:

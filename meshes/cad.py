@@ -102,6 +102,7 @@ def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, h
         gmsh.option.setNumber("General.NumThreads", 1)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", AROUND / factor)
         gmsh.option.setNumber("Mesh.ElementOrder", degree)
+        gmsh.option.setNumber("Mesh.HighOrderOptimize", 1)  # else curved cells may be folded
         cad, model = gmsh.model.occ, gmsh.model
         volumes = cad.importShapes(str(filename))
         cad.synchronize()

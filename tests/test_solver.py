@@ -119,6 +119,15 @@ def test_bodies_held_by_ties_alone(solver, held):
     assert difference(problem, direct) <= (1e-9 if solver == "bodies" else 1e-6)
 
 
+def test_too_many_bodies_in_a_row():
+    """Who runs out of iterations is told why."""
+    a, L, bcs, ties = pile(2, stiffness=(1.0, 1.0, 1.0))
+    options = {"ksp_max_it": 3}
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies", petsc_options=options)
+    with pytest.raises(SolveError, match='in a row, and there are 3; take solver="direct"'):
+        problem.solve()
+
+
 @two_ranks()
 def test_residual_of_the_saddle_system():
     a, L, bcs, ties = pile(2, degree=2)

@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Moves Γ1 to where eq. (22) puts it, X_A = P X₀: then the tie knows rigid motions exactly."""
 
+from dataclasses import replace
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,9 +18,9 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, create_constraint
-from hypergap_dolfinx.gap.domain import create_gap_domain
+from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.gap.multipliers import Multipliers
-from hypergap_dolfinx.gap.surface import create_surface
+from hypergap_dolfinx.gap.surface import Surface, create_surface
 
 ROUNDS = 3
 
@@ -38,7 +40,8 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
         facets1: Its local facets on Γ1.
 
     Returns:
-        A function that makes the last move; collective.
+        A function that makes the last move, collective; and Σ with the nodes from before it, of the
+        spaces of both meshes' coordinates.
 
     Raises:
         InterfaceError: The surfaces form no interface.
@@ -55,7 +58,19 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
         constraint.destroy()
         if not last:
             _set_positions(W[1], moved)
-    return lambda: _set_positions(W[1], moved)
+    return (lambda: _set_positions(W[1], moved)), domain
+
+
+def with_surfaces(domain: GapDomain, surfaces: tuple[Surface, Surface]) -> GapDomain | None:
+    """Σ of other spaces on the same facets, None if their elements are others.
+
+    Args:
+        domain: Σ.
+        surfaces: Γ0 and Γ1 of the other spaces.
+    """
+    pairs = zip(surfaces, domain.surfaces, strict=True)
+    same = all(new.element == old.element for new, old in pairs)
+    return replace(domain, surfaces=surfaces) if same else None
 
 
 def _coordinate_space(mesh: Mesh) -> fem.FunctionSpace:

@@ -239,7 +239,12 @@ def _number_nodes(cells, lattice, degree: int):
     weights = np.column_stack((degree - lattice.sum(axis=1), lattice))  # (node, vertex)
     key = cells[:, None, :] * (degree + 1) + weights
     key = np.sort(np.where(weights > 0, key, -1), axis=2).reshape(-1, cells.shape[1])
-    _, first, number = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    code, size = np.zeros(len(key), dtype=np.int64), int(key.max()) + 2
+    for column in key.T:  # into one number: whole rows take much longer to sort
+        if int(code.max()) * size >= 2**62:
+            code = np.unique(code, return_inverse=True)[1]
+        code = code * size + column + 1
+    _, first, number = np.unique(code, return_index=True, return_inverse=True)
     return number.reshape(len(cells), -1).astype(np.int64), first
 
 

@@ -31,7 +31,7 @@ from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_poi
 from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.parting import pairs_of_pieces
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.slab_cells import Slab
+from hypergap_dolfinx.gap.slab_cells import Slab, key_of
 from hypergap_dolfinx.gap.straight import marked, straightened
 from hypergap_dolfinx.gap.surface import Surface
 
@@ -122,24 +122,32 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     """
     problem = front.Problem.between(*sides)
     degree = max(side.degree for side in sides)
-    straight = geometry_element([side.surface for side in sides], degree).degree == 1
+    geometry = geometry_element([side.surface for side in sides], degree).basix_element
 
     num_vertices = len(problem.x)
-    known: dict[bytes, float] = {}  # most cells are looked at many times
+    number: dict[bytes, int] = {}  # of cells that were looked at: most are many times
+    values: list[float] = []
+    hosts: list[Hosts] = []
 
-    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
+    def keys(filling: front.Filling) -> list[bytes]:
         marks = marked(filling.cells, filling.straight) @ (1 << np.arange(6))
         data = np.column_stack((filling.cells, marks)).astype(np.int64).tobytes()
-        keys = [data[i : i + 40] for i in range(0, len(data), 40)]
-        value = np.array([known.get(key, np.nan) for key in keys])
-        new = np.isnan(value)
-        if new.any():
-            value[new] = curved_margins(_slab(sides, filling.with_cells(filling.cells[new])))
-            lasting = new & (filling.cells < num_vertices).all(axis=1)  # not of interior vertices
-            known.update((keys[i], value[i]) for i in np.flatnonzero(lasting))
-        return value
+        return [data[i : i + 40] for i in range(0, len(data), 40)]
 
-    filling = front.construct(problem, _place(sides), None if straight else margins)
+    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
+        each = keys(filling)
+        at = np.array([number.get(key, -1) for key in each])
+        new = np.flatnonzero(at < 0)
+        if len(new):
+            slab = _slab(sides, filling.with_cells(filling.cells[new]))
+            at[new] = len(values) + np.arange(len(new))
+            values.extend(curved_margins(slab))
+            hosts.append(slab.hosts(geometry.points, np.arange(len(new))))
+            lasting = (slab.cells < num_vertices).all(axis=1)  # not of interior vertices
+            number.update((each[i], at[i]) for i in new[lasting])
+        return np.array(values)[at]
+
+    filling = front.construct(problem, _place(sides), margins if geometry.degree > 1 else None)
     if filling is None:
         raise InterfaceError(
             f"no mesh of the gap between Γ0 and Γ1 around {spot(sides[1].x)}. Do the "
@@ -148,7 +156,11 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     if len(filling.straight):
         for side in sides:
             _check_folded(side)
-    return _slab(sides, filling)
+    slab = _slab(sides, filling)
+    at = [number.get(key, -1) for key in keys(filling)] if hosts else [-1]
+    if min(at) >= 0:
+        slab.known[key_of(geometry.points)] = Hosts.concatenate(hosts)[at]
+    return slab
 
 
 def summary(slabs: Sequence[Slab]) -> str:
@@ -273,23 +285,14 @@ def share(
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
-    known: dict[bytes, Hosts] = {}  # of all cells: curved ones have nodes where the φ_a have theirs
-
     def hosts(points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
-        key = (np.round(points, 12) + 0.0).tobytes()
-        if key in known:
-            return known[key][cells]
         if len(slabs) == 1:
-            found = slabs[0].hosts(points, cells)
-        else:
-            order = np.argsort(cells, kind="stable")
-            parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
-            lots = zip(slabs, parts, num_cells[:-1], strict=True)
-            found = Hosts.concatenate([slab.hosts(points, part - n) for slab, part, n in lots])
-            found = found[np.argsort(order, kind="stable")]
-        if np.array_equal(cells, np.arange(num_cells[-1])):
-            known[key] = found
-        return found
+            return slabs[0].hosts(points, cells)
+        order = np.argsort(cells, kind="stable")
+        parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
+        lots = zip(slabs, parts, num_cells[:-1], strict=True)
+        found = Hosts.concatenate([slab.hosts(points, part - n) for slab, part, n in lots])
+        return found[np.argsort(order, kind="stable")]
 
     straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
     return SlabCells(

@@ -29,6 +29,8 @@ class Slab:
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
+    known: dict[bytes, Hosts] = field(default_factory=dict, init=False)
+    """Hosts of all cells' points, by :func:`key_of` points: each is asked for twice or more."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -137,6 +139,9 @@ class Slab:
             points: Reference points, ``(num_points, 3)``.
             cells: Cells, ``(num_cells,)``.
         """
+        key = key_of(points)
+        if key in self.known:
+            return self.known[key][cells]
         weights = np.column_stack((1 - points.sum(axis=1), points))
         weights[np.abs(weights) < 1e-12] = 0
         shape = len(cells), len(points)
@@ -151,6 +156,8 @@ class Slab:
         for number in range(2, 5):
             if (count == number).any():
                 self._between(cells, weights, count == number, found)
+        if np.array_equal(cells, np.arange(len(self.cells))):
+            self.known[key] = found
         return found
 
     @cached_property
@@ -238,6 +245,11 @@ class Slab:
             x = np.einsum("nv,nvi->ni", weights[lost], side.x[v[lost]])
             triangle[lost], X[lost] = side.project(x, triangle[lost])
         return triangle, X
+
+
+def key_of(points: npt.NDArray[np.float64]) -> bytes:
+    """What tells points of the reference cell from others, but for round-off."""
+    return (np.round(points, 12) + 0.0).tobytes()
 
 
 def _same(vertices, weights):

@@ -340,7 +340,9 @@ def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
     best, facet = np.full(len(points), -np.inf), facet.copy()
     host, X = facet.copy(), np.zeros((len(points), 2))
     active = np.arange(len(points))
-    for _ in range(steps):
+    for step in range(steps):
+        if step & (step - 1) == 0:  # at 0, 1, 2, 4, 8 …: who comes back there goes in a circle
+            mark = facet.copy()
         f = facet[active]
         at = coordinates(f, points[active])
         weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
@@ -356,6 +358,7 @@ def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
         go = weights[each, k] < -1e-12
         facet[active[go]] = beyond[each, k][go]
         active = active[go]
+        active = active[facet[active] != mark[active]]
         if not len(active):
             break
     return host, X

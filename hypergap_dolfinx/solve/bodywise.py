@@ -78,6 +78,12 @@ class Bodies(IterativeSolver):
     def _create(self) -> Substitute:
         return BodywiseSystem(self._system)
 
+    def _advice(self) -> str:
+        num = len(self._system.spaces)
+        if num == 2:
+            return self.ADVICE
+        return f"; iterations grow with the bodies tied in a row, and there are {num}{self.ADVICE}"
+
 
 def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
     """Pairs of a body that an interface moves and the body of its Γ1."""

@@ -174,7 +174,11 @@ class KSPSolver(Solver):
 
     def failure(self) -> str | None:
         """What went wrong in the last solve. Collective."""
-        return saddle.failure(self._ksp, self.ADVICE)
+        return saddle.failure(self._ksp, self._advice())
+
+    def _advice(self) -> str:
+        """What a message on a failure says to do."""
+        return self.ADVICE
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -244,7 +248,7 @@ class IterativeSolver(KSPSolver):
         assert self._substitute is not None, "update() comes first"
         # Its blocks are K itself: if SNES lags, the preconditioner is of then, the system of now
         self._substitute.solve(self._ksp, b, x)
-        self._failure = saddle.failure(self._ksp, self.ADVICE)
+        self._failure = saddle.failure(self._ksp, self._advice())
         if self._failure is None:
             error = saddle.backward_error(self._system.A, x, b)
             if not error <= saddle.BACKWARD:  # or no number
