@@ -253,28 +253,21 @@ def sheet(rng, h, outlines, graph):
         used, t = np.unique(t, return_inverse=True)
         x, t = x[used], t.reshape(-1, 3)
         edges = np.sort(np.vstack((t[:, :2], t[:, 1:], t[:, ::2])), axis=1)
-        _, count = np.unique(edges, axis=0, return_counts=True)
-        if (count == 1).sum() == len(rim) and len(x) - len(count) + len(t) == 2 - len(loops):
+        edges, count = np.unique(edges, axis=0, return_counts=True)
+        twice = np.bincount(edges[count == 1].ravel()).max(initial=0) == 2  # no fans at one point
+        if (
+            twice
+            and (count == 1).sum() == len(rim)
+            and len(x) - len(count) + len(t) == 2 - len(loops)
+        ):
             radii = [outline for outline in outlines if np.ndim(outline) == 0]
-            shape = Shape(
+            return Shape(
                 x,
                 t,
                 lambda p, q, at_rim: between(p, q, at_rim, radii),
                 lambda p: np.column_stack((p, graph(*p.T))),
             )
-            if not folded(shape):
-                return shape
     return None
-
-
-def folded(shape):
-    """Whether a triangle in the plane is turned over where its edges are on a circle."""
-    edges, which, at_rim = shape.edges()
-    m = shape.middle(*shape.p[edges].swapaxes(0, 1), at_rim)[which]  # behind each vertex
-    a = shape.p[shape.triangles]
-    ahead = 4 * m - 3 * a - np.roll(a, -1, axis=1)  # how the edges of degree 2 start at a vertex
-    back = 4 * np.roll(m, 1, axis=1) - 3 * a - np.roll(a, 1, axis=1)
-    return (np.linalg.det(np.stack((ahead, back), axis=2)) <= 0).any()
 
 
 def between(p, q, at_rim, radii):
@@ -345,6 +338,8 @@ def scene(seed, degree, finest=0.1):
         sides[1] = sides[0].quartered() if same == "nodes" else sides[0]
         name += {"nodes": ", shared nodes", "exactly": ", matching"}.get(same, f", within {same}")
     meshes = [(side.nodes(degree), side.triangles) for side in sides]
+    if degree == 2 and any(folded(side, nodes) for side, (nodes, _) in zip(sides, meshes)):
+        return scene(seed + 1_000_003, degree, finest)
     if same in ("1e-6", "1e-12"):
         x, t = meshes[1]
         meshes[1] = x + float(same) * h * rng.uniform(-1, 1, x.shape), t
@@ -352,6 +347,16 @@ def scene(seed, degree, finest=0.1):
         meshes.reverse()
     turn, size = rotation(rng), 10 ** rng.uniform(-3, 3)
     return name, [(size * x @ turn.T, t) for x, t in meshes]
+
+
+def folded(side, nodes):
+    """Whether curved facets are turned over at a vertex: meshes of too few for their surface."""
+    _, which, _ = side.edges()
+    a, m = nodes[side.triangles], nodes[len(side.p) + which]  # middles behind each vertex
+    ahead = 4 * m - 3 * a - np.roll(a, -1, axis=1)  # how the edges start at a vertex
+    back = 4 * np.roll(m, 1, axis=1) - 3 * a - np.roll(a, 1, axis=1)
+    straight = np.cross(a[:, 1] - a[:, 0], a[:, 2] - a[:, 0])[:, None]
+    return ((np.cross(ahead, back) * straight).sum(axis=2) <= 0).any()
 
 
 def layer(nodes, t, outwards, thickness=0.02, comm=MPI.COMM_SELF):

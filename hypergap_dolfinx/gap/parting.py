@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.outlines import NEARLY, OFF, Rim
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.surface import Surface
@@ -44,7 +45,7 @@ def pairs_of_pieces(surface0: Surface, surface1: Surface):
         pairs; and the facets' neighbours, for both.
 
     Raises:
-        InterfaceError: The surfaces branch or don't face each other.
+        InterfaceError: The surfaces branch, touch themselves in a vertex or don't face each other.
     """
     surfaces = surface0, surface1
     behind = tuple(neighbours(s.polygons, s.name, s.x) for s in surfaces)
@@ -173,11 +174,18 @@ def _beyond(side: Side, group, behind, loop) -> npt.NDArray[np.intp]:
 
 def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]]:
     """Pairs of pieces to be joined with one, which lie beyond edges that the other side hasn't."""
+    pair = int(groups[0][sides[0].facets[0]])
     rims: list[list[tuple[Rim, npt.NDArray]]] = []
     for side, group, own in zip(sides, groups, behind, strict=True):
-        loops = side.loops()
+        try:
+            loops = side.loops()
+        except InterfaceError:  # kinks make it touch itself in a vertex, if it hasn't before
+            beyond = own[side.facets]
+            touching = np.unique(group[beyond[beyond >= 0]])
+            if len(touching) == 1:
+                raise
+            return {(pair, int(g)) for g in touching if g != pair}
         rims.append([(Rim(side, loop), _beyond(side, group, own, loop)) for loop in loops])
-    pair = int(groups[0][sides[0].facets[0]])
     found = set()
     for i in (0, 1):
         others = rims[1 - i]
@@ -195,5 +203,5 @@ def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]
                 off[nearer] = distance[nearer]
                 apart[nearer] = (inside & (distance > OFF) & (to_node > NEARLY))[nearer]
             for j in np.flatnonzero(apart):
-                found |= {(pair, int(g)) for g in (beyond[j - 1], beyond[j]) if g >= 0}
+                found |= {(pair, int(g)) for g in (beyond[j - 1], beyond[j]) if g not in (-1, pair)}
     return found
