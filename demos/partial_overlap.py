@@ -312,8 +312,8 @@ def block_on_plate(comm, cell, level):
     return fused, [plate[0], block[0]], tied
 
 
-# A bush that sticks out of a bracket's hole, farther on one side. The bracket is held around its end,
-# the bush is pushed at its upper face, along the bracket and across it.
+# A bush that sticks out of a bracket's hole, farther on one side. The bracket is held around its
+# end, the bush is pushed at its upper face, along the bracket and across it.
 
 BORE, HOLE, EYE, END = 0.3, 0.5, 1.0, 1.0  # radii; how much longer the bracket is at its end
 THICKNESS, BUSH = (-0.25, 0.25), (-0.4, 0.6)  # along the axis
