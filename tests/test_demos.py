@@ -90,7 +90,11 @@ DEMOS = {
         {"*.l2": 5e-3},
     ),
     "partial_overlap_tetrahedra": Demo(
-        "--cell tetrahedron", {"*.ok": True}, script="partial_overlap", slow=True
+        "--cell tetrahedron",
+        {"*.ok": True},
+        pictures=("gap_domain", "block_on_a_plate", "bush_in_a_bracket"),
+        script="partial_overlap",
+        slow=True,
     ),
     "partial_overlap_hexahedra": Demo(
         "--cell hexahedron --degree 1", {"*.ok": True}, script="partial_overlap", slow=True

@@ -19,6 +19,7 @@ PICTURES = {
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
     "modal_analysis": ("mode_3",),
+    "partial_overlap": ("gap_domain", "--cell", "mixed", "--degree", "1"),
     "patch_test": ("patch_test",),
     "patch_test_3d": ("patch_test_3d",),
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),

@@ -281,33 +281,35 @@ class Cut:
 
     # The triangles
 
-    def triangulation(self):
+    def triangulation(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
         t = self.side.triangles
         made: dict[int, tuple] = {}
-        for _ in range(ROUNDS):
+        for rest in range(ROUNDS, -1, -1):
             touched = set(self.inside) | set(self.segments)
             touched.update(triangle for edge in self.on for triangle in self.around(*edge))
-            for triangle in sorted(touched.difference(made)):
-                made[triangle] = self._cut(triangle)
-            changed = {f for triangle in sorted(made) for f in self._widen(triangle, made)}
+            fresh = sorted(touched.difference(made))
+            made.update((triangle, self._cut(triangle)) for triangle in fresh)
+            changed: set[int] = set()
+            for triangle in fresh if rest else ():
+                if triangle not in changed:
+                    changed |= self._widen(triangle, *made[triangle])
             if not changed:
                 break
-            for triangle in changed:
-                made.pop(triangle, None)
+            made = {triangle: cut for triangle, cut in made.items() if triangle not in changed}
         new, origin, weights = [], [], []
         for triangle in sorted(touched):
-            nodes, w, cells = made.get(triangle) or self._cut(triangle)
-            new += [[nodes[i] for i in cell] for cell in cells]
-            weights += [w[list(cell)] for cell in cells]
-            origin += [triangle] * len(cells)
+            nodes, w, parts = made[triangle]
+            new += [[nodes[i] for i in part] for part in parts]
+            weights += [w[list(part)] for part in parts]
+            origin += [triangle] * len(parts)
         whole = np.setdiff1d(np.arange(len(t)), sorted(touched))
         cells = np.vstack((t[whole], np.array(new, dtype=np.intp).reshape(-1, 3)))
-        origin = np.concatenate((whole, np.array(origin, dtype=np.intp)))
+        hosts = np.concatenate((whole, np.array(origin, dtype=np.intp)))
         unit = np.broadcast_to(np.eye(3), (len(whole), 3, 3))
-        return cells, origin, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
+        return cells, hosts, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
 
-    def _widen(self, triangle: int, made: dict[int, tuple]) -> set[int]:
+    def _widen(self, triangle: int, nodes, weights, cells) -> set[int]:
         """Put nodes into edges that are opposite to a blunt angle of what a triangle is cut into.
 
         Functions of degree 2 on a triangle that is flat but not narrow at any of its edges have
@@ -316,32 +318,39 @@ class Cut:
         Returns:
             The triangles that have to be cut anew.
         """
-        nodes, w, cells = made[triangle]
-        x = w @ self._plane(triangle)
+        x = weights @ self._plane(triangle)
         changed: set[int] = set()
-        done: set[tuple[int, int]] = set()
-        for cell in cells:
-            for k in range(3):
-                a, b, c = (cell[(k + i) % 3] for i in range(3))
-                d, e = x[b] - x[a], x[c] - x[a]
-                if d @ e > BLUNT * float(np.linalg.norm(d) * np.linalg.norm(e)):
-                    continue
-                edge = min(b, c), max(b, c)
-                if edge in done:
-                    continue
-                done.add(edge)
-                along = x[c] - x[b]
+        feet: set[tuple[int, int]] = set()  # edges that have one
+        for a, b, c in ((*cell[k:], *cell[:k]) for cell in cells for k in range(3)):
+            d, e, along = x[b] - x[a], x[c] - x[a], x[c] - x[b]
+            lengths = float(np.sqrt((d @ d) * (e @ e)))
+            if d @ e < BLUNT * lengths and (min(b, c), max(b, c)) not in feet:
+                feet.add((min(b, c), max(b, c)))
                 s = -float(d @ along) / float(along @ along)
-                changed |= self._put(triangle, nodes[b], nodes[c], s, (1 - s) * w[b] + s * w[c])
+                place = (1 - s) * weights[b] + s * weights[c]
+                changed |= self._put(triangle, nodes[b], nodes[c], s, place)
         return changed
 
     def _put(self, triangle: int, u: int, v: int, s: float, weights) -> set[int]:
-        """A node between two others of a triangle, and the triangles that it changes."""
+        """Put a node between two others of a triangle.
+
+        Args:
+            triangle: The triangle.
+            u: A node at it.
+            v: Another.
+            s: Where the new one is between them, from 0 to 1.
+            weights: Where it is in the triangle.
+
+        Returns:
+            The triangles that it changes.
+        """
         if edge := self.edge_of((u, v)):
-            a, b = edge
-            parameter = [0.0 if n == a else 1.0 if n == b else self._at(n)[2] for n in (u, v)]
-            self.on_edge(a, b, (1 - s) * parameter[0] + s * parameter[1])
-            return set(self.around(a, b))
+            ends = [float(n == edge[1]) for n in (u, v)]
+            for i, n in enumerate((u, v)):
+                if n >= self.num_vertices:
+                    ends[i] = self.at[n - self.num_vertices][2]
+            self.on_edge(*edge, (1 - s) * ends[0] + s * ends[1])
+            return set(self.around(*edge))
         node = self.in_triangle(triangle, weights)
         for segments in (self.segments[triangle], self.path):
             for i, pair in enumerate(segments):
@@ -349,10 +358,6 @@ class Cut:
                     segments[i : i + 1] = [(pair[0], node), (node, pair[1])]
                     break
         return {triangle}
-
-    def _at(self, node: int) -> tuple:
-        """Where a new node is."""
-        return self.at[node - self.num_vertices]
 
     def _plane(self, triangle: int) -> npt.NDArray[np.float64]:
         """A triangle's corners in its plane, the first edge of length one, ``(3, 2)``."""
