@@ -86,8 +86,10 @@ class Tie(disposal.Owner):
                 This changes the mesh of Γ1's body. Rigid motions are then exact on curved or gaping
                 interfaces too, if the space has the degree of the mesh's geometry; without, a
                 rotation strains them by the distance between the surfaces over the cell size: the
-                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay. Make
-                a tie that adjusts before others on the same mesh: they know where nodes are.
+                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay. A
+                curved surface's rim may leave the plane of the face beside it (2e-3 at h = 0.2 of
+                its radius): locate that face's facets before. Make a tie that adjusts before others
+                on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
                 or overlaps is pulled together, as in an interference fit. Needs displacements.
 

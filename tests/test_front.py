@@ -284,3 +284,20 @@ def test_folded_facets():
         sides[i] = Side.of(surface, np.arange(len(t)))
     with pytest.raises(InterfaceError, match=r"a curved facet of Γ0 at .* is folded"):
         slab.fill(tuple(sides))
+
+
+def test_cut_facets_are_not_folded():
+    """A sliver along a facet's curved edge faces elsewhere than the facet."""
+    P1, P2 = (
+        basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, k) for k in (1, 2)
+    )
+    x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
+    nodes = P1.tabulate(0, P2.points)[0, :, :, 0] @ x
+    nodes[5, 2] += 0.1  # in the middle of the edge from 0 to 1
+    t = np.array([(0, 1, 2)], dtype=np.int32)
+    one = side("Γ0", x, t).surface
+    surface = replace(one, x=x, facets=t, nodes=nodes[None], geometry=P2)
+    for X in (((0.0, 0.0), (0.5, 0.0), (1.0, 0.0)), ((0.0, 0.0), (1.0, 0.0), (0.5, 0.0))):
+        corners = np.array(X)
+        piece = Side(surface, surface.points([0, 0, 0], corners), t, np.array([0]), corners[None])
+        slab._check_folded(piece)

@@ -20,7 +20,7 @@ import dolfinx.mesh
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import InterfaceError, Tie
-from hypergap_dolfinx.gap import domain, front
+from hypergap_dolfinx.gap import domain, front, triangulation
 from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.gap.triangulation import components, kinks, neighbours, project
@@ -288,6 +288,27 @@ def test_neighbours_and_projection():
     np.testing.assert_array_equal(facet, [1, 2, 2])
     weights = np.column_stack((1 - X.sum(axis=1), X))
     close(np.einsum("pv,pvi->pi", weights, x[facets[facet]])[:, :2], points[:, :2])
+
+
+def test_who_goes_in_a_circle_stops():
+    """Above a ridge both facets send a point to the other one: it isn't looked at again."""
+    x = np.array([(0, 0, 1), (1, 0, 1), (0.5, 1, 0), (0.5, -1, 0)], dtype=float)
+    facets = np.array([(0, 1, 2), (1, 0, 3)])
+    seen = []
+
+    def coordinates(facet, points):
+        seen.extend(facet.tolist())
+        v = x[facets[facet]]
+        edges, y = (v[:, 1:] - v[:, :1]).transpose(0, 2, 1), points - v[:, 0]
+        return (np.linalg.pinv(edges) @ y[:, :, None])[:, :, 0]
+
+    points = np.array([(0.5, 0.1, 2.0)])
+    behind = neighbours(facets, "Γ0", x)
+    host, X = triangulation._walk(behind, points, np.array([1]), coordinates, 100)
+    assert len(seen) < 6 and set(seen) == {0, 1}
+    facet, at = project(x, facets, behind, points, np.array([1]))
+    np.testing.assert_array_equal(host, facet)
+    close(X, at)
 
 
 def test_branching_surface():

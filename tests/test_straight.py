@@ -5,14 +5,18 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Cells of Σ that curved facets would turn over: some of their edges are straight."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from helpers import comm, interpolated, raises, residual
+from helpers import close, comm, interpolated, raises, residual
 
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import InvertedCellError, Tie
 from hypergap_dolfinx.gap import front, straight, swaps
+from hypergap_dolfinx.gap.cells import geometry_element
+from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.gap.triangulation import kinks, neighbours
 
@@ -69,6 +73,31 @@ def test_no_cell_is_turned_over(monkeypatch):
     monkeypatch.setattr(front, "straighten", lambda *_: straight.NONE)
     with raises(InvertedCellError, "inverted"):
         Tie(*curved_sides(2, 0.3)).domain.gap_matrices()
+
+
+@pytest.mark.serial
+def test_hosts_are_found_once(monkeypatch):
+    """Those with which cells were judged are what the slab would find, also of swapped cells."""
+    improve, swapped = swaps.improve, []
+
+    def counted(cells, *args):
+        found = improve(cells, *args)
+        swapped.append(found is not cells)
+        return found
+
+    monkeypatch.setattr(swaps, "improve", counted)
+    V, facets = zip(*curved_sides(2, 0.25), strict=True)
+    surfaces = [create_surface(*side, name) for *side, name in zip(V, facets, ("Γ0", "Γ1"))]
+    slab = mesh_slab(comm, *surfaces).slabs[0]
+    fresh = replace(slab)
+    assert any(swapped) and slab.known and not fresh.known
+    points = geometry_element(surfaces, 2).basix_element.points
+    own, other = (s.hosts(points, np.arange(len(s.cells))) for s in (slab, fresh))
+    close(own.alpha, other.alpha)
+    for i, surface in enumerate(surfaces):
+        some = own.alpha != 1 - i  # on the other surface none of this one's counts
+        places = [surface.points(h.facets[i][some], h.X[i][some]) for h in (own, other)]
+        close(*places)
 
 
 @pytest.mark.serial

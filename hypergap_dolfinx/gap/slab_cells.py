@@ -187,16 +187,15 @@ class Slab:
             some: Which points, ``(num_points,)``.
             found: The hosts of all points.
         """
-        vertices = self.cells[cells]
-        for point in np.flatnonzero(some):
-            vertex = vertices[:, local[point]]
-            found.alpha[:, point] = self.alpha[vertex]
-            for i, side in enumerate(self.sides):
-                facet = self._vertices.facets[i][vertex]
-                other = np.flatnonzero(facet < 0)
-                facet[other] = side.facets[self.beside[i][cells[other]]]
-                found.facets[i][:, point] = facet
-                found.X[i][:, point] = self._vertices.X[i][vertex]
+        vertices = self.cells[cells][:, local[some]]
+        own = slice(None) if some.all() else some
+        found.alpha[:, own] = self.alpha[vertices]
+        for i, side in enumerate(self.sides):
+            facets = self._vertices.facets[i][vertices]
+            other = np.nonzero(facets < 0)
+            facets[other] = side.facets[self.beside[i][cells]][other[0]]
+            found.facets[i][:, own] = facets
+            found.X[i][:, own] = self._vertices.X[i].take(vertices, axis=0)
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.

@@ -385,11 +385,13 @@ def along_normals(surface, n, points, X) -> npt.NDArray[np.float64]:
         normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
         off = x + z[:, 2:] * normal - points
         square = np.einsum("pji,pji->p", dx, dx)
-        done = np.einsum("pi,pi->p", off, off) < 1e-20 * square
-        if done.all():
-            break
         J = np.concatenate((dx + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
         J[np.abs(np.linalg.det(J)) < 1e-6 * square] = np.eye(3)
-        z = z - np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
+        step = np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
+        step[done] = 0  # whatever the others still need
+        z = z - step
         z[:, :2] = np.clip(z[:, :2], X - 1, X + 1)
+        done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square  # before this step, the last one
+        if done.all():
+            break
     return np.where(done[:, None], z[:, :2], X)
