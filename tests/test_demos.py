@@ -43,7 +43,7 @@ class Demo:
 
 
 DEMOS = {
-    "any_surfaces": Demo("--scenes 80 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
+    "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
         pinned={"*.displacement": 3.39994e-2, "*.energy": 18.3092, "*.ties": 32},
         below={"*.balance": 1e-10},

@@ -400,7 +400,7 @@ class Cut:
             if not cutting.fix(number[u], number[v]):
                 raise InterfaceError(
                     f"{self.side.surface.name} can't be cut along the other side's outline at "
-                    f"{self.side.x[corners].mean(axis=0)}"
+                    f"{spot(self.side.x[corners])}"
                 )
         cutting.relax()
         return nodes, w, cutting.triangles()
