@@ -58,6 +58,7 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
+    "contact_patch": Demo("--quick", below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11}),
     "gap_domain": Demo(
         pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
         pictures=("apart", "gap_domain", "tetrahedra"),
@@ -68,12 +69,18 @@ DEMOS = {
         {"steady": 5.960e-4, "flux": 1.3023e-2, "transient": 1.1088e-3},
         pictures=("heat",),
     ),
+    "hertz": Demo(
+        "--levels 1",
+        {"rows.0.l2_pressure": 2.224e-2, "rows.0.steps": 8},
+        {"rows.0.force": 1e-8, "rows.0.p0": 2e-3, "rows.0.half_width": 0.1},
+    ),
     "hyperelasticity": Demo(
         "--steps 6",
         {"energy": 0.26857578, "energy_difference": 6.255e-4, "newton_steps.-1": 6},
         {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
         pictures=("hyperelasticity",),
     ),
+    "ironing": Demo("--steps 4", {"rows.7.fy": -0.14232, "rows.7.iterations": 5}),
     "kernel_speed": Demo("--quick"),
     "modal_analysis": Demo(
         "--modes 4",

@@ -31,19 +31,22 @@ def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def motions(
-    V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
+    V: fem.FunctionSpace,
+    centre: npt.NDArray[np.float64] | None = None,
+    x: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.float64]:
     """Rigid displacements of a body, constants of other fields. Collective.
 
     Args:
         V: Its space.
         centre: Of the rotations; the mean of the dofs' places if not given.
+        x: Where this rank's owned nodes are now; their :func:`places` if not given.
 
     Returns:
         This rank's owned rows, ``(num_dofs, num_modes)``.
     """
     n, block_size = V.mesh.geometry.dim, V.dofmap.index_map_bs
-    x = places(V)
+    x = places(V) if x is None else x
     modes = [np.tile(unit, (len(x), 1)) for unit in np.eye(block_size)]
     if V.value_shape == (n,):
         x = x - (_mean(V.mesh.comm, [x]) if centre is None else centre)

@@ -162,13 +162,23 @@ def _tied_groups(
 def _num_free(
     K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
 ) -> int:
-    """How many combinations of motions nothing hinders. Collective.
+    """How many combinations of motions nothing hinders. Collective."""
+    return len(unhindered(K, constraints, moved, rows))
+
+
+def unhindered(
+    K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
+) -> npt.NDArray[np.float64]:
+    """The combinations of motions that nothing hinders. Collective.
 
     Args:
         K: Stiffness of each body.
         constraints: The ties.
         moved: The motions.
         rows: Which rows of each tie hinder them.
+
+    Returns:
+        Orthonormal, ``(num_free, num_motions)``.
     """
     comm, prescribed = K[0].comm.tompi4py(), constraints.prescribed
     ends = np.cumsum([0, *(next(iter(modes.values())).shape[1] for modes in moved)])
@@ -207,5 +217,5 @@ def _num_free(
                 parts[m] = np.sum(forces, axis=0)[hinder] / size
         add(parts)
     R = np.linalg.qr(np.vstack(found), mode="r")
-    values = np.linalg.svd(np.vstack(comm.allgather(R)), compute_uv=False)
-    return int((values < NOTHING * values.max(initial=1.0)).sum())
+    _, values, combinations = np.linalg.svd(np.vstack(comm.allgather(R)), full_matrices=False)
+    return combinations[values < NOTHING * values.max(initial=1.0)]

@@ -1,0 +1,249 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Contact between two surfaces: the user's door to gaps, pressures and forces."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.strip import turns
+from hypergap_dolfinx.gap.surface import Surface, create_surface
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+
+LOG = logging.getLogger("hypergap_dolfinx")
+
+ALIKE = 1.1  # ratio of the sides' sizes of facets up to which stiffness decides
+STIFF = 100.0  # ratio of stiffnesses from which the softer side is Γ1, whatever the sizes
+FINER = 1.5  # how much finer than Γ0 a Γ1 may be unwarned
+
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
+
+
+class Contact:
+    """Two surfaces that can touch, part and slide without friction.
+
+    Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a
+    weight w_a = ∂ψ_a/∂α on it, a weighted gap g_a = ∫ w_a det X dξ, which is a volume, and a
+    pressure p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
+
+    Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
+    Bodies with a round surface of degree 2 want curved cells.
+    """
+
+    def __init__(self, side0: Side, side1: Side, *, sliding: str = "finite"):
+        """Find the two surfaces. Collective.
+
+        Args:
+            side0: Γ0: a Lagrange space of displacements, and local indices of exterior facets of
+                its mesh, as ``facet_tags.find(tag)`` gives them.
+            side1: Γ1, which carries the pressures: the same.
+            sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
+                stay what they are at the start, the constraints are linear.
+
+        Raises:
+            InterfaceError: Facets or spaces that can't be in contact; the message says why.
+        """
+        if sliding not in ("finite", "small"):
+            raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
+        for side in (side0, side1):
+            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
+                raise ValueError("each side of a contact is a pair: a function space and facets.")
+            if not isinstance(side[0], fem.FunctionSpace):
+                raise ValueError(
+                    f"a contact's side is (function space, facets), not "
+                    f"({type(side[0]).__name__}, …)."
+                )
+        self._spaces = (side0[0], side1[0])
+        self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
+        self._sliding, self._swapped = sliding, False
+        comm = side0[0].mesh.comm
+        if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+            raise InterfaceError(
+                "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
+            )
+        for i, V in enumerate(self._spaces):
+            if V.value_shape != (V.mesh.geometry.dim,):
+                raise InterfaceError(
+                    f"contact is between displacements; the space of Γ{i} has the value shape "
+                    f"{V.value_shape} in {V.mesh.geometry.dim} dimensions."
+                )
+        if side0[0].mesh.geometry.dim != side1[0].mesh.geometry.dim:
+            raise InterfaceError(
+                f"the mesh of Γ0 has {side0[0].mesh.geometry.dim} coordinates, that of Γ1 "
+                f"{side1[0].mesh.geometry.dim}; they must be equal."
+            )
+        self._surfaces = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
+        if any(surface.facets.shape[1] == 4 for surface in self._surfaces):
+            raise InterfaceError("contact in space is between tetrahedra so far, not hexahedra.")
+        shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
+        raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
+        self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
+        self.rows: ContactRows | None = None
+        """Gaps and pressures of the last problem with this contact."""
+        for doubt in self._doubts():
+            if comm.rank == 0:
+                LOG.warning(doubt)
+
+    @classmethod
+    def between(
+        cls, a: Side, b: Side, *, stiffness: tuple[float, float] | None = None, **options
+    ) -> "Contact":
+        """A contact that chooses its sides. Collective.
+
+        Γ1 is the softer side if the other is a hundred times as stiff, else the coarser one, else
+        the softer one. Look at :attr:`swapped`, or the log of ``hypergap_dolfinx``.
+
+        Args:
+            a: A space and facets, as for the constructor.
+            b: The same of the other side.
+            stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
+                facets differ by less than a tenth.
+            options: Of the constructor.
+        """
+        size = [_size(create_surface(*side, "a side")) for side in (a, b)]
+        ratio, contrast = size[0] / size[1], 1.0
+        if stiffness is not None:
+            contrast = stiffness[1] / stiffness[0]
+        if max(contrast, 1 / contrast) >= STIFF:
+            swapped, why = contrast > 1, "far softer"
+        elif max(ratio, 1 / ratio) > ALIKE:
+            swapped, why = ratio > 1, "coarser"
+        else:
+            swapped, why = contrast > 1, "softer" if contrast != 1 else ""
+        contact = cls(*((b, a) if swapped else (a, b)), **options)
+        contact._swapped = swapped
+        if a[0].mesh.comm.rank == 0:
+            which = "first" if swapped else "second"
+            LOG.info("Γ1 is the %s side%s", which, why and f", the {why} one")
+        return contact
+
+    def _doubts(self):
+        """What is doubtful about the surfaces, one line each."""
+        sizes = [_size(surface) for surface in self._surfaces]
+        if sizes[0] > FINER * sizes[1]:
+            yield (
+                f"Γ1 is {sizes[0] / sizes[1]:.1f} times finer than Γ0: pressures are less exact "
+                "than with the sides swapped (Contact.between chooses)."
+            )
+        for surface in self._surfaces:
+            if surface.gdim == 2 and surface.element.degree > 1 and not surface.curved.any():
+                turn, corner = turns(surface)
+                if ((turn > 0) & ~corner).any():
+                    yield (
+                        f"{surface.name} is round with straight facets, of degree "
+                        f"{surface.element.degree}: pressures will scatter; use curved cells."
+                    )
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+        return self._spaces
+
+    @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
+        return self._facets
+
+    @property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1 before any displacement, gathered on every rank."""
+        return self._surfaces
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1 as they move."""
+        return self._sides
+
+    @property
+    def sliding(self) -> str:
+        """``"finite"`` or ``"small"``."""
+        return self._sliding
+
+    @property
+    def swapped(self) -> bool:
+        """Whether :meth:`between` made its first side Γ1."""
+        return self._swapped
+
+    @property
+    def active(self) -> npt.NDArray[np.bool_]:
+        """Which vertices of Γ1 (``surfaces[1].x``) are in contact; the same on every rank."""
+        if self.rows is None:
+            raise ValueError("the contact is in no problem: make one, and call solve() first.")
+        return self.rows.now.on.copy()
+
+    def pressures(self, problem) -> npt.NDArray[np.float64]:
+        """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
+
+        They are means of the multipliers over Σ's cells, of the same force.
+
+        Args:
+            problem: A solved problem with this contact.
+
+        Returns:
+            ``(num_vertices,)``, in the order of ``surfaces[1].x``.
+        """
+        rows = problem.rows(self)
+        return rows.now.opening.smoothed(rows.u, rows.now.p)
+
+    def pressure(self, problem) -> fem.Function:
+        """The pressure on Γ1, as a function of degree 1 on its body, else 0. Collective.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        return self._on_body(self.pressures(problem), "pressure")
+
+    def gap(self, u0: fem.Function, u1: fem.Function) -> fem.Function:
+        """The gap on Γ1 under displacements, as a function of degree 1 on its body. Collective.
+
+        It is the weighted gap over the weight's area; 0 where Γ1 is not opposite Γ0.
+
+        Args:
+            u0: Displacement of Γ0's body.
+            u1: Displacement of Γ1's body.
+        """
+        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
+            if u.function_space != V:
+                raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
+        rows = ContactRows(Touching(self._sides, (u0, u1), (None, None), True), [])
+        rows.look(True)
+        return self._on_body(
+            np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0), "gap"
+        )
+
+    def force(self, problem) -> npt.NDArray[np.float64]:
+        """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        rows = problem.rows(self)
+        return rows.forces(rows.now.p)[1].sum(axis=0)
+
+    def _on_body(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
+        """Values at Γ1's vertices as a function on its body."""
+        mesh = self._spaces[1].mesh
+        V = fem.functionspace(mesh, ("Lagrange", 1))
+        f = fem.Function(V, name=name)
+        surface = create_surface(V, self._facets[1], "Γ1")
+        at = np.empty(len(values), dtype=np.int64)
+        at[surface.facets] = surface.dofs
+        start, end = V.dofmap.index_map.local_range
+        mine = (at >= start) & (at < end)
+        f.x.array[at[mine] - start] = values[mine]
+        f.x.scatter_forward()
+        return f
+
+
+def _size(surface: Surface) -> float:
+    """Median size of the facets."""
+    return float(np.median(surface.size))
