@@ -14,10 +14,13 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap import opened
 from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.strip import turns
 from hypergap_dolfinx.gap.surface import Surface, create_surface
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.interface import Displacements
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -65,7 +68,7 @@ class Contact:
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
-        comm = side0[0].mesh.comm
+        self._comm = comm = side0[0].mesh.comm
         if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
                 "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
@@ -169,6 +172,23 @@ class Contact:
         return self._sliding
 
     @property
+    def follows(self) -> bool:
+        """Whether Σ follows the bodies."""
+        return self._sliding == "finite"
+
+    def gaps(self, u: Displacements) -> Opening:
+        """Mesh Σ where the bodies are. Collective.
+
+        Args:
+            u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
+                on every rank.
+
+        Raises:
+            InterfaceError: There is nothing between them, or no mesh of it.
+        """
+        return Opening.between(self._comm, self._sides, u)
+
+    @property
     def swapped(self) -> bool:
         """Whether :meth:`between` made its first side Γ1."""
         return self._swapped
@@ -192,33 +212,64 @@ class Contact:
             ``(num_vertices,)``, in the order of ``surfaces[1].x``.
         """
         rows = problem.rows(self)
-        return rows.now.opening.smoothed(rows.u, rows.now.p)
+        if rows.now.opening is None:
+            return np.zeros(len(rows.g))
+        return self._opening(rows).smoothed(rows.u, rows.now.p)
 
-    def pressure(self, problem) -> fem.Function:
-        """The pressure on Γ1, as a function of degree 1 on its body, else 0. Collective.
+    def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
+        """The pressure between the bodies. Collective.
 
         Args:
             problem: A solved problem with this contact.
+            on: ``"sigma"``: as the method has it, on Σ where the bodies are now, discontinuous.
+                ``"body"``: :meth:`pressures` as a function of degree 1 on Γ1's body, 0 elsewhere.
+
+        Returns:
+            A force per area of Γ1 where it is now. (To integrate it take :meth:`force`: the cells
+            of Σ have no volume where bodies touch.)
         """
-        return self._on_body(self.pressures(problem), "pressure")
+        rows = problem.rows(self)
+        if self._on_body(on):
+            return self._at_vertices(self.pressures(problem), "pressure")
+        opening = self._opening(rows)
+        return opened.pressure(self._comm, opening, rows.u, rows.now.p * rows.now.on)
 
-    def gap(self, u0: fem.Function, u1: fem.Function) -> fem.Function:
-        """The gap on Γ1 under displacements, as a function of degree 1 on its body. Collective.
-
-        It is the weighted gap over the weight's area; 0 where Γ1 is not opposite Γ0.
+    def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
+        """The distance of the bodies, negative where they overlap. Collective.
 
         Args:
             u0: Displacement of Γ0's body.
             u1: Displacement of Γ1's body.
+            on: ``"sigma"``: on Σ under these displacements, discontinuous. ``"body"``: weighted
+                gaps over their areas, as a function of degree 1 on Γ1's body; 0 where Γ1 has
+                nothing opposite.
+
+        Raises:
+            ValueError: A displacement that is not on its side's space.
+            InterfaceError: Nothing of Γ1 is opposite Γ0.
         """
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
             if u.function_space != V:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
-        rows = ContactRows(Touching(self._sides, (u0, u1), (None, None), True), [])
+        on_body = self._on_body(on)
+        rows = ContactRows(Touching(self, (u0, u1), (None, None)), [])
         rows.look(True)
-        return self._on_body(
-            np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0), "gap"
-        )
+        opening = self._opening(rows)
+        if on_body:
+            distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
+            return self._at_vertices(distance, "gap")
+        return opened.gap(self._comm, opening, rows.u, follows=self.follows)
+
+    def _on_body(self, on: str) -> bool:
+        if on not in ("sigma", "body"):
+            raise ValueError(f'on is "sigma" or "body", not {on!r}.')
+        return on == "body"
+
+    def _opening(self, rows: ContactRows) -> Opening:
+        if rows.now.opening is None:
+            raise InterfaceError("nothing of Γ1 lies opposite Γ0 where the bodies are.")
+        assert isinstance(rows.now.opening, Opening)
+        return rows.now.opening
 
     def force(self, problem) -> npt.NDArray[np.float64]:
         """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
@@ -229,7 +280,7 @@ class Contact:
         rows = problem.rows(self)
         return rows.forces(rows.now.p)[1].sum(axis=0)
 
-    def _on_body(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
+    def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""
         mesh = self._spaces[1].mesh
         V = fem.functionspace(mesh, ("Lagrange", 1))

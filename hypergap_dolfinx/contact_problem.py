@@ -84,8 +84,8 @@ class ContactProblem(ContactSystem):
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
             if numbers == [None, None]:
                 raise ValueError(f"contact {c} is between two rigid bodies.")
-            fields, follows = (u[bodies[0]], u[bodies[1]]), contact.sliding == "finite"
-            touching.append(Touching(contact.sides, fields, (numbers[0], numbers[1]), follows))
+            fields = u[bodies[0]], u[bodies[1]]
+            touching.append(Touching(contact, fields, (numbers[0], numbers[1])))
         super().__init__(
             forms,
             [u[i] for i in elastic],

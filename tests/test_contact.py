@@ -24,8 +24,12 @@ comm = MPI.COMM_WORLD
 class Blocks:
     """A block on another one, with a gap between them."""
 
-    def __init__(self, gap=0.0, held=True, degree=1, n=(4, 5), E=1.0, swap=False, **options):
+    def __init__(
+        self, gap=0.0, held=True, degree=1, n=(4, 5), E=1.0, swap=False, walls=False, **options
+    ):
         spans = (((0, -1), (2, 0)), ((0.5, gap), (1.5, 1 + gap)))
+        if walls:  # strain is uniform
+            spans = spans[0], ((0, gap), (2, 1 + gap))
         self.u, F, self.bcs, sides = [], [], [], []
         for i, (low, high) in enumerate(spans):
 
@@ -49,7 +53,9 @@ class Blocks:
                 dofs = fem.locate_dofs_topological(V.sub(1), 1, ft.find(tag))
                 value = self.top if i == 1 else fem.Constant(mesh, default_scalar_type(0))
                 self.bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
-            dofs = fem.locate_dofs_topological(V.sub(0), 1, ft.find(meshes.LEFT))
+            held_across = [meshes.LEFT, *[meshes.RIGHT] * walls]
+            facets = np.concatenate([ft.find(tag) for tag in held_across])
+            dofs = fem.locate_dofs_topological(V.sub(0), 1, facets)
             self.bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(0)))
             self.u.append(u)
             F.append(form)
@@ -94,19 +100,31 @@ def test_held_by_contact_alone(gap, swap):
     assert scene.problem.iterations <= 10
 
 
+def largest(f):
+    return comm.allreduce(np.abs(f.x.array).max(initial=0), MPI.MAX)
+
+
 @pytest.mark.ranks
-def test_gap_and_pressure():
-    """As functions on Γ1's body."""
-    scene = Blocks(gap=0.02)
-    gap = scene.contact.gap(*scene.u)
-    assert abs(comm.allreduce(gap.x.array.max(initial=0), MPI.MAX) - 0.02) <= 1e-12
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_gap_and_pressure(degree, sliding):
+    """As functions on Σ and on Γ1's body; of one pressure, where strain is uniform."""
+    scene = Blocks(gap=0.02, degree=degree, sliding=sliding, walls=True)
+    for on in ("sigma", "body"):
+        gap = scene.contact.gap(*scene.u, on=on)
+        assert abs(largest(gap) - 0.02) <= 1e-14
     scene.top.value = -0.05
     scene.problem.solve()
     p = scene.contact.pressure(scene.problem)
-    largest = comm.allreduce(p.x.array.max(initial=0), MPI.MAX)
-    assert abs(largest / scene.contact.pressures(scene.problem).max() - 1) <= 1e-14
-    gap = scene.contact.gap(*scene.u)
-    assert np.abs(gap.x.array).max(initial=0) <= 1e-9
+    exact = 0.03 / (1 / 3 + 1 / 3)
+    num = comm.allreduce(len(p.x.array))
+    assert num == comm.allreduce(len(p.function_space.dofmap.list)) * (1, 3)[degree - 1] > 0
+    np.testing.assert_allclose(p.x.array, exact, rtol=1e-10)
+    assert abs(largest(scene.contact.pressure(scene.problem, on="body")) / exact - 1) <= 1e-10
+    for on in ("sigma", "body"):
+        assert largest(scene.contact.gap(*scene.u, on=on)) <= 1e-12
+    with raises(ValueError, 'on is "sigma" or "body"'):
+        scene.contact.pressure(scene.problem, on="Γ1")
 
 
 @pytest.mark.ranks

@@ -7,7 +7,7 @@
 
 import numpy as np
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap.cut import Cut
 from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
@@ -134,7 +134,7 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
         cuts[i].follow(cuts[1 - i], outlines[1 - i], twins[i])
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
-        raise InterfaceError(
+        raise NotFacingError(
             f"Γ0 around {side0.x.mean(axis=0)} and Γ1 around {side1.x.mean(axis=0)} have nothing "
             "in common: neither lies opposite to the other; check the tags."
         )

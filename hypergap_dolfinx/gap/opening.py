@@ -17,7 +17,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
-from hypergap_dolfinx.gap.constraint import coo_matrix, expand, triplets
+from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
 from hypergap_dolfinx.gap.kernel import GapElement
 from hypergap_dolfinx.gap.moving import MovingSurface
@@ -33,22 +33,6 @@ has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it wo
 Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
-
-
-@dataclass(frozen=True)
-class Sparse:
-    """A sparse matrix as triplets, the same on every rank."""
-
-    i: npt.NDArray[np.int64]
-    j: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
-
-    @classmethod
-    def of(cls, matrix: PETSc.Mat) -> "Sparse":
-        """The entries of a matrix on one rank, which is destroyed."""
-        found = cls(*(np.array(part) for part in triplets(matrix)))
-        matrix.destroy()
-        return found
 
 
 @dataclass(frozen=True)
@@ -76,6 +60,8 @@ class Opening:
     """By what part, ``(num_cells, n + 1, n)``."""
     w: npt.NDArray[np.float64]
     """Weights of the cells' vertices at the points, ``(num_cells, num_points, n + 1)``."""
+    rank: npt.NDArray[np.int32]
+    """Rank of a body's cell beside each cell, ``(num_cells,)``."""
 
     @classmethod
     def between(cls, comm: MPI.Comm, sides: Sides, u: Displacements) -> "Opening":
@@ -103,7 +89,7 @@ class Opening:
         alpha = gap.alpha[gap.cells]
         table = GapElement.at(element, element, points, weights)
         w = weighted.vertex_weights(table, interpolate_geometry(surfaces, hosts), alpha)
-        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w)
+        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w, gap.rank)
 
     def positions(self, u: Displacements) -> npt.NDArray[np.float64]:
         """Geometry nodes of the cells, ``(num_cells, num_geometry_nodes, n)``."""
@@ -168,7 +154,7 @@ class Opening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        pressure = np.einsum("cpb,cb->cp", self.w, self._at_cells(p))
+        pressure = np.einsum("cpb,cb->cp", self.w, self.at_cells(p))
         on = np.flatnonzero(pressure.any(axis=1))
         x = self.positions(u)[on]
         h = weighted.second_derivatives(self.table, x, pressure[on])
@@ -196,12 +182,12 @@ class Opening:
         ones = np.ones((*self.w.shape[:2], 1))
         area = weighted.weigh(self.table, x, self.alpha, ones).m[:, 0]
         S = np.einsum("p,cpb->cb", self.table.weights, self.w) / self.table.weights.sum()
-        mean = np.einsum("cb,cb->c", S, self._at_cells(p)) * area
+        mean = np.einsum("cb,cb->c", S, self.at_cells(p)) * area
         total, size = self._sum(S * mean[:, None]), self._sum(S * area[:, None])
         return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
 
-    def _at_cells(self, p) -> npt.NDArray[np.float64]:
-        """Values at the cells' vertices, ``(num_cells, n + 1)``."""
+    def at_cells(self, p) -> npt.NDArray[np.float64]:
+        """Values of multipliers at the cells' vertices, ``(num_cells, n + 1)``."""
         return (self.shares * p[self.vertices]).sum(axis=2)
 
     def _sum(self, values) -> npt.NDArray[np.float64]:

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.opening import Displacements, Opening, Sparse
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, NotFacingError
+from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.solve.interface import ContactInterface, Displacements, Gaps
 
 FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
@@ -27,23 +26,20 @@ FREE = 1e-8
 
 @dataclass(frozen=True)
 class Touching:
-    """Two surfaces that can be in contact."""
+    """A contact among the bodies of a problem."""
 
-    sides: tuple[MovingSurface, MovingSurface]
-    """Γ0 and Γ1."""
+    contact: ContactInterface
     u: tuple[fem.Function, fem.Function]
     """Displacements of their bodies."""
     bodies: tuple[int | None, int | None]
     """Numbers of their bodies; None is a rigid one."""
-    follows: bool
-    """Whether Σ is made anew where the bodies are, or stays what it was first."""
 
 
 @dataclass
 class Pressed:
     """What a load step changes, and gives back if it fails."""
 
-    opening: Opening | None
+    opening: Gaps | None
     p: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
     on: npt.NDArray[np.bool_]
@@ -53,16 +49,16 @@ class Pressed:
 class ContactRows:
     """Contact between two bodies; arrays are the same on every rank, matrices distributed."""
 
-    def __init__(self, contact: Touching, held: Sequence[npt.NDArray[np.bool_]]):
+    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
         """Find out where the surfaces are in the bodies. Collective.
 
         Args:
-            contact: What touches.
+            touching: What touches.
             held: Which owned dofs of each body are prescribed.
         """
-        self.sides, self.fields, self.bodies = contact.sides, contact.u, contact.bodies
-        self.spaces = tuple(f.function_space for f in self.fields)
-        self._comm, self._follows = self.spaces[0].mesh.comm, contact.follows
+        self._contact, self.fields, self.bodies = touching.contact, touching.u, touching.bodies
+        self.sides, self.spaces = self._contact.sides, self._contact.spaces
+        self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
@@ -105,21 +101,25 @@ class ContactRows:
             anew: Whether Σ is to be made anew, if it follows the bodies.
 
         Raises:
-            InterfaceError: There never was a Σ, and can't be made one.
+            InterfaceError: There never was a Σ, and none can be made, though the sides face each
+                other.
         """
-        u = self.displacements([owned_values(f) for f in self.fields])
+        self.u = u = self.displacements([owned_values(f) for f in self.fields])
         if self.now.opening is None or (anew and self._follows):
             try:
                 at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
-                opening = Opening.between(self._comm, self.sides, at)
-            except (InterfaceError, InvertedCellError):  # the same on all ranks
+                self.now.opening = self._contact.gaps(at)
+            except NotFacingError:  # the same on all ranks, as the others are
+                if not self._follows:
+                    raise
+                self.now.opening = None
+            except (InterfaceError, InvertedCellError):
                 if self.now.opening is None:
                     raise
-            else:
-                self.now.opening = opening
-        assert self.now.opening is not None
-        self.u = u
-        if self._follows:
+        if self.now.opening is None:
+            none = np.zeros(len(self._area))
+            self.g, self.m, self.C = none, none, Sparse.empty()
+        elif self._follows:
             self.g, self.m, self.C = self.now.opening.gap(u)
         else:
             if self._first is None:
@@ -206,9 +206,8 @@ class ContactRows:
 
     def curvature_blocks(self) -> dict[tuple[int, int], PETSc.Mat]:
         """Σ p ∂²g of what pushes, at what can move, by pairs of bodies. Collective."""
-        if not self._follows:
+        if not self._follows or self.now.opening is None:
             return {}
-        assert self.now.opening is not None
         H: Sparse = self.now.opening.curvature(self.u, np.maximum(self.now.p, 0) * self.now.on)
         row_side, row, row_held = self._side_of(H.i)
         side, column, held = self._side_of(H.j)

@@ -14,9 +14,13 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.gap.constraint import Constraint
+from hypergap_dolfinx.gap.constraint import Constraint, Sparse
 from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.surface import Surface
+
+Displacements = tuple[npt.NDArray, npt.NDArray]
+"""At the dofs of both sides of a contact, ``(num_dofs_i, n)`` each; the same on every rank."""
 
 
 class Interface(Protocol):
@@ -81,3 +85,32 @@ class Pieces(Protocol):
 
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
+
+
+class Gaps(Protocol):
+    """Weighted gaps between two sides, on which a contact's multipliers act."""
+
+    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        """Gaps g and areas m, ``(num_multipliers,)`` each, and C = ∂g/∂u."""
+
+    def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
+        """Σ_a p_a ∂²g_a/∂u²."""
+
+
+class ContactInterface(Protocol):
+    """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether gaps are to be found anew where the bodies are, or stay what they were first."""
+
+    def gaps(self, u: Displacements) -> Gaps:
+        """Find the gaps where the bodies are. Collective."""
