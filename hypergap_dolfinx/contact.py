@@ -14,19 +14,22 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap import opened
 from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.strip import turns
-from hypergap_dolfinx.gap.surface import Surface, create_surface
+from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
-from hypergap_dolfinx.solve.interface import Displacements
+from hypergap_dolfinx.solve.interface import Displacements, Gaps
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
 ALIKE = 1.1  # ratio of the sides' sizes of facets up to which stiffness decides
 STIFF = 100.0  # ratio of stiffnesses from which the softer side is Γ1, whatever the sizes
 FINER = 1.5  # how much finer than Γ0 a Γ1 may be unwarned
+BEHIND = 0.5  # overlap, in extents of the thinner body, from which surfaces face away
+FLAT = 1e-6  # turn of a surface in space, in radians, that is none
+TURNED = 0.5  # length of the mean normal up to which a surface looks to all sides
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -90,6 +93,7 @@ class Contact:
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
+        self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
         self.rows: ContactRows | None = None
         """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
@@ -131,20 +135,17 @@ class Contact:
 
     def _doubts(self):
         """What is doubtful about the surfaces, one line each."""
-        sizes = [_size(surface) for surface in self._surfaces]
-        if sizes[0] > FINER * sizes[1]:
+        if self.finer > FINER:
             yield (
-                f"Γ1 is {sizes[0] / sizes[1]:.1f} times finer than Γ0: pressures are less exact "
+                f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
                 "than with the sides swapped (Contact.between chooses)."
             )
         for surface in self._surfaces:
-            if surface.gdim == 2 and surface.element.degree > 1 and not surface.curved.any():
-                turn, corner = turns(surface)
-                if ((turn > 0) & ~corner).any():
-                    yield (
-                        f"{surface.name} is round with straight facets, of degree "
-                        f"{surface.element.degree}: pressures will scatter; use curved cells."
-                    )
+            if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
+                yield (
+                    f"{surface.name} is round with straight facets, of degree "
+                    f"{surface.element.degree}: pressures will scatter; use curved cells."
+                )
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
@@ -172,16 +173,27 @@ class Contact:
         return self._sliding
 
     @property
+    def finer(self) -> float:
+        """Size of Γ0's facets over that of Γ1's."""
+        return _size(self._surfaces[0]) / _size(self._surfaces[1])
+
+    @property
     def follows(self) -> bool:
         """Whether Σ follows the bodies."""
         return self._sliding == "finite"
 
-    def gaps(self, u: Displacements) -> Opening:
+    @property
+    def depth(self) -> float:
+        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+        return self._depth
+
+    def gaps(self, u: Displacements, before: Gaps | None = None) -> Opening:
         """Mesh Σ where the bodies are. Collective.
 
         Args:
             u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
                 on every rank.
+            before: What was there before.
 
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
@@ -221,7 +233,7 @@ class Contact:
 
         Args:
             problem: A solved problem with this contact.
-            on: ``"sigma"``: as the method has it, on Σ where the bodies are now, discontinuous.
+            on: ``"sigma"``: on Σ where the bodies are now, a constant for each of its cells.
                 ``"body"``: :meth:`pressures` as a function of degree 1 on Γ1's body, 0 elsewhere.
 
         Returns:
@@ -231,8 +243,8 @@ class Contact:
         rows = problem.rows(self)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        opening = self._opening(rows)
-        return opened.pressure(self._comm, opening, rows.u, rows.now.p * rows.now.on)
+        cells = self._opening(rows).cells(rows.u, rows.now.p * rows.now.on)
+        return on_sigma(self._comm, cells, "pressure")
 
     def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
         """The distance of the bodies, negative where they overlap. Collective.
@@ -240,9 +252,9 @@ class Contact:
         Args:
             u0: Displacement of Γ0's body.
             u1: Displacement of Γ1's body.
-            on: ``"sigma"``: on Σ under these displacements, discontinuous. ``"body"``: weighted
-                gaps over their areas, as a function of degree 1 on Γ1's body; 0 where Γ1 has
-                nothing opposite.
+            on: ``"sigma"``: on Σ under these displacements, a constant for each of its cells.
+                ``"body"``: weighted gaps over their areas, as a function of degree 1 on Γ1's body;
+                0 where Γ1 has nothing opposite.
 
         Raises:
             ValueError: A displacement that is not on its side's space.
@@ -258,7 +270,7 @@ class Contact:
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
             return self._at_vertices(distance, "gap")
-        return opened.gap(self._comm, opening, rows.u, follows=self.follows)
+        return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
 
     def _on_body(self, on: str) -> bool:
         if on not in ("sigma", "body"):
@@ -298,3 +310,30 @@ class Contact:
 def _size(surface: Surface) -> float:
     """Median size of the facets."""
     return float(np.median(surface.size))
+
+
+def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
+    """Extent of a body along the mean normal of its surface, or its smallest one. Collective."""
+    n = surface.gdim
+    size = surface.size ** (n - 1)
+    mean = (size[:, None] * surface.normals).sum(axis=0) / size.sum()
+    along = mean[None] if np.linalg.norm(mean) > TURNED else np.eye(n)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    x = V.mesh.geometry.x[:, :n] @ along.T
+    ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    low, high = (np.array(part) for part in zip(*ends, strict=True))
+    return float((high.max(axis=0) - low.min(axis=0)).min())
+
+
+def _is_round(surface: Surface) -> bool:
+    """Whether straight facets turn by small angles, as those that stand for a curve."""
+    if surface.gdim == 2:
+        turn, corner = turns(surface)
+        return bool(((turn > 0) & ~corner).any())
+    edges = np.sort(np.concatenate([surface.facets[:, [k, k - 1]] for k in range(3)]), axis=1)
+    facet = np.tile(np.arange(len(surface.facets)), 3)
+    order = np.lexsort(edges.T)
+    first = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=1))
+    n0, n1 = (surface.normals[facet[order[first + i]]] for i in (0, 1))
+    turn = np.linalg.norm(n0 - n1, axis=1)
+    return bool(((turn > FLAT) & (turn < KINK)).any())

@@ -5,18 +5,24 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Bodies in contact: the user's door, load step by load step."""
 
+import logging
 from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
 
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import progress
-from hypergap_dolfinx.contact import Contact
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.contact import ALIKE, Contact
+from hypergap_dolfinx.errors import InterfaceError, SolveError, raise_on_all
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
 from hypergap_dolfinx.solve.path import LoadPath
 from hypergap_dolfinx.tie import Tie
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 HALVINGS = 6
 """Times that a load step is halved."""
@@ -61,7 +67,8 @@ class ContactProblem(ContactSystem):
 
         Raises:
             ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
-                condition on a space that belongs to no body.
+                condition on a space that belongs to no body; a rigid Γ1 that is finer than Γ0.
+            InterfaceError: The same facets in two contacts, or in a contact and a tie.
         """
         if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
             raise ValueError("F and u are lists, with one form and one function for each body.")
@@ -75,6 +82,7 @@ class ContactProblem(ContactSystem):
             raise ValueError(
                 f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
             )
+        _check_apart(contacts, ties)
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
@@ -84,6 +92,11 @@ class ContactProblem(ContactSystem):
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
             if numbers == [None, None]:
                 raise ValueError(f"contact {c} is between two rigid bodies.")
+            if numbers[1] is None and contact.finer > ALIKE:
+                raise ValueError(
+                    f"Γ1 of contact {c} is rigid, with smaller facets than Γ0: there would be "
+                    "more pressures than displacements; swap its sides."
+                )
             fields = u[bodies[0]], u[bodies[1]]
             touching.append(Touching(contact, fields, (numbers[0], numbers[1])))
         super().__init__(
@@ -104,7 +117,7 @@ class ContactProblem(ContactSystem):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         self._path = LoadPath(forms, self._u, bcs, moved)
-        self._halvings = 0
+        self._halvings = self._num_steps = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
         """The body on one side of a contact."""
@@ -157,9 +170,11 @@ class ContactProblem(ContactSystem):
         Raises:
             SolveError: No load step, however small, was solved; says why.
         """
-        self._path.set_out()
-        self._iterations = self._halvings = 0
         comm = self._u[0].function_space.mesh.comm
+        self._path.set_out()
+        bad = None if self._path.is_finite else "a load or a prescribed displacement is no number."
+        raise_on_all(comm, bad, SolveError)
+        self._iterations = self._halvings = 0
         self._prepare()
         done, size = 0.0, 1.0
         while done < 1:
@@ -173,15 +188,68 @@ class ContactProblem(ContactSystem):
                 size /= 2
                 self._halvings += 1
                 if size < 0.5**HALVINGS:
-                    self._path.go(1)
+                    self._path.stop(done)
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}"
                     ) from error
                 progress.show(comm, f"load {s:.3g}: {error}")
             else:
+                for rows in self._rows:
+                    rows.accept()
                 done, size = s, min(2 * size, 1.0)
-                num = sum(int(rows.now.on.sum()) for rows in self._rows)
-                progress.show(comm, f"load {s:.3g}: {steps} Newton steps, {num} in contact")
-        self._path.arrive()
+                progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
+        self._path.stop()
+        self._num_steps += 1
         self._solved = True
+        progress.show(comm, self._summary(), keep=True)
+        if self._num_steps == 1:
+            self._warn_of_reach(comm)
         return self._every
+
+    def _summary(self) -> str:
+        """What a load step did, in one line."""
+        halved = f", halved {self._halvings} times" if self._halvings else ""
+        num, every = (
+            sum(int(part.sum()) for part in parts)
+            for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
+        )
+        return (
+            f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
+            f"{num} of {every} vertices in contact"
+        )
+
+    def _warn_of_reach(self, comm):
+        """Say which surfaces have nothing opposite."""
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            if comm.rank == 0 and not (rows.m > 0).any():
+                x0, x1 = (surface.x.mean(axis=0) for surface in contact.surfaces)
+                LOG.warning(
+                    f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
+                    "are these the right facets?"
+                )
+
+
+def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):
+    """Raise if the same facets of two bodies are given twice. Collective."""
+    given: list[tuple[str, Contact | Tie]] = [
+        (f"contact {c}", one) for c, one in enumerate(contacts)
+    ]
+    given += [(f"tie {t}", tie) for t, tie in enumerate(ties)]
+    for (name, one), (other_name, other) in combinations(given, 2):
+        if isinstance(one, Tie):
+            continue
+        comm, twice = one.spaces[0].mesh.comm, False
+        for order in ((0, 1), (1, 0)):
+            shared = [_share(one, i, other, j) for i, j in enumerate(order)]
+            twice |= bool(np.any(comm.allgather(shared), axis=0).all())
+        if twice:
+            raise InterfaceError(
+                f"{name} and {other_name} have facets of Γ0 and of Γ1 in common; give the facets "
+                "of two bodies to one of them."
+            )
+
+
+def _share(one: Contact | Tie, i: int, other: Contact | Tie, j: int) -> bool:
+    """Whether sides have facets on this rank in common."""
+    same = one.spaces[i].mesh is other.spaces[j].mesh
+    return same and bool(np.isin(one.facets[i], other.facets[j]).any())

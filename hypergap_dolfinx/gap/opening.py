@@ -21,6 +21,7 @@ from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
 from hypergap_dolfinx.gap.kernel import GapElement
 from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.opened import OpenCells
 from hypergap_dolfinx.gap.surface import Surface
 
 ON_VERTEX = 1e-9
@@ -154,7 +155,7 @@ class Opening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        pressure = np.einsum("cpb,cb->cp", self.w, self.at_cells(p))
+        pressure = np.einsum("cpb,cb->cp", self.w, self._at_cells(p))
         on = np.flatnonzero(pressure.any(axis=1))
         x = self.positions(u)[on]
         h = weighted.second_derivatives(self.table, x, pressure[on])
@@ -178,16 +179,40 @@ class Opening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        x = self.positions(u)
-        ones = np.ones((*self.w.shape[:2], 1))
-        area = weighted.weigh(self.table, x, self.alpha, ones).m[:, 0]
-        S = np.einsum("p,cpb->cb", self.table.weights, self.w) / self.table.weights.sum()
-        mean = np.einsum("cb,cb->c", S, self.at_cells(p)) * area
+        S = self._means
+        _, area = self._volume_and_area(u)
+        mean = np.einsum("cb,cb->c", S, self._at_cells(p)) * area
         total, size = self._sum(S * mean[:, None]), self._sum(S * area[:, None])
         return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
 
-    def at_cells(self, p) -> npt.NDArray[np.float64]:
-        """Values of multipliers at the cells' vertices, ``(num_cells, n + 1)``."""
+    def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
+        """The cells where the bodies are, to look at.
+
+        Args:
+            u: Displacements.
+            p: ``(num_multipliers,)``.
+        """
+        volume, area = self._volume_and_area(u)
+        return OpenCells(
+            x=self.positions(u)[:, : self.alpha.shape[1]],
+            rank=self.rank,
+            gap=np.divide(volume, area, out=np.zeros_like(area), where=area > 0),
+            pressure=np.einsum("cb,cb->c", self._means, self._at_cells(p)),
+        )
+
+    @property
+    def _means(self) -> npt.NDArray[np.float64]:
+        """Mean weights of the cells' vertices, ``(num_cells, n + 1)``."""
+        return np.einsum("p,cpb->cb", self.table.weights, self.w) / self.table.weights.sum()
+
+    def _volume_and_area(self, u: Displacements):
+        """Of each cell, ``(num_cells,)`` each."""
+        ones = np.ones((*self.w.shape[:2], 1))
+        cells = weighted.weigh(self.table, self.positions(u), self.alpha, ones)
+        return cells.g[:, 0], cells.m[:, 0]
+
+    def _at_cells(self, p) -> npt.NDArray[np.float64]:
+        """Values at the cells' vertices, ``(num_cells, n + 1)``."""
         return (self.shares * p[self.vertices]).sum(axis=2)
 
     def _sum(self, values) -> npt.NDArray[np.float64]:

@@ -93,12 +93,12 @@ class ContactSystem(NonlinearSystem):
     def _state(self):
         """What a failed load step gives back."""
         pressed = [Pressed(r.now.opening, r.now.p.copy(), r.now.on.copy()) for r in self._rows]
-        return self._x.copy(), pressed
+        return [part.array_r.copy() for part in self._x.getNestSubVecs()], pressed
 
     def _restore(self, state):
-        x, pressed = state
-        x.copy(self._x)
-        x.destroy()
+        values, pressed = state
+        for part, value in zip(self._x.getNestSubVecs(), values, strict=True):
+            part.array[:] = value
         self._assign(self._x)
         for rows, now in zip(self._rows, pressed, strict=True):
             rows.now = now

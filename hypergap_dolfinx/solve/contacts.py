@@ -60,6 +60,7 @@ class ContactRows:
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
         num = len(sides[1].reference.x)
@@ -108,7 +109,7 @@ class ContactRows:
         if self.now.opening is None or (anew and self._follows):
             try:
                 at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
-                self.now.opening = self._contact.gaps(at)
+                self.now.opening = self._contact.gaps(at, self.now.opening)
             except NotFacingError:  # the same on all ranks, as the others are
                 if not self._follows:
                     raise
@@ -127,12 +128,37 @@ class ContactRows:
                 self._first = self.now.opening.gap(nowhere)
             start, self.m, self.C = self._first
             self.g = start + self.times(u)
+        self._look_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
             np.bincount(self.C.i, weights * self.C.values**2, len(self.g))
             for weights in (1.0, ~held[self.C.j])
         )
-        self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every)
+        self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
+
+    def _look_behind(self):
+        """Find out which vertices are opposite to Γ0 at its body's other side.
+
+        What came there in the present load step overlaps: it is to be pushed out.
+
+        Raises:
+            InterfaceError: All of them are, at first.
+        """
+        opposite, deep = self.m > 0, self.g < -self._contact.depth * self.m
+        if self._accepted is None:
+            if opposite.any() and deep[opposite].all():
+                raise InterfaceError(
+                    f"Γ1 is {(-self.g[opposite] / self.m[opposite]).min():.3g} and more behind Γ0: "
+                    "the bodies are on the wrong sides of each other, or the facets on those of "
+                    "the bodies."
+                )
+            self._accepted = deep, opposite
+        self._behind = deep & (self._accepted[0] | ~self._accepted[1])
+
+    def accept(self):
+        """The state is that from which the next load step starts."""
+        if self.now.opening is not None:
+            self._accepted = self._behind, self.m > 0
 
     @property
     def distance(self) -> npt.NDArray[np.float64]:
@@ -147,13 +173,14 @@ class ContactRows:
     def times(self, values: Displacements) -> npt.NDArray[np.float64]:
         """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
         flat = np.concatenate([part.ravel() for part in values])
-        return np.bincount(self.C.i, self.C.values * flat[self.C.j], len(self.m))
+        products = self.C.values * flat[self.C.j]
+        return np.bincount(self.C.i, products, len(self.m)).astype(float)  # without any: integers
 
     def forces(self, p: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """Cᵀp at both sides' dofs, ``(num_dofs_i, n)`` each."""
         num = [len(side.dofs) for side in self.sides]
         flat = np.bincount(self.C.j, self.C.values * p[self.C.i], sum(num) * self._n)
-        return np.split(flat.reshape(-1, self._n), num[:1])
+        return np.split(flat.astype(float).reshape(-1, self._n), num[:1])
 
     def owned(self, i: int, values: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
         """This rank's owned dofs (unrolled, local) of a side, and the values that are there."""

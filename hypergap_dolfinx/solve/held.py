@@ -16,8 +16,11 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
-from hypergap_dolfinx.solve.modes import motions, places
-from hypergap_dolfinx.solve.motions import unhindered
+from hypergap_dolfinx.solve.modes import mean, motions, places
+from hypergap_dolfinx.solve.motions import tied_groups, unhindered
+
+SAME = 1e-6
+"""Sine between free motions of single parts and of what is tied that are the same."""
 
 
 class FreeMotions:
@@ -33,18 +36,34 @@ class FreeMotions:
             K: Stiffness of each body without stress, assembled.
             ties: The ties.
         """
-        self._spaces, self._held = spaces, ties.prescribed
-        self._parts = [parts(V) for V in spaces]
-        self._centres = []
-        for V in spaces:
-            total = V.mesh.comm.allreduce(places(V).sum(axis=0))
-            self._centres.append(total / V.dofmap.index_map.size_global)
+        self._spaces, self._parts = spaces, [parts(V) for V in spaces]
+        self._centre = mean(spaces[0].mesh.comm, [places(V) for V in spaces])
         self._sizes: list[npt.NDArray[np.float64] | None] = [None] * len(spaces)
         modes = [self._modes(i, places(V)) for i, V in enumerate(spaces)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
-        found = unhindered(K, ties, [{i: part} for i, part in enumerate(modes)], rows)
+        alone = unhindered(K, ties, [{i: part} for i, part in enumerate(modes)], rows)
+        # What ties connect moves as one, even if that strains a tie that is no better than its mesh
+        groups, apart = tied_groups(spaces, self._parts, ties)
+        together = np.zeros((0, ends[-1]))
+        for g in range(max(int(group.max()) for group in groups) + 1):
+            common = self._common(groups, g)
+            moved = {i: modes[i] @ common[a:b] for i, (a, b) in enumerate(pairwise(ends))}
+            found = unhindered(K, ties, [moved], apart)
+            together = np.vstack((together, found @ common.T))
+        _, values, found = np.linalg.svd(np.vstack((alone, together)), full_matrices=False)
+        found = found[values > SAME]
         self._combinations = [found[:, a:b].T for a, b in pairwise(ends)]
+
+    def _common(self, groups, g: int) -> npt.NDArray[np.float64]:
+        """What the parts' modes are in those of a group, of length 1, ``(num_modes, num)``."""
+        columns = []
+        for group, size in zip(groups, self._sizes, strict=True):
+            assert size is not None
+            size = size.reshape(len(group), -1, 1) * (group == g)[:, None, None]
+            columns.append((size * np.eye(size.shape[1])).reshape(-1, size.shape[1]))
+        common = np.vstack(columns)
+        return common / np.linalg.norm(common, axis=0)
 
     @property
     def num(self) -> int:
@@ -68,7 +87,7 @@ class FreeMotions:
         """Rigid motions of a body's parts, of length 1 where the body was first. Collective."""
         V, (part, num_parts) = self._spaces[i], self._parts[i]
         comm, part = V.mesh.comm, np.repeat(part, V.dofmap.index_map_bs)[:, None]
-        modes = motions(V, self._centres[i], x)
+        modes = motions(V, self._centre, x)
         modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
         size = self._sizes[i]
         if size is None:

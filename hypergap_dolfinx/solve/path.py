@@ -59,6 +59,17 @@ class LoadPath:
         for a, start, end in zip(self._arrays, self._start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
 
-    def arrive(self):
-        """The end is where the next way starts."""
-        self._start = self._end
+    def stop(self, s: float = 1.0):
+        """The next way starts here, with the values of the end set.
+
+        Args:
+            s: How far it went.
+        """
+        self.go(s)
+        self._start = [np.array(a) for a in self._arrays]
+        self.go(1)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether this rank's values at the end are numbers."""
+        return all(np.isfinite(a).all() for a in self._end)
