@@ -283,6 +283,16 @@ class Contact:
         assert isinstance(rows.now.opening, Opening)
         return rows.now.opening
 
+    def displaced(self, problem) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1 where the bodies are, gathered on every rank.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        side0, side1 = self._sides
+        u = problem.rows(self).u
+        return side0.displaced(u[0]), side1.displaced(u[1])
+
     def force(self, problem) -> npt.NDArray[np.float64]:
         """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
 

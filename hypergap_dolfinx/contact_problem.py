@@ -135,6 +135,11 @@ class ContactProblem(ContactSystem):
         return list(self._contacts)
 
     @property
+    def every_u(self) -> list[fem.Function]:
+        """The displacement of each body, of rigid ones too."""
+        return list(self._every)
+
+    @property
     def iterations(self) -> int:
         """Newton steps of the last :meth:`solve`, those of failed load steps too."""
         return self._iterations

@@ -23,10 +23,14 @@ from dolfinx.mesh import Mesh
 from dolfinx.plot import vtk_mesh
 from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
+from hypergap_dolfinx.contact import Contact
+from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"
+PARTS = 8
+"""Straight parts that an edge of Γ1 is drawn with."""
 CLOSED = 0.5
 """Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
 0, half a circle 0.64, half a sphere 0.5."""
@@ -231,6 +235,67 @@ def traction(
         plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
     mean = _mean_normal(tie.surfaces[0])
     return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
+
+
+def contact(
+    contact: Contact,
+    problem: ContactProblem,
+    filename: str | Path | None = None,
+    *,
+    largest: float | None = None,
+    window: bool = False,
+) -> pyvista.Plotter | None:
+    """Bodies where they are in contact, with its pressure on Γ1 as colour and as arrows.
+
+    In 3D without Γ1's body, which would hide it. Points are the vertices of Γ1 that are in contact.
+
+    Args:
+        contact: The contact.
+        problem: A solved problem with it.
+        filename: Where to save the picture.
+        largest: Pressure at the end of the scale; the largest one if not given.
+        window: Whether to open a window.
+
+    Returns:
+        The plotter on rank 0, None on the others.
+    """
+    comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
+    surface, p, plotter = contact.displaced(problem)[1], contact.pressures(problem), None
+    plotter = _plotter(comm, window)
+    for u in problem.every_u:
+        body = _with_values(u, "displacement")
+        if plotter and body is not None and (dim == 2 or u.function_space != contact.spaces[1]):
+            body.points += body["displacement"]
+            _add(plotter, body, color=_BODY)
+    if plotter:
+        largest = p.max(initial=0) or 1.0 if largest is None else largest
+        t = np.linspace(0, 1, PARTS + 1)[:, None] if dim == 2 else np.vstack(([0, 0], np.eye(2)))
+        num = len(surface.facets)
+        x = _padded(surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, (num, 1))))
+        weights = np.column_stack((1 - t.sum(axis=1), t))
+        cells = np.arange(len(x)).reshape(num, len(t))
+        cells = np.insert(cells, 0, len(t), axis=1).ravel()
+        drawn = pyvista.PolyData(x, lines=cells) if dim == 2 else pyvista.PolyData(x, cells)
+        drawn["pressure"] = (p[surface.facets] @ weights.T).ravel()
+        scale = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
+        options = {"lighting": False, "scalar_bar_args": _bar("pressure")}
+        plotter.add_mesh(drawn, line_width=8, **scale, **options)
+        on = contact.active
+        direction = np.zeros_like(surface.x)
+        for corner in surface.facets.T:
+            np.add.at(direction, corner, surface.normals)
+        points = pyvista.PolyData(_padded(surface.x[on]))
+        length = 0.12 * np.ptp(surface.x, axis=0).max() / largest
+        if on.any():
+            direction = direction[on] / np.linalg.norm(direction[on], axis=1)[:, None]
+            points["arrow"], points["pressure"] = _padded(direction), p[on]
+            plotter.add_mesh(points, color="black", point_size=8, render_points_as_spheres=True)
+            tails = points.copy()
+            tails.points = points.points - length * p[on][:, None] * points["arrow"]
+            arrows = tails.glyph(orient="arrow", scale="pressure", factor=length)
+            plotter.add_mesh(arrows, show_scalar_bar=False, **scale)
+    mean = _mean_normal(surface)
+    return _finish(plotter, dim, filename, window, 0.4 * _beside(mean) - mean, mean)
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

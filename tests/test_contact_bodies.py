@@ -85,7 +85,7 @@ def test_column_of_contacts_and_ties(sliding):
     pairs = [(scene.side(i, meshes.TOP), scene.side(i + 1, meshes.BOTTOM)) for i in range(3)]
     tie = Tie(*pairs[0])
     contacts = [Contact.between(*pair, sliding=sliding) for pair in pairs[1:]]
-    problem = scene.problem(contacts, [tie])
+    problem = scene.problem(contacts, [tie], rtol=1e-13)
     for path in (-0.04, -0.08):
         top.value = path
         problem.solve()
