@@ -17,6 +17,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
+from hypergap_dolfinx.gap.chart import axis_between, mesh_chart
 from hypergap_dolfinx.gap.constraint import coo_matrix, expand, triplets
 from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
 from hypergap_dolfinx.gap.kernel import GapElement
@@ -76,21 +77,32 @@ class Opening:
     """By what part, ``(num_cells, n + 1, n)``."""
     w: npt.NDArray[np.float64]
     """Weights of the cells' vertices at the points, ``(num_cells, num_points, n + 1)``."""
+    axis: npt.NDArray[np.float64] | None = None
+    """Along what the surfaces were seen, in space."""
 
     @classmethod
-    def between(cls, comm: MPI.Comm, sides: Sides, u: Displacements) -> "Opening":
+    def between(
+        cls, comm: MPI.Comm, sides: Sides, u: Displacements, before: "Opening | None" = None
+    ) -> "Opening":
         """Mesh Σ where the bodies are. Collective.
 
         Args:
             comm: Communicator.
             sides: Γ0 and Γ1.
             u: Their displacements.
+            before: What was between them before.
 
         Raises:
             InterfaceError: They don't face each other.
         """
         surfaces = _displaced(sides, u)
-        gap = mesh_gap(comm, *surfaces, by_feet=True)
+        axis = None
+        if surfaces[0].gdim == 3:
+            axis = axis_between(surfaces, before.axis if before else None)
+        if axis is None:
+            gap = mesh_gap(comm, *surfaces, by_feet=True)
+        else:
+            gap = mesh_chart(comm, surfaces, axis)
         n, k = surfaces[0].gdim, max(surface.geometry.degree for surface in surfaces)
         cell = basix.CellType.triangle if n == 2 else basix.CellType.tetrahedron
         element = basix.create_element(
@@ -103,7 +115,7 @@ class Opening:
         alpha = gap.alpha[gap.cells]
         table = GapElement.at(element, element, points, weights)
         w = weighted.vertex_weights(table, interpolate_geometry(surfaces, hosts), alpha)
-        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w)
+        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w, axis)
 
     def positions(self, u: Displacements) -> npt.NDArray[np.float64]:
         """Geometry nodes of the cells, ``(num_cells, num_geometry_nodes, n)``."""

@@ -111,7 +111,7 @@ class ContactRows:
         if self.now.opening is None or (anew and self._follows):
             try:
                 at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
-                opening = Opening.between(self._comm, self.sides, at)
+                opening = Opening.between(self._comm, self.sides, at, self.now.opening)
             except (InterfaceError, InvertedCellError):  # the same on all ranks
                 if self.now.opening is None:
                     raise
