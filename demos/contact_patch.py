@@ -31,10 +31,10 @@ from hypergap_dolfinx import Contact, ContactProblem, progress
 # -
 
 ELEMENTS = {
-    "P1": ("triangle", 1),
-    "P2": ("triangle", 2),
-    "Q1": ("quadrilateral", 1),
-    "Q2": ("quadrilateral", 2),
+    "P1": (("triangle", "tetrahedron"), 1),
+    "P2": (("triangle", "tetrahedron"), 2),
+    "Q1": (("quadrilateral", "hexahedron"), 1),
+    "Q2": (("quadrilateral", "hexahedron"), 2),
 }
 RATIOS = ((2, 3), (1, 5), (5, 1))
 START, END = 0.5, 1.5  # of the narrow block, on a block from 0 to 2
@@ -43,12 +43,13 @@ LARGE = 0.2  # strain from which bodies are neo-Hookean
 
 def energy(u, large):
     """Energy density, and the stress (Piola–Kirchhoff's first) that belongs to it; λ = μ = 1."""
-    F = ufl.variable(ufl.Identity(2) + ufl.grad(u))
+    dim = len(u)
+    F = ufl.variable(ufl.Identity(dim) + ufl.grad(u))
     if large:
         J = ufl.det(F)
-        psi = 0.5 * (ufl.inner(F, F) - 2 - 2 * ufl.ln(J)) + 0.5 * ufl.ln(J) ** 2
+        psi = 0.5 * (ufl.inner(F, F) - dim - 2 * ufl.ln(J)) + 0.5 * ufl.ln(J) ** 2
     else:
-        eps = ufl.sym(F) - ufl.Identity(2)
+        eps = ufl.sym(F) - ufl.Identity(dim)
         psi = ufl.inner(eps, eps) + 0.5 * ufl.tr(eps) ** 2
     return psi, ufl.diff(psi, F)
 
@@ -61,44 +62,42 @@ def pressure(strain):
     return -(stretch - 1 / stretch + np.log(stretch) / stretch)
 
 
-def press(comm, element, ratio, swap, strain):
+def press(comm, element, ratio, swap, strain, dim=2):
     """Compress the blocks.
 
     Returns:
         Relative errors of the multipliers and of the stress.
     """
-    cell, degree = ELEMENTS[element]
+    cells, degree = ELEMENTS[element]
     p, large = pressure(strain), strain >= LARGE
     u, stresses, F, bcs, sides = [], [], [], [], []
-    for i, (low, high, n) in enumerate(
-        (((0, -1), (2, 0), (4 * ratio[0], 2)), ((START, 0), (END, 1), (2 * ratio[1], 2)))
-    ):
+    layers = 2 if dim == 2 else 1
+    for i, (start, end, n) in enumerate(((0, 2, 4 * ratio[0]), (START, END, 2 * ratio[1]))):
+        low, size = np.full(dim, float(start)), np.full(dim, float(end - start))
+        low[-1], size[-1] = i - 1, 1
 
-        def place(x, low=np.array(low), high=np.array(high)):
-            return low + x * (high - low)
+        def place(x, low=low, size=size):
+            return low + x * size
 
-        mesh, ft = meshes.block(comm, n, place, cell=cell)
-        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        mesh, ft = meshes.block(comm, [n] * (dim - 1) + [layers], place, cell=cells[dim - 2])
+        V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
         w = fem.Function(V)
         psi, stress = energy(w, large)
-        form = ufl.derivative(psi * ufl.dx, w)
-        bottom, top = (meshes.BOTTOM, meshes.TOP)[:: 1 - 2 * i]  # away from contact, and there
-        move = strain * (1 - 2 * i)
-        for component, tag, value in (
-            (0, meshes.LEFT, 0),
-            (0, meshes.RIGHT, 0),
-            (1, bottom, move),
-        ):
-            dofs = fem.locate_dofs_topological(V.sub(component), 1, ft.find(tag))
+        form = ufl.derivative(psi * ufl.dx(metadata={"quadrature_degree": 2 * degree}), w)
+        tags = [2 * axis + end + 1 for axis in range(dim - 1) for end in (0, 1)]  # of the sides
+        far, near = (2 * dim - 1, 2 * dim)[:: 1 - 2 * i]  # away from contact, and there
+        walls = [(c // 2, tag, 0) for c, tag in enumerate(tags)]
+        for component, tag, value in (*walls, (dim - 1, far, strain * (1 - 2 * i))):
+            dofs = fem.locate_dofs_topological(V.sub(component), dim - 1, ft.find(tag))
             bcs.append(fem.dirichletbc(default_scalar_type(value), dofs, V.sub(component)))
-        facets = ft.find(top)
+        facets = ft.find(near)
         if i == 0:
-            middle = compute_midpoints(mesh, 1, facets)[:, 0]
-            free = facets[(middle < START) | (middle > END)]
-            tags = meshtags(mesh, 1, np.sort(free), np.ones(len(free), dtype=np.int32))
+            middle = compute_midpoints(mesh, dim - 1, facets)[:, : dim - 1]
+            free = facets[((middle < START) | (middle > END)).any(axis=1)]
+            tags = meshtags(mesh, dim - 1, np.sort(free), np.ones(len(free), dtype=np.int32))
             ds = ufl.Measure("ds", mesh, subdomain_data=tags)
             load = fem.Constant(mesh, default_scalar_type(p))
-            form += load * ufl.TestFunction(V)[1] * ds(1)
+            form += load * ufl.TestFunction(V)[dim - 1] * ds(1)
         u.append(w)
         stresses.append(stress)
         F.append(form)
@@ -109,14 +108,17 @@ def press(comm, element, ratio, swap, strain):
     error = abs(contact.pressures(problem)[contact.active] / p - 1).max()
     total = 0.0
     for stress in stresses:
-        local = fem.assemble_scalar(fem.form((stress[1, 1] + p) ** 2 * ufl.dx))
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
+        local = fem.assemble_scalar(fem.form((stress[dim - 1, dim - 1] + p) ** 2 * dx))
         total += comm.allreduce(local)
-    return float(error), float(np.sqrt(total / 3) / p)
+    volume = 2 ** (dim - 1) + 1
+    return float(error), float(np.sqrt(total / volume) / p)
 
 
 def main():
     """Run all of them."""
     parser = argparse.ArgumentParser(description="The patch test of contact.")
+    parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--quick", action="store_true", help="one ratio")
     args = parser.parse_args()
@@ -125,11 +127,11 @@ def main():
     for case in itertools.product(ELEMENTS, ratios, (False, True), (1e-3, LARGE)):
         element, ratio, swap, strain = case
         progress.show(comm, f"{element} {ratio[0]}:{ratio[1]}")
-        error, stress = press(comm, *case)
+        error, stress = press(comm, *case, dim=args.dim)
         rows.append(
             {
                 "elements": element,
-                "dim": 2,
+                "dim": args.dim,
                 "ratio": f"{ratio[0]}:{ratio[1]}",
                 "swap": swap,
                 "strain": strain,

@@ -88,8 +88,6 @@ class Contact:
                 f"{side1[0].mesh.geometry.dim}; they must be equal."
             )
         self._surfaces = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
-        if any(surface.facets.shape[1] == 4 for surface in self._surfaces):
-            raise InterfaceError("contact in space is between tetrahedra so far, not hexahedra.")
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
@@ -198,7 +196,8 @@ class Contact:
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
-        return Opening.between(self._comm, self._sides, u)
+        last = before if isinstance(before, Opening) else None
+        return Opening.between(self._comm, self._sides, u, last)
 
     @property
     def swapped(self) -> bool:

@@ -31,6 +31,8 @@ from hypergap_dolfinx.tie import Tie
 _BODY, _EDGE = "#e8e4da", "#555555"
 PARTS = 8
 """Straight parts that an edge of Γ1 is drawn with."""
+LIFT = 0.01
+"""How far from Γ0's body Γ1 is drawn in space, in its extent."""
 CLOSED = 0.5
 """Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
 0, half a circle 0.64, half a sphere 0.5."""
@@ -260,7 +262,7 @@ def contact(
         The plotter on rank 0, None on the others.
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
-    surface, p, plotter = contact.displaced(problem)[1], contact.pressures(problem), None
+    surface, p = contact.displaced(problem)[1], contact.pressures(problem)
     plotter = _plotter(comm, window)
     for u in problem.every_u:
         body = _with_values(u, "displacement")
@@ -268,34 +270,46 @@ def contact(
             body.points += body["displacement"]
             _add(plotter, body, color=_BODY)
     if plotter:
-        largest = p.max(initial=0) or 1.0 if largest is None else largest
-        t = np.linspace(0, 1, PARTS + 1)[:, None] if dim == 2 else np.vstack(([0, 0], np.eye(2)))
-        num = len(surface.facets)
-        x = _padded(surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, (num, 1))))
-        weights = np.column_stack((1 - t.sum(axis=1), t))
-        cells = np.arange(len(x)).reshape(num, len(t))
-        cells = np.insert(cells, 0, len(t), axis=1).ravel()
-        drawn = pyvista.PolyData(x, lines=cells) if dim == 2 else pyvista.PolyData(x, cells)
-        drawn["pressure"] = (p[surface.facets] @ weights.T).ravel()
-        scale = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
-        options = {"lighting": False, "scalar_bar_args": _bar("pressure")}
-        plotter.add_mesh(drawn, line_width=8, **scale, **options)
-        on = contact.active
+        largest = (p.max(initial=0) or 1.0) if largest is None else largest
+        extent = np.ptp(surface.x, axis=0).max()
+        scale: Any = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
+        bar: Any = {"lighting": False, "scalar_bar_args": _bar("pressure")}
         direction = np.zeros_like(surface.x)
         for corner in surface.facets.T:
             np.add.at(direction, corner, surface.normals)
-        points = pyvista.PolyData(_padded(surface.x[on]))
-        length = 0.12 * np.ptp(surface.x, axis=0).max() / largest
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        drawn = _drawn(surface, p)
+        x = surface.x
+        if dim == 3:  # before Γ0's body, not in it
+            x = x - LIFT * extent * direction
+            drawn.points = x
+        plotter.add_mesh(drawn, line_width=8, **scale, **bar)
+        on = contact.active
         if on.any():
-            direction = direction[on] / np.linalg.norm(direction[on], axis=1)[:, None]
-            points["arrow"], points["pressure"] = _padded(direction), p[on]
+            points = pyvista.PolyData(_padded(x[on]))
+            points["arrow"], points["pressure"] = _padded(direction[on]), p[on]
             plotter.add_mesh(points, color="black", point_size=8, render_points_as_spheres=True)
-            tails = points.copy()
+            length, tails = (0.12, 0.25)[dim - 2] * extent / largest, points.copy()
             tails.points = points.points - length * p[on][:, None] * points["arrow"]
             arrows = tails.glyph(orient="arrow", scale="pressure", factor=length)
             plotter.add_mesh(arrows, show_scalar_bar=False, **scale)
-    mean = _mean_normal(surface)
-    return _finish(plotter, dim, filename, window, 0.4 * _beside(mean) - mean, mean)
+    up = -_mean_normal(surface)
+    return _finish(plotter, dim, filename, window, _beside(up) + up, up)
+
+
+def _drawn(surface: Surface, values: npt.NDArray[np.float64]) -> pyvista.PolyData:
+    """A surface with values at its vertices; edges in small parts, since they may be curved."""
+    if surface.gdim == 3:
+        cells = np.insert(surface.polygons, 0, surface.polygons.shape[1], axis=1)
+        drawn = pyvista.PolyData(surface.x, cells.ravel())
+        drawn["pressure"] = values
+        return drawn
+    num, t = len(surface.facets), np.linspace(0, 1, PARTS + 1)
+    x = surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, num)[:, None])
+    cells = np.insert(np.arange(len(x)).reshape(num, -1), 0, len(t), axis=1)
+    drawn = pyvista.PolyData(_padded(x), lines=cells.ravel())
+    drawn["pressure"] = (values[surface.facets] @ np.stack((1 - t, t))).ravel()
+    return drawn
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

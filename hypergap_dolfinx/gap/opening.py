@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ between bodies where they are now, as plain arrays, and the weighted gap on their dofs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -17,12 +17,13 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
+from hypergap_dolfinx.gap.chart import axis_between, mesh_chart
 from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
 from hypergap_dolfinx.gap.kernel import GapElement
 from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.opened import OpenCells
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 ON_VERTEX = 1e-9
 """Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
@@ -56,45 +57,74 @@ class Opening:
     points: npt.NDArray[np.float64]
     """Where they are in the reference cell, ``(num_points, n)``."""
     vertices: npt.NDArray[np.intp]
-    """Vertices of Γ1 that each of a cell's vertices stands for, ``(num_cells, n + 1, n)``."""
+    """Vertices of Γ1 that each of a cell's vertices stands for: those of a facet,
+    ``(num_cells, n + 1, num_facet_vertices)``."""
     shares: npt.NDArray[np.float64]
-    """By what part, ``(num_cells, n + 1, n)``."""
+    """By what part, ``(num_cells, n + 1, num_facet_vertices)``."""
+    x: npt.NDArray[np.float64]
+    """Where the cells' nodes are without displacements, ``(num_cells, num_geometry_nodes, n)``."""
     w: npt.NDArray[np.float64]
     """Weights of the cells' vertices at the points, ``(num_cells, num_points, n + 1)``."""
     rank: npt.NDArray[np.int32]
     """Rank of a body's cell beside each cell, ``(num_cells,)``."""
+    axis: npt.NDArray[np.float64] | None = None
+    """Along what the surfaces were seen, in space."""
 
     @classmethod
-    def between(cls, comm: MPI.Comm, sides: Sides, u: Displacements) -> "Opening":
+    def between(
+        cls, comm: MPI.Comm, sides: Sides, u: Displacements, before: "Opening | None" = None
+    ) -> "Opening":
         """Mesh Σ where the bodies are. Collective.
 
         Args:
             comm: Communicator.
             sides: Γ0 and Γ1.
             u: Their displacements.
+            before: What was between them before.
 
         Raises:
             InterfaceError: They don't face each other.
         """
         surfaces = _displaced(sides, u)
-        gap = mesh_gap(comm, *surfaces, by_feet=True)
-        n, k = surfaces[0].gdim, max(surface.geometry.degree for surface in surfaces)
+        axis = None
+        if surfaces[0].gdim == 3:
+            axis = axis_between(surfaces, before.axis if before else None)
+        if axis is None:
+            gap = mesh_gap(comm, *surfaces, by_feet=True)
+        else:
+            gap = mesh_chart(comm, surfaces, axis)
+        n = surfaces[0].gdim
+        k = max(gap.degree if n == 3 else 1, *(surface.geometry.degree for surface in surfaces))
         cell = basix.CellType.triangle if n == 2 else basix.CellType.tetrahedron
         element = basix.create_element(
             basix.ElementFamily.P, cell, k, basix.LagrangeVariant.equispaced
         )
         every = np.arange(len(gap.cells))
-        points, weights = basix.make_quadrature(cell, 2 * n * (k - 1))
+        points, weights = basix.make_quadrature(cell, max(min(2 * n * (k - 1), 6), n * (k - 1)))
         vertices, shares = _multipliers(surfaces[1], gap)
         hosts = gap.hosts(element.points, every)
         alpha = gap.alpha[gap.cells]
         table = GapElement.at(element, element, points, weights)
-        w = weighted.vertex_weights(table, interpolate_geometry(surfaces, hosts), alpha)
-        return cls(sides, hosts, alpha, element, table, points, vertices, shares, w, gap.rank)
+        rest = tuple(side.reference for side in sides)
+        x = interpolate_geometry(rest, hosts)
+        opening = cls(
+            sides, hosts, alpha, element, table, points, vertices, shares, x, x, gap.rank, axis
+        )
+        w = weighted.vertex_weights(table, opening.positions(u), alpha)
+        weighed = replace(opening, w=w)
+        weighed.__dict__["_R"] = opening._R  # which doesn't depend on them
+        return weighed
 
     def positions(self, u: Displacements) -> npt.NDArray[np.float64]:
         """Geometry nodes of the cells, ``(num_cells, num_geometry_nodes, n)``."""
-        return interpolate_geometry(_displaced(self.sides, u), self.hosts)
+        moved = self._R.createVecLeft()
+        at_dofs = self._R.createVecRight()
+        at_dofs.array[:] = np.concatenate([part.ravel() for part in u])
+        self._R.mult(at_dofs, moved)
+        x = self.x + moved.array_r.reshape(self.x.shape)
+        moved.destroy()
+        at_dofs.destroy()
+        return x
 
     @cached_property
     def _R(self) -> PETSc.Mat:
@@ -236,8 +266,9 @@ def _multipliers(
     n = surface.gdim
     corners = np.vstack((np.zeros(n), np.eye(n)))
     hosts = gap.hosts(corners, np.arange(len(gap.cells)))
-    X = hosts.X[1]  # (cell, vertex, n - 1)
-    shares = np.concatenate((1 - X.sum(axis=2, keepdims=True), X), axis=2)
+    corners_of = basix.create_element(basix.ElementFamily.P, surface.geometry.cell_type, 1)
+    shares = tabulate(corners_of, hosts.X[1].reshape(-1, n - 1))
+    shares = shares.reshape(*hosts.alpha.shape, -1)  # (cell, vertex, facet vertex)
     shares[(np.abs(shares) < ON_VERTEX) | (hosts.alpha < ON_VERTEX)[..., None]] = 0
     vertices = surface.facets[hosts.facets[1]].astype(np.intp)
     has = np.zeros(len(surface.x), dtype=bool)

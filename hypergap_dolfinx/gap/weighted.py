@@ -22,6 +22,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.kernel import GapElement, cofactor, normal_and_direction
 
+CYCLE = np.array((1, 2, 0))
+
 
 @dataclass(frozen=True)
 class WeightedCells:
@@ -103,11 +105,16 @@ def second_derivatives(element: GapElement, x, pressure) -> npt.NDArray[np.float
         return np.einsum(
             "cp,ik,jl,pmj,pql->cmiqk", weighted, e, e, element.dpsi, element.dpsi, optimize=True
         )
-    e = np.zeros((3, 3, 3))
-    e[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1
-    e[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1
-    # ∂cof_ij/∂X_kl = ε_ikr ε_jls X_rs
-    X = jacobians(element, x)
-    XE = np.einsum("cp,ikr,cprs->cpiks", weighted, e, X, optimize=True)
-    EE = np.einsum("jls,pmj,pql->pmqs", e, element.dpsi, element.dpsi, optimize=True)
-    return np.einsum("cpiks,pmqs->cmiqk", XE, EE, optimize=True)
+    # ∂cof_ij/∂X_kl = ε_ikr ε_jls X_rs, antisymmetric in i and k: three blocks, each one product
+    d = element.dpsi  # (p, m, j)
+    cross = d[:, :, None, CYCLE] * d[:, None, :, CYCLE[[1, 2, 0]]]
+    table = (cross - cross.transpose(0, 2, 1, 3)).transpose(0, 3, 1, 2)  # (p, s, m, q)
+    num, nodes = len(x), d.shape[1]
+    X = jacobians(element, x) * weighted[..., None, None]  # (c, p, r, s)
+    blocks = X.transpose(0, 2, 1, 3).reshape(3 * num, -1) @ table.reshape(-1, nodes**2)
+    blocks = blocks.reshape(num, 3, nodes, nodes)
+    H = np.zeros((num, nodes, 3, nodes, 3))
+    for r in range(3):
+        i, k = (r + 1) % 3, (r + 2) % 3
+        H[:, :, i, :, k], H[:, :, k, :, i] = blocks[:, r], -blocks[:, r]
+    return H

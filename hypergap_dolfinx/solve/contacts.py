@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, NotFacingError
 from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix
+from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Displacements, Gaps
@@ -72,13 +73,11 @@ class ContactRows:
             for i, (side, body) in enumerate(zip(sides, bodies, strict=True))
         ]
         surface = sides[1].reference
-        v = surface.x[surface.facets]
-        t = v[:, 1:] - v[:, :1]
-        size = np.sqrt(np.linalg.det(np.einsum("fai,fbi->fab", t, t)))
+        size = lengths(normals_by_area(surface.x[surface.facets]))
         self._area = np.zeros(num)
         for corner in surface.facets.T:
             self._area += np.bincount(corner, size, num)
-        self._area /= self._n * (self._n - 1)
+        self._area /= surface.facets.shape[1] * (self._n - 1)
         self._rank = np.searchsorted(surface.dof_range[1:], sides[1].vertex_dofs, side="right")
 
     def _at_surface(self, i: int, owned: npt.NDArray) -> npt.NDArray:
