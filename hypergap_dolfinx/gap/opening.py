@@ -17,10 +17,10 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
-from hypergap_dolfinx.gap.constraint import coo_matrix, expand, triplets
+from hypergap_dolfinx.gap.constraint import coo_matrix, expand
 from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
 from hypergap_dolfinx.gap.kernel import GapElement
-from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
 from hypergap_dolfinx.gap.surface import Surface
 
 ON_VERTEX = 1e-9
@@ -29,27 +29,6 @@ ON_VERTEX = 1e-9
 COVERED = 0.95
 """Part of a facet of Γ1 that Σ must reach for multipliers of its own: with it a flat punch's corner
 has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
-
-Sides = tuple[MovingSurface, MovingSurface]
-Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-"""At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
-
-
-@dataclass(frozen=True)
-class Sparse:
-    """A sparse matrix as triplets, the same on every rank."""
-
-    i: npt.NDArray[np.int64]
-    j: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
-
-    @classmethod
-    def of(cls, matrix: PETSc.Mat) -> "Sparse":
-        """The entries of a matrix on one rank, which is destroyed."""
-        found = cls(*(np.array(part) for part in triplets(matrix)))
-        matrix.destroy()
-        return found
-
 
 @dataclass(frozen=True)
 class Opening:

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.opening import Displacements, Opening, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
+from hypergap_dolfinx.gap.opening import Opening
+from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
 
@@ -43,7 +44,7 @@ class Touching:
 class Pressed:
     """What a load step changes, and gives back if it fails."""
 
-    opening: Opening | None
+    opening: Opening | PlaneOpening | None
     p: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
     on: npt.NDArray[np.bool_]
@@ -111,7 +112,8 @@ class ContactRows:
         if self.now.opening is None or (anew and self._follows):
             try:
                 at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
-                opening = Opening.between(self._comm, self.sides, at)
+                kind = PlaneOpening if self._n == 2 else Opening
+                opening = kind.between(self._comm, self.sides, at)
             except (InterfaceError, InvertedCellError):  # the same on all ranks
                 if self.now.opening is None:
                     raise
