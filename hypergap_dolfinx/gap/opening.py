@@ -18,9 +18,10 @@ import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
 from hypergap_dolfinx.gap.constraint import coo_matrix, expand
-from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
+from hypergap_dolfinx.gap.domain import interpolation_weights
 from hypergap_dolfinx.gap.kernel import GapElement
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
+from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.surface import Surface
 
 ON_VERTEX = 1e-9
@@ -69,7 +70,7 @@ class Opening:
             InterfaceError: They don't face each other.
         """
         surfaces = _displaced(sides, u)
-        gap = mesh_gap(comm, *surfaces, by_feet=True)
+        gap = mesh_slab(comm, *surfaces)
         n, k = surfaces[0].gdim, max(surface.geometry.degree for surface in surfaces)
         cell = basix.CellType.triangle if n == 2 else basix.CellType.tetrahedron
         element = basix.create_element(
