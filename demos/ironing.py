@@ -7,8 +7,9 @@
 # Large deformation, finite sliding, no friction. The die is ten times as stiff as the foundation,
 # both are neo-Hookean. First it goes down in a few load steps, then along. Without friction its
 # reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
-# pass each other is the ripple of the method. All is conservative: the work of the reactions is
-# the energy that is stored.
+# pass each other is the ripple of the method. All is conservative: the reaction is the derivative of
+# the energy that is stored. Each step is followed by one of a thousandth of a cell to see that (over
+# a third of a cell the mean of two forces isn't their work to more than three digits).
 
 # +
 import argparse
@@ -33,6 +34,7 @@ H = 0.12  # size of the foundation's cells
 LENGTH, DEPTH = 50 * H, 10 * H  # of the foundation
 WIDTH, HEIGHT, R = 16 * H, 8 * H, 20 * H  # of the die, radius of its curved bottom
 DOWN, PRESSING = H, 4  # how far the die goes down, in how many load steps
+SMALL = 1e-3 * H  # a step over which the mean of two forces is their work
 
 
 def energy(u, E, nu=0.32):
@@ -92,6 +94,11 @@ class Ironing:
         """The energy that is stored in both bodies."""
         return self.comm.allreduce(sum(fem.assemble_scalar(form) for form in self.energies))
 
+    def solve(self):
+        """Move the die to where it is to go; the force on the foundation."""
+        self.problem.solve()
+        return self.contact.force(self.problem) * (-1 if self.swap else 1)
+
     def go(self, steps, size):
         """Press and iron.
 
@@ -99,19 +106,12 @@ class Ironing:
             steps: Number of load steps along.
             size: Their size, in cells of the foundation.
         """
-        rows, work, start, last = [], 0.0, 0.0, np.zeros(2)
+        rows = []
         for step in range(1, PRESSING + steps + 1):
             down = DOWN * min(step / PRESSING, 1)
             along = max(step - PRESSING, 0) * size * H
-            before = self.goal.value.copy()
             self.goal.value[:] = along, -down
-            self.problem.solve()
-            force = self.contact.force(self.problem) * (-1 if self.swap else 1)  # on the foundation
-            if step > PRESSING:
-                work += 0.5 * (force + last) @ (self.goal.value - before)
-            else:  # in few large steps: no sum of their forces is their work
-                start = self.energy()
-            last = force
+            force = self.solve()
             rows.append(
                 {
                     "step": step,
@@ -119,10 +119,14 @@ class Ironing:
                     "fy": float(force[1]),
                     "iterations": self.problem.iterations,
                     "halvings": self.problem.halvings,
-                    "energy_error": float(abs(self.energy() - start - work) / start),
                 }
             )
-            progress.show(self.comm, f"step {step}: {self.problem.iterations} Newton steps")
+            energy, move = self.energy(), np.array((SMALL, 0))
+            self.goal.value[:] += move
+            work = 0.5 * (force + self.solve()) @ move
+            error = abs(self.energy() - energy - work) / (np.linalg.norm(force) * SMALL)
+            rows[-1]["energy_error"] = float(error)
+            progress.show(self.comm, f"step {step}: {rows[-1]['iterations']} Newton steps")
         return rows
 
 
@@ -148,7 +152,7 @@ def main():
         print(f"halved load steps: {sum(row['halvings'] for row in rows)}")
         largest = np.abs(ripple / fy)[2:-2].max(initial=0)
         print(f"vertical force: {fy.mean():.4f}, ripple {largest:.1e}")
-        print(f"work against energy: {max(row['energy_error'] for row in rows):.1e}")
+        print(f"reaction against energy: {max(row['energy_error'] for row in rows):.1e}")
         if args.json:
             args.json.write_text(json.dumps({"rows": rows}, indent=1))
 

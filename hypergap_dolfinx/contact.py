@@ -14,13 +14,14 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface
 from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
+from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.strip import turns
 from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
-from hypergap_dolfinx.solve.interface import Displacements, Gaps
+from hypergap_dolfinx.solve.interface import Gaps
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -185,7 +186,7 @@ class Contact:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
         return self._depth
 
-    def gaps(self, u: Displacements, before: Gaps | None = None) -> Opening:
+    def gaps(self, u: Displacements, before: Gaps | None = None) -> Opening | PlaneOpening:
         """Mesh Σ where the bodies are. Collective.
 
         Args:
@@ -196,6 +197,8 @@ class Contact:
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
+        if self._surfaces[0].gdim == 2:
+            return PlaneOpening.between(self._comm, self._sides, u)
         last = before if isinstance(before, Opening) else None
         return Opening.between(self._comm, self._sides, u, last)
 
@@ -225,7 +228,7 @@ class Contact:
         rows = problem.rows(self)
         if rows.now.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.u, rows.now.p)
+        return self._opening(rows).smoothed(rows.at, rows.now.p)
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """The pressure between the bodies. Collective.
@@ -242,7 +245,7 @@ class Contact:
         rows = problem.rows(self)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.u, rows.now.p * rows.now.on)
+        cells = self._opening(rows).cells(rows.at, rows.now.p * rows.now.on)
         return on_sigma(self._comm, cells, "pressure")
 
     def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
@@ -276,10 +279,10 @@ class Contact:
             raise ValueError(f'on is "sigma" or "body", not {on!r}.')
         return on == "body"
 
-    def _opening(self, rows: ContactRows) -> Opening:
+    def _opening(self, rows: ContactRows) -> Opening | PlaneOpening:
         if rows.now.opening is None:
             raise InterfaceError("nothing of Γ1 lies opposite Γ0 where the bodies are.")
-        assert isinstance(rows.now.opening, Opening)
+        assert isinstance(rows.now.opening, Opening | PlaneOpening)
         return rows.now.opening
 
     def displaced(self, problem) -> tuple[Surface, Surface]:

@@ -222,25 +222,3 @@ def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     start, end = B.getOwnershipRange()
     indptr, columns, values = B.getValuesCSR()
     return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values
-
-
-@dataclass(frozen=True)
-class Sparse:
-    """A sparse matrix as triplets, the same on every rank."""
-
-    i: npt.NDArray[np.int64]
-    j: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
-
-    @classmethod
-    def empty(cls) -> "Sparse":
-        """Without entries."""
-        none = np.empty(0, dtype=np.int64)
-        return cls(none, none, np.empty(0))
-
-    @classmethod
-    def of(cls, matrix: PETSc.Mat) -> "Sparse":
-        """The entries of a matrix on one rank, which is destroyed."""
-        found = cls(*(np.array(part) for part in triplets(matrix)))
-        matrix.destroy()
-        return found

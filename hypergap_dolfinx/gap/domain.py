@@ -21,12 +21,11 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
-from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
-from hypergap_dolfinx.gap.feet import parametrise_by_feet
+from hypergap_dolfinx.gap.cells import Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.quadrilaterals import middle_rows
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.straight import straightened
-from hypergap_dolfinx.gap.strip import mesh_strip, parametrise
+from hypergap_dolfinx.gap.strip import mesh_strip
 from hypergap_dolfinx.gap.surface import LAST_DIGITS, SAME_NODE, STRAIGHT, Surface, tabulate
 
 NOUGHT = 1e-13
@@ -152,25 +151,6 @@ class GapDomain:
         return D, np.sign(element.weights)
 
 
-def mesh_gap(
-    comm: MPI.Comm, surface0: Surface, surface1: Surface, *, by_feet: bool = False
-) -> GapCells:
-    """Mesh Σ between two surfaces. Collective.
-
-    Args:
-        comm: Communicator.
-        surface0: Γ0.
-        surface1: Γ1.
-        by_feet: Whether in the plane opposite is what Γ1 projects to, not what is as far along.
-
-    Raises:
-        InterfaceError: The surfaces don't form an interface.
-    """
-    if surface0.gdim == 3:
-        return mesh_slab(comm, surface0, surface1)
-    return mesh_strip(surface0, surface1, parametrise_by_feet if by_feet else parametrise)
-
-
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
     """Mesh Σ between two surfaces and distribute it. Collective.
 
@@ -178,7 +158,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         InterfaceError: The surfaces don't form an interface.
     """
     tdim = surface0.gdim
-    gap = mesh_gap(comm, surface0, surface1)
+    gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
     mine = np.flatnonzero(gap.rank == comm.rank)
 
     # Geometry: vertices are enough unless a surface is curved

@@ -8,9 +8,12 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.constraint import triplets
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 
@@ -63,3 +66,30 @@ class MovingSurface:
         at = [nodes_of[0] for nodes_of in rest.geometry.entity_dofs[0]]
         x[rest.facets] = nodes[:, at]
         return replace(rest, x=x, nodes=nodes)
+
+
+Sides = tuple[MovingSurface, MovingSurface]
+Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+"""At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """A sparse matrix as triplets, the same on every rank."""
+
+    i: npt.NDArray[np.int64]
+    j: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+    @classmethod
+    def empty(cls) -> "Sparse":
+        """Without entries."""
+        none = np.empty(0, dtype=np.int64)
+        return cls(none, none, np.empty(0))
+
+    @classmethod
+    def of(cls, matrix: PETSc.Mat) -> "Sparse":
+        """The entries of a matrix on one rank, which is destroyed."""
+        found = cls(*(np.array(part) for part in triplets(matrix)))
+        matrix.destroy()
+        return found

@@ -18,11 +18,12 @@ import basix
 from hypergap_dolfinx.gap import weighted
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
 from hypergap_dolfinx.gap.chart import axis_between, mesh_chart
-from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix, expand
-from hypergap_dolfinx.gap.domain import interpolation_weights, mesh_gap
+from hypergap_dolfinx.gap.constraint import coo_matrix, expand
+from hypergap_dolfinx.gap.domain import interpolation_weights
 from hypergap_dolfinx.gap.kernel import GapElement
-from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
 from hypergap_dolfinx.gap.opened import OpenCells
+from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 ON_VERTEX = 1e-9
@@ -31,10 +32,6 @@ ON_VERTEX = 1e-9
 COVERED = 0.95
 """Part of a facet of Γ1 that Σ must reach for multipliers of its own: with it a flat punch's corner
 has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
-
-Sides = tuple[MovingSurface, MovingSurface]
-Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-"""At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +83,13 @@ class Opening:
             InterfaceError: They don't face each other.
         """
         surfaces = _displaced(sides, u)
-        axis = None
-        if surfaces[0].gdim == 3:
-            axis = axis_between(surfaces, before.axis if before else None)
+        axis = axis_between(surfaces, before.axis if before else None)
         if axis is None:
-            gap = mesh_gap(comm, *surfaces, by_feet=True)
+            gap: GapCells = mesh_slab(comm, *surfaces)
         else:
             gap = mesh_chart(comm, surfaces, axis)
         n = surfaces[0].gdim
-        k = max(gap.degree if n == 3 else 1, *(surface.geometry.degree for surface in surfaces))
+        k = max(gap.degree, *(surface.geometry.degree for surface in surfaces))
         cell = basix.CellType.triangle if n == 2 else basix.CellType.tetrahedron
         element = basix.create_element(
             basix.ElementFamily.P, cell, k, basix.LagrangeVariant.equispaced

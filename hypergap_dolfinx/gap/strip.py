@@ -427,7 +427,7 @@ class Strip:
     apex: npt.NDArray[np.intp]
 
     @classmethod
-    def between(cls, c0: Chain, c1: Chain, parametrise=parametrise) -> "Strip":
+    def between(cls, c0: Chain, c1: Chain) -> "Strip":
         """Mesh the strip between two facing chains."""
         s = parametrise(c0, c1)
         return cls((c0, c1), s, *triangulate(*s))
@@ -511,20 +511,15 @@ class Strip:
         return Hosts(alpha_nodes @ weights.T, (facets[0], facets[1]), (X[0], X[1]))
 
 
-def mesh_strip(surface0: Surface, surface1: Surface, parametrise=parametrise) -> GapCells:
+def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
     """Mesh Σ between two surfaces in the plane.
-
-    Args:
-        surface0: Γ0.
-        surface1: Γ1.
-        parametrise: Says what of two chains is opposite, as :func:`parametrise` does.
 
     Raises:
         InterfaceError: Edges that don't form chains, or don't face each other.
     """
     chains0, chains1 = pieces(surface0, surface1)
     pairs = facing(surface0, surface1, chains0, chains1)
-    strips = [Strip.between(c0, c1, parametrise) for c0, c1 in pairs]
+    strips = [Strip.between(*pair) for pair in pairs]
     patch = np.empty(len(surface1.facets), dtype=np.int32)
     for i, chain in enumerate(chains1):
         patch[chain.facets] = i

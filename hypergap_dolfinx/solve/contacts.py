@@ -15,11 +15,12 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, NotFacingError
-from hypergap_dolfinx.gap.constraint import Sparse, coo_matrix
+from hypergap_dolfinx.gap.constraint import coo_matrix
+from hypergap_dolfinx.gap.moving import Displacements, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
-from hypergap_dolfinx.solve.interface import ContactInterface, Displacements, Gaps
+from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
 
 FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
@@ -104,29 +105,15 @@ class ContactRows:
             InterfaceError: There never was a Σ, and none can be made, though the sides face each
                 other.
         """
-        self.u = u = self.displacements([owned_values(f) for f in self.fields])
-        if self.now.opening is None or (anew and self._follows):
-            try:
-                at = u if self._follows else (np.zeros_like(u[0]), np.zeros_like(u[1]))
-                self.now.opening = self._contact.gaps(at, self.now.opening)
-            except NotFacingError:  # the same on all ranks, as the others are
-                if not self._follows:
-                    raise
-                self.now.opening = None
-            except (InterfaceError, InvertedCellError):
-                if self.now.opening is None:
-                    raise
-        if self.now.opening is None:
-            none = np.zeros(len(self._area))
-            self.g, self.m, self.C = none, none, Sparse.empty()
-        elif self._follows:
-            self.g, self.m, self.C = self.now.opening.gap(u)
+        self.u = self.displacements([owned_values(f) for f in self.fields])
+        if self._follows:
+            self._follow(anew)
         else:
             if self._first is None:
-                nowhere = np.zeros_like(u[0]), np.zeros_like(u[1])
-                self._first = self.now.opening.gap(nowhere)
+                self.now.opening = self._contact.gaps(self.at, None)
+                self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
-            self.g = start + self.times(u)
+            self.g = start + self.times(self.u)
         self._look_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
@@ -134,6 +121,27 @@ class ContactRows:
             for weights in (1.0, ~held[self.C.j])
         )
         self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
+
+    def _follow(self, anew: bool):
+        """Find the gaps of a Σ that follows the bodies; none where they don't face each other."""
+        now = self.now
+        try:  # the same on all ranks
+            if now.opening is None or anew:
+                try:
+                    now.opening = self._contact.gaps(self.u, now.opening)
+                except (InterfaceError, InvertedCellError) as error:
+                    if now.opening is None or isinstance(error, NotFacingError):
+                        raise
+            self.g, self.m, self.C = now.opening.gap(self.u)
+        except NotFacingError:
+            none = np.zeros(len(self._area))
+            now.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
+
+    @property
+    def at(self) -> Displacements:
+        """The displacements at which Σ is."""
+        u0, u1 = self.u
+        return (u0, u1) if self._follows else (np.zeros_like(u0), np.zeros_like(u1))
 
     def _look_behind(self):
         """Find out which vertices are opposite to Γ0 at its body's other side.

@@ -14,13 +14,10 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.gap.constraint import Constraint, Sparse
+from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
-from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import Surface
-
-Displacements = tuple[npt.NDArray, npt.NDArray]
-"""At the dofs of both sides of a contact, ``(num_dofs_i, n)`` each; the same on every rank."""
 
 
 class Interface(Protocol):
