@@ -160,7 +160,8 @@ class ContactRows:
                     "the bodies."
                 )
             self._accepted = deep, opposite
-        self._behind = deep & (self._accepted[0] | ~self._accepted[1])
+        before, there = self._accepted
+        self._behind = (before & (self.g < 0)) | (deep & ~there)
 
     def accept(self):
         """The state is that from which the next load step starts."""
