@@ -133,6 +133,17 @@ class ContactRows:
         )
         self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every)
 
+    def renew(self) -> bool:
+        """Make Σ anew in space, where cells depend on what they were made at. Collective.
+
+        Returns:
+            Whether it was.
+        """
+        if self._n == 2 or not self._follows:
+            return False
+        self.look(True)
+        return True
+
     @property
     def distance(self) -> npt.NDArray[np.float64]:
         """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
