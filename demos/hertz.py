@@ -1,4 +1,4 @@
-# # Hertz: a cylinder on a half-plane
+# # Hertz: a cylinder on a half-plane, a sphere on a half-space
 #
 # Copyright (C) 2026 The hypergap_dolfinx developers
 #
@@ -9,8 +9,12 @@
 #
 # $$a = \sqrt{4PR / (\pi E^*)}, \quad p = p_0 \sqrt{1 - x^2/a^2}, \quad p_0 = 2P / (\pi a).$$
 #
-# The cylinder is held by nothing but symmetry and contact; the force is the load. The meshes don't
-# match; `h` is the size of the cells of the coarser side where the bodies touch.
+# A sphere touches a half-space on a disc of radius a, where (`--dim 3`)
+#
+# $$a = \sqrt[3]{3PR / (4 E^*)}, \quad p = p_0 \sqrt{1 - r^2/a^2}, \quad p_0 = 3P / (2\pi a^2).$$
+#
+# The upper body is held by nothing but symmetry and contact; the force is the load. The meshes
+# don't match; `h` is the size of the cells of the coarser side where the bodies touch.
 
 # +
 import argparse
@@ -22,6 +26,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import compute_midpoints
@@ -34,80 +39,105 @@ from hypergap_dolfinx import Contact, ContactProblem, progress
 
 R, a = 1.0, 0.01  # radius, half-width of the contact
 E, nu = 1.0, 0.3  # of both bodies, plane strain
-L = 50 * a  # width and height of what is meshed of the half-plane, and of the cylinder
+L = {2: 50 * a, 3: 12 * a}  # width and height of what is meshed of both bodies
 
 E_star = E / (2 * (1 - nu**2))
-P = np.pi * E_star * a**2 / (4 * R)
-p0 = 2 * P / (np.pi * a)
+P = {2: np.pi * E_star * a**2 / (4 * R), 3: 4 * E_star * a**3 / (3 * R)}
+p0 = {2: 2 * P[2] / (np.pi * a), 3: 3 * P[3] / (2 * np.pi * a**2)}
 
 
-def exact(x):
-    """Hertz's pressure."""
-    return p0 * np.sqrt(np.maximum(1 - (x / a) ** 2, 0))
+def exact(x, dim=2):
+    """Hertz's pressure at a distance from the middle."""
+    return p0[dim] * np.sqrt(np.maximum(1 - (x / a) ** 2, 0))
 
 
 # ## Meshes
 #
-# Cells of one size up to 1.5 a, from there on each is a seventh longer than the one before.
+# In the plane cells of one size up to 1.5 a, from there on each is a seventh longer than the one
+# before. In space unstructured tetrahedra, which grow from 1.2 a on.
 
 
 def grading(h):
     """Positions of nodes from 0 to L."""
     x = np.arange(0, int(np.ceil(1.5 * a / h)) + 1) * h
-    while x[-1] < L:
+    while x[-1] < L[2]:
         x = np.append(x, x[-1] + 8 / 7 * (x[-1] - x[-2]))
-    return np.append(x[:-2], L)
+    return np.append(x[:-2], L[2])
 
 
-def body(comm, upper, h, degree):
-    """Half of the cylinder's lower part, or of the block, to the right of the symmetry plane."""
+def body(comm, upper, h, degree, dim):
+    """Half (a quarter) of the round body's lower part, or of the block, beside planes of symmetry.
+
+    Returns:
+        Mesh and facet tags: the last axis is vertical.
+    """
+    if dim == 3:
+
+        def size(x, y, z):
+            off = np.linalg.norm((x, y, z if upper else 1 - z)) * L[3]
+            return (h + 0.35 * max(off - 1.2 * a, 0)) / L[3]
+
+        def place(s):
+            return curved(s * L[3] - (0 if upper else (0, 0, L[3])), upper, L[3])
+
+        return meshes.solid_block(comm, size, place, degree=degree)
     nodes = grading(h)
     n = len(nodes) - 1
 
     def place(s):
-        x, y = (np.interp(s[:, i], np.linspace(0, 1, n + 1), nodes) for i in (0, 1))
-        if not upper:
-            depth = np.interp(1 - s[:, 1], np.linspace(0, 1, n + 1), nodes)
-            return np.column_stack((x, -depth))
-        bottom = R - np.sqrt(R**2 - x**2)
-        return np.column_stack((x, bottom + y * (1 - bottom / L)))
+        x = np.interp(s[:, 0], np.linspace(0, 1, n + 1), nodes)
+        y = s[:, 1] if upper else 1 - s[:, 1]
+        depth = np.interp(y, np.linspace(0, 1, n + 1), nodes)
+        return curved(np.column_stack((x, depth if upper else -depth)), upper, L[2])
 
     return meshes.block(comm, (n, n), place, cell="quadrilateral", degree=degree)
 
 
-def press(comm, h, degree, ratio, swap):
+def curved(x, upper, height):
+    """Make the upper body's bottom round."""
+    if upper:
+        bottom = R - np.sqrt(R**2 - (x[:, :-1] ** 2).sum(axis=1))
+        x[:, -1] = bottom + x[:, -1] * (1 - bottom / height)
+    return x
+
+
+def press(comm, h, degree, ratio, swap, dim=2):
     """Press the cylinder on.
 
     Args:
         comm: Communicator.
         h: Size of the coarser side's cells.
         degree: Of displacements and geometry.
-        ratio: Size of the cylinder's cells over that of the block's.
+        ratio: Size of the round body's cells over that of the block's.
         swap: Whether Γ1 is the side that isn't chosen.
+        dim: Number of dimensions.
     """
     sizes = h * min(1, 1 / ratio), h * min(1, ratio)
     u, F, bcs, sides = [], [], [], []
     for i, size in enumerate(sizes):
-        mesh, ft = body(comm, i == 1, size, degree)
-        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        mesh, ft = body(comm, i == 1, size, degree, dim)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
         w, v = fem.Function(V), ufl.TestFunction(V)
         eps = ufl.sym(ufl.grad(w))
-        sigma = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(2))
-        form = ufl.inner(sigma, ufl.sym(ufl.grad(v))) * ufl.dx
-        held = [(0, meshes.LEFT)]
+        sigma = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(dim))
+        dx = ufl.dx(metadata={"quadrature_degree": 4 * degree - 2})
+        form = ufl.inner(sigma, ufl.sym(ufl.grad(v))) * dx
+        low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
+        held = [(axis, 2 * axis + 1) for axis in range(dim - 1)]
         if i == 0:
-            held.append((1, meshes.BOTTOM))
+            held.append((dim - 1, low))
         else:
             ds = ufl.Measure("ds", mesh, subdomain_data=ft)
-            load = fem.Constant(mesh, default_scalar_type(P / 2 / L))
-            form += load * v[1] * ds(meshes.TOP)
+            load = fem.Constant(mesh, default_scalar_type(P[dim] / (2 * L[dim]) ** (dim - 1)))
+            form += load * v[dim - 1] * ds(high)
         for component, tag in held:
-            dofs = fem.locate_dofs_topological(V.sub(component), 1, ft.find(tag))
+            dofs = fem.locate_dofs_topological(V.sub(component), dim - 1, ft.find(tag))
             bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
         u.append(w)
         F.append(form)
-        facets = ft.find(meshes.TOP if i == 0 else meshes.BOTTOM)
-        near = compute_midpoints(mesh, 1, facets)[:, 0] < 5 * a
+        facets = ft.find(high if i == 0 else low)
+        middle = compute_midpoints(mesh, dim - 1, facets)
+        near = np.linalg.norm(middle[:, : dim - 1], axis=1) < 5 * a
         sides.append((V, facets[near]))
     contact = Contact.between(*sides)
     if swap:
@@ -119,40 +149,43 @@ def press(comm, h, degree, ratio, swap):
 
 def errors(problem, contact):
     """Relative errors of what Hertz's solution says."""
-    p, x = contact.pressures(problem), contact.surfaces[1].x[:, 0]
-    order = np.argsort(x)
-    p, x = p[order], x[order]
-    points, weights = np.polynomial.legendre.leggauss(8)
-    t = (points + 1) / 2
-    at = x[:-1, None] + t * np.diff(x)[:, None]
-    p_h = p[:-1, None] + t * np.diff(p)[:, None]
-    dx = weights / 2 * np.diff(x)[:, None]
-    l2 = np.sqrt(((p_h - exact(at)) ** 2 * dx).sum() / (exact(at) ** 2 * dx).sum())
-    force = 2 * abs(contact.force(problem)[1])
+    surface, p = contact.surfaces[1], contact.pressures(problem)
+    dim = surface.gdim
+    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle}[dim]
+    points, weights = basix.make_quadrature(cell, 15 if dim == 2 else 8)
+    values = np.column_stack((1 - points.sum(axis=1), points))
+    x = surface.x[surface.facets]
+    at = np.linalg.norm(np.einsum("qv,fvi->fqi", values, x)[..., :-1], axis=2)
+    edges = (x[:, 1:] - x[:, :1])[..., :-1]
+    dx = np.abs(np.linalg.det(edges))[:, None] * weights
+    square = ((p[surface.facets] @ values.T - exact(at, dim)) ** 2 * dx).sum()
+    reached = np.linalg.norm(surface.x[contact.active][:, :-1], axis=1).max(initial=0)
+    force = 2 ** (dim - 1) * abs(contact.force(problem)[dim - 1])
     return {
-        "p0": abs(p.max() / p0 - 1),
-        "force": abs(force / P - 1),
-        "half_width": abs(contact.surfaces[1].x[contact.active, 0].max() / a - 1),
-        "l2_pressure": l2,
+        "p0": abs(p.max() / p0[dim] - 1),
+        "force": abs(force / P[dim] - 1),
+        "half_width": abs(reached / a - 1),
+        "l2_pressure": np.sqrt(square / (exact(at, dim) ** 2 * dx).sum()),
         "steps": problem.iterations,
     }
 
 
 def main():
     """Press on finer and finer meshes."""
-    parser = argparse.ArgumentParser(description="Hertz's contact of a cylinder and a half-plane.")
-    parser.add_argument("--dim", type=int, choices=(2,), default=2)
+    parser = argparse.ArgumentParser(description="Hertz's contact.")
+    parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--degree", type=int, choices=(1, 2), default=1)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the other side")
-    parser.add_argument("--ratio", type=float, default=2 / 3, help="cylinder's cells over block's")
-    parser.add_argument("--levels", type=int, default=3, help="of h = a/10, a/20, ...")
+    parser.add_argument("--ratio", type=float, default=2 / 3, help="round body's cells over block's")
+    parser.add_argument("--levels", type=int, default=3, help="of h = a/10, a/20, ...; in space a/6, ...")
     parser.add_argument("--json", type=Path, metavar="FILE")
     args = parser.parse_args()
     comm, rows = MPI.COMM_WORLD, []
     for level in range(args.levels):
-        division = 10 * 2**level
+        division = (10 if args.dim == 2 else 6) * 2**level
         progress.show(comm, f"h = a/{division}")
-        result = errors(*press(comm, a / division, args.degree, args.ratio, args.swap))
+        scene = press(comm, a / division, args.degree, args.ratio, args.swap, args.dim)
+        result = errors(*scene)
         rows.append(
             {
                 "dim": args.dim,

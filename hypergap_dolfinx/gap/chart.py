@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import NotFacingError
+from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.clip import clip, parts, sorted_out
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab import SlabCells, fill, share
@@ -154,4 +155,40 @@ def mesh_chart(
             )
         return slabs
 
-    return share(comm, flat, np.zeros(len(surfaces[1].facets), dtype=np.int32), make)
+    gap = share(comm, flat, np.zeros(len(surfaces[1].facets), dtype=np.int32), make)
+    return replace(gap, hosts=_Hosting(gap, surfaces, flat, axis))
+
+
+class _Hosting:
+    """Where points of cells lie on whole facets: what is left of cut ones may be too narrow."""
+
+    def __init__(self, gap: SlabCells, surfaces, flat, axis):
+        self._gap, self._sides, self._first = gap, [], []
+        for i, (surface, planar) in enumerate(zip(surfaces, flat, strict=True)):
+            facets = np.flatnonzero(surface.normals @ axis * (1 - 2 * i) > LEANS)
+            side = Side.of(planar, facets, halves=True)
+            first = np.full(len(surface.facets), -1)
+            first[side.facets[::-1]] = np.arange(len(side.facets))[::-1]
+            self._sides.append(side)
+            self._first.append(first)
+
+    def __call__(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
+        """As ``GapCells.hosts``."""
+        weights = np.column_stack((1 - points.sum(axis=1), points))
+        weights[np.abs(weights) < 1e-12] = 0
+        corners = self._gap.hosts(np.vstack((np.zeros(3), np.eye(3))), cells)
+        found = corners[:, weights.argmax(axis=1)]
+        between = np.flatnonzero((weights > 0).sum(axis=1) > 1)
+        w = weights[between]
+        x = np.einsum("qv,cvi->cqi", w, self._gap.x[self._gap.cells[cells]])
+        alpha = corners.alpha @ w.T
+        found.alpha[:, between] = alpha
+        each = np.arange(len(cells))
+        for i, side in enumerate(self._sides):
+            nearest = np.abs(corners.alpha - i).argmin(axis=1)
+            seed = self._first[i][corners.facets[i][each, nearest]]
+            cell, point = np.nonzero(alpha != 1 - i)
+            triangle, xi = side.project(x[cell, point], seed[cell])
+            found.facets[i][cell, between[point]] = side.facets[triangle]
+            found.X[i][cell, between[point]] = side.in_facets(triangle, xi)
+        return found

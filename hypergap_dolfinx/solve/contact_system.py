@@ -30,6 +30,8 @@ STEPS = 25
 """Newton steps after which a load step is halved."""
 ANEW = 10
 """Newton steps in which Σ is made anew where the bodies are; it could cycle in later ones."""
+RENEWALS = 2
+"""Times that Σ in space is made anew where an iteration with a fixed one ended."""
 SLOW = 0.25
 """How much of a residual is left by a step, with sets that are settled, from which Σ stays as it
 is: curved dies leave 0.01, flat ones with corners 0.4 to 0.85."""
@@ -114,7 +116,7 @@ class ContactSystem(NonlinearSystem):
         """
         self._assign(self._x)
         before: list[npt.NDArray] = []
-        exact, follows, last = False, True, np.inf
+        exact, follows, last, renewals = False, True, np.inf, 0
         for step in range(STEPS + 1):
             for rows in self._rows:
                 rows.look(follows)
@@ -125,6 +127,13 @@ class ContactSystem(NonlinearSystem):
             held = self._choose(before)
             settled = bool(before) and all(map(np.array_equal, before, held))
             now, ended = self._balance()
+            if step and settled and ended and not follows and renewals < RENEWALS:
+                renewals += 1
+                if any([rows.renew() for rows in self._rows]):
+                    self._residual(self._x, self._b)
+                    held = self._choose(before)
+                    settled = all(map(np.array_equal, before, held))
+                    now, ended = self._balance()
             if step and settled and ended:
                 self._check_pushing()
                 return step

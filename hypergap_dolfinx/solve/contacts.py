@@ -168,6 +168,17 @@ class ContactRows:
         if self.now.opening is not None:
             self._accepted = self._behind, self.m > 0
 
+    def renew(self) -> bool:
+        """Make Σ anew in space, where cells depend on what they were made at. Collective.
+
+        Returns:
+            Whether it was.
+        """
+        if self._n == 2 or not self._follows:
+            return False
+        self.look(True)
+        return True
+
     @property
     def distance(self) -> npt.NDArray[np.float64]:
         """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
