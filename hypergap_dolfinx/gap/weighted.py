@@ -89,7 +89,7 @@ def weigh(element: GapElement, x, alpha, w) -> WeightedCells:
 
 
 def second_derivatives(element: GapElement, x, pressure) -> npt.NDArray[np.float64]:
-    """∂²/∂x² of ∫ p det X dξ of cells.
+    """∂²/∂x² of ∫ p det X dξ of cells in space.
 
     Args:
         element: The tables.
@@ -99,19 +99,14 @@ def second_derivatives(element: GapElement, x, pressure) -> npt.NDArray[np.float
     Returns:
         ``(num_cells, num_geometry_nodes, n, num_geometry_nodes, n)``.
     """
-    n, weighted = x.shape[2], element.weights * pressure
-    if n == 2:
-        e = np.array([[0.0, 1.0], [-1.0, 0.0]])
-        return np.einsum(
-            "cp,ik,jl,pmj,pql->cmiqk", weighted, e, e, element.dpsi, element.dpsi, optimize=True
-        )
+    weighted = element.weights * pressure
     # ∂cof_ij/∂X_kl = ε_ikr ε_jls X_rs, antisymmetric in i and k: three blocks, each one product
     d = element.dpsi  # (p, m, j)
     cross = d[:, :, None, CYCLE] * d[:, None, :, CYCLE[[1, 2, 0]]]
     table = (cross - cross.transpose(0, 2, 1, 3)).transpose(0, 3, 1, 2)  # (p, s, m, q)
     num, nodes = len(x), d.shape[1]
     X = jacobians(element, x) * weighted[..., None, None]  # (c, p, r, s)
-    blocks = X.transpose(0, 2, 1, 3).reshape(3 * num, -1) @ table.reshape(-1, nodes**2)
+    blocks = X.transpose(0, 2, 1, 3).reshape(3 * num, 3 * len(d)) @ table.reshape(-1, nodes**2)
     blocks = blocks.reshape(num, 3, nodes, nodes)
     H = np.zeros((num, nodes, 3, nodes, 3))
     for r in range(3):
