@@ -62,8 +62,17 @@ def pressure(strain):
     return -(stretch - 1 / stretch + np.log(stretch) / stretch)
 
 
-def press(comm, element, ratio, swap, strain, dim=2):
+def press(comm, element, ratio, swap, strain, dim=2, picture=None):
     """Compress the blocks.
+
+    Args:
+        comm: Communicator.
+        element: A name in ELEMENTS.
+        ratio: Numbers of cells of both blocks.
+        swap: Whether Γ1 is the wider block's.
+        strain: How far.
+        dim: Dimension.
+        picture: Where to save a picture, if anywhere.
 
     Returns:
         Relative errors of the multipliers and of the stress.
@@ -105,6 +114,10 @@ def press(comm, element, ratio, swap, strain, dim=2):
     contact = Contact(*(sides[::-1] if swap else sides))
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-13)
     problem.solve()
+    if picture:
+        from hypergap_dolfinx import plot
+
+        plot.contact(contact, problem, picture)
     error = abs(contact.pressures(problem)[contact.active] / p - 1).max()
     total = 0.0
     for stress in stresses:
@@ -121,13 +134,16 @@ def main():
     parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--quick", action="store_true", help="one ratio")
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="save a picture")
     args = parser.parse_args()
     comm, rows = MPI.COMM_WORLD, []
     ratios = RATIOS[:1] if args.quick else RATIOS
     for case in itertools.product(ELEMENTS, ratios, (False, True), (1e-3, LARGE)):
         element, ratio, swap, strain = case
         progress.show(comm, f"{element} {ratio[0]}:{ratio[1]}")
-        error, stress = press(comm, *case, dim=args.dim)
+        last = args.plot and case == ("Q1", ratios[0], False, LARGE)
+        picture = args.plot / "contact_patch.png" if last else None
+        error, stress = press(comm, *case, dim=args.dim, picture=picture)
         rows.append(
             {
                 "elements": element,

@@ -170,6 +170,31 @@ def errors(problem, contact):
     }
 
 
+def draw(file, profiles, dim):
+    """Pressures over the distance from the middle, beside Hertz's.
+
+    Args:
+        file: Where to save the picture.
+        profiles: Level, distances and pressures of each mesh.
+        dim: Dimension.
+    """
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    r = np.linspace(0, a, 400)
+    axes.plot(r / a, exact(r, dim) / p0[dim], color="black", label="Hertz")
+    for (division, at, p), mark in zip(profiles, ("o", "s", "^", "v"), strict=False):
+        style = {"marker": mark, "markersize": 4, "linestyle": "-" if dim == 2 else "", "lw": 0.7}
+        axes.plot(at / a, p / p0[dim], label=f"h = a/{division}", **style)
+    axes.set(xlabel="distance from the middle / a", ylabel="p / p0", xlim=(0, 1.5))
+    axes.legend()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    fig.savefig(file, dpi=150)
+
+
 def main():
     """Press on finer and finer meshes."""
     parser = argparse.ArgumentParser(description="Hertz's contact.")
@@ -183,13 +208,17 @@ def main():
         "--levels", type=int, default=3, help="of h = a/10, a/20, ...; in space a/6, ..."
     )
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="save p(x)")
     args = parser.parse_args()
-    comm, rows = MPI.COMM_WORLD, []
+    comm, rows, profiles = MPI.COMM_WORLD, [], []
     for level in range(args.levels):
         division = (10 if args.dim == 2 else 6) * 2**level
         progress.show(comm, f"h = a/{division}")
         scene = press(comm, a / division, args.degree, args.ratio, args.swap, args.dim)
-        result = errors(*scene)
+        result, (problem, contact) = errors(*scene), scene
+        at = np.linalg.norm(contact.surfaces[1].x[:, :-1], axis=1)
+        order = np.argsort(at)
+        profiles.append((division, at[order], contact.pressures(problem)[order]))
         rows.append(
             {
                 "dim": args.dim,
@@ -210,6 +239,8 @@ def main():
             )
         if args.json:
             args.json.write_text(json.dumps({"rows": rows}, indent=1))
+        if args.plot:
+            draw(args.plot / "hertz.png", profiles, args.dim)
 
 
 if __name__ == "__main__":

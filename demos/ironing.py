@@ -99,12 +99,13 @@ class Ironing:
         self.problem.solve()
         return self.contact.force(self.problem) * (-1 if self.swap else 1)
 
-    def go(self, steps, size):
+    def go(self, steps, size, film=None):
         """Press and iron.
 
         Args:
             steps: Number of load steps along.
             size: Their size, in cells of the foundation.
+            film: Takes a picture of each step along, if there is one.
         """
         rows = []
         for step in range(1, PRESSING + steps + 1):
@@ -121,6 +122,8 @@ class Ironing:
                     "halvings": self.problem.halvings,
                 }
             )
+            if film and step > PRESSING:
+                film.add(along / H, force)
             energy, move = self.energy(), np.array((SMALL, 0))
             self.goal.value[:] += move
             work = 0.5 * (force + self.solve()) @ move
@@ -128,6 +131,67 @@ class Ironing:
             rows[-1]["energy_error"] = float(error)
             progress.show(self.comm, f"step {step}: {rows[-1]['iterations']} Newton steps")
         return rows
+
+
+# ## A moving picture
+
+
+class Film:
+    """The bodies, the pressure between them and the reaction, step by step."""
+
+    def __init__(self, scene):
+        """Nothing taken yet."""
+        self.scene, self.largest = scene, None
+        self.images, self.path, self.forces = [], [], []
+
+    def add(self, along, force):
+        """Take a picture. Collective."""
+        from hypergap_dolfinx import plot
+
+        contact, problem = self.scene.contact, self.scene.problem
+        if self.largest is None:
+            self.largest = 1.2 * contact.pressures(problem).max()
+        plotter = plot.contact(contact, problem, largest=self.largest)
+        self.path.append(along)
+        self.forces.append(np.abs(force))
+        if plotter:
+            plotter.remove_scalar_bar()
+            plotter.camera.focal_point = LENGTH / 2, 0, 0
+            plotter.camera.position = LENGTH / 2, 0, 10
+            plotter.camera.parallel_scale = 0.4 * LENGTH
+            self.images.append(plotter.screenshot(None, return_img=True)[225:700])
+            plotter.close()
+
+    def save(self, folder):
+        """Save the film, and its last picture."""
+        import matplotlib
+
+        matplotlib.use("agg")
+        import matplotlib.pyplot as plt
+        from matplotlib.animation import FuncAnimation, PillowWriter
+
+        folder.mkdir(parents=True, exist_ok=True)
+        fig, (above, below) = plt.subplots(
+            2, figsize=(6, 4), height_ratios=(3, 2), layout="constrained"
+        )
+        image = above.imshow(self.images[0])
+        above.axis("off")
+        forces = np.array(self.forces)
+        lines = [below.plot([], [], label=name)[0] for name in ("horizontal", "vertical")]
+        below.set(xlabel="way along, in cells", ylabel="reaction")
+        below.set(xlim=(0, max(self.path)), ylim=(-0.05 * forces.max(), 1.15 * forces.max()))
+        below.legend(loc="center right")
+
+        def show(k):
+            image.set_data(self.images[k])
+            for line, values in zip(lines, forces.T, strict=True):
+                line.set_data(self.path[: k + 1], values[: k + 1])
+            return image, *lines
+
+        film = FuncAnimation(fig, show, frames=len(self.images))
+        film.save(folder / "ironing.gif", writer=PillowWriter(fps=10), dpi=100)
+        show(len(self.images) - 1)
+        fig.savefig(folder / "ironing.png", dpi=100)
 
 
 def main():
@@ -139,9 +203,12 @@ def main():
     parser.add_argument("--step", type=float, default=1 / 3, help="size of load steps, in cells")
     parser.add_argument("--steps", type=int, default=60, help="number of load steps along")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="save a GIF")
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
-    rows = Ironing(comm, args.degree, args.flat, args.swap).go(args.steps, args.step)
+    scene = Ironing(comm, args.degree, args.flat, args.swap)
+    film = Film(scene) if args.plot else None
+    rows = scene.go(args.steps, args.step, film)
     progress.show(comm)
     along = rows[PRESSING:]
     fy = np.array([row["fy"] for row in along])
@@ -155,6 +222,8 @@ def main():
         print(f"reaction against energy: {max(row['energy_error'] for row in rows):.1e}")
         if args.json:
             args.json.write_text(json.dumps({"rows": rows}, indent=1))
+        if film:
+            film.save(args.plot)
 
 
 if __name__ == "__main__":
