@@ -7,9 +7,9 @@
 # Large deformation, finite sliding, no friction. The die is ten times as stiff as the foundation,
 # both are neo-Hookean. First it goes down in a few load steps, then along. Without friction its
 # reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
-# pass each other is the ripple of the method. All is conservative: the reaction is the derivative of
-# the energy that is stored. Each step is followed by one of a thousandth of a cell to see that (over
-# a third of a cell the mean of two forces isn't their work to more than three digits).
+# pass each other is the ripple of the method. All is conservative: the reaction is the derivative
+# of the energy that is stored. Each step is followed by one of a thousandth of a cell to see that
+# (over a third of a cell the mean of two forces isn't their work to more than three digits).
 
 # +
 import argparse
@@ -35,20 +35,24 @@ LENGTH, DEPTH = 50 * H, 10 * H  # of the foundation
 WIDTH, HEIGHT, R = 16 * H, 8 * H, 20 * H  # of the die, radius of its curved bottom
 DOWN, PRESSING = H, 4  # how far the die goes down, in how many load steps
 SMALL = 1e-3 * H  # a step over which the mean of two forces is their work
+# In space: half of a spherical die and its foundation, with a disc of about ten cells in contact
+SOLID = (26 * H, 9 * H, 5 * H), (14 * H, 7 * H, 5 * H)  # foundation, die
+SOLID_CELLS = (26, 9, 5), (17, 9, 4)
 
 
 def energy(u, E, nu=0.32):
     """Compressible neo-Hookean material."""
     mu, lame = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-    F = ufl.Identity(2) + ufl.grad(u)
+    dim = len(u)
+    F = ufl.Identity(dim) + ufl.grad(u)
     J = ufl.det(F)
-    return mu / 2 * (ufl.inner(F, F) - 2 - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
+    return mu / 2 * (ufl.inner(F, F) - dim - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
 
 
 class Ironing:
     """The scene."""
 
-    def __init__(self, comm, degree=1, flat=False, swap=False):
+    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2):
         """Make it.
 
         Args:
@@ -56,31 +60,45 @@ class Ironing:
             degree: Of displacements and geometry.
             flat: Whether the die is flat, with corners.
             swap: Whether Γ1 is the die instead of the foundation.
+            dim: Number of dimensions.
         """
+        sizes = ((LENGTH, DEPTH), (WIDTH, HEIGHT)) if dim == 2 else SOLID
+        cells = ((50, 10), (11, 6)) if dim == 2 else SOLID_CELLS
+        start = np.zeros(dim)  # of the die's middle
+        start[0] = 0.25 * LENGTH if dim == 2 else 10 * H
 
         def foundation(x):
-            return x * (LENGTH, DEPTH) - (0, DEPTH)
+            x = x * sizes[0]
+            x[:, -1] -= sizes[0][-1]
+            return x
 
         def die(x):
-            across = (x[:, 0] - 0.5) * WIDTH
-            bottom = 0 * across if flat else R - np.sqrt(R**2 - across**2)
-            place = bottom + x[:, 1] * (HEIGHT - bottom)
-            return np.column_stack((0.25 * LENGTH + across, place))
+            x = x * sizes[1]
+            x[:, 0] -= sizes[1][0] / 2
+            square = (x[:, :-1] ** 2).sum(axis=1)
+            bottom = 0 * square if flat else R - np.sqrt(R**2 - square)
+            x[:, -1] = bottom + x[:, -1] * (1 - bottom / sizes[1][-1])
+            return start + x
 
         self.u, self.energies, F, bcs, sides = [], [], [], [], []
         self.goal = None
+        low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
         for place, n, E, tags in (
-            (foundation, (50, 10), 1.0, (meshes.TOP, meshes.BOTTOM)),
-            (die, (11, 6), 10.0, (meshes.BOTTOM, meshes.TOP)),
+            (foundation, cells[0], 1.0, (high, low)),
+            (die, cells[1], 10.0, (low, high)),
         ):
-            mesh, ft = meshes.block(comm, n, place, cell="quadrilateral", degree=degree)
-            V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+            cell = "quadrilateral" if dim == 2 else "hexahedron"
+            mesh, ft = meshes.block(comm, n, place, cell=cell, degree=degree)
+            V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
             u = fem.Function(V)
-            dx = ufl.dx(metadata={"quadrature_degree": 4 * degree})
+            dx = ufl.dx(metadata={"quadrature_degree": (6 - dim) * degree})
             W = energy(u, fem.Constant(mesh, default_scalar_type(E))) * dx
-            self.goal = fem.Constant(mesh, default_scalar_type((0, 0)))
-            dofs = fem.locate_dofs_topological(V, 1, ft.find(tags[1]))
+            self.goal = fem.Constant(mesh, default_scalar_type((0,) * dim))
+            dofs = fem.locate_dofs_topological(V, dim - 1, ft.find(tags[1]))
             bcs.append(fem.dirichletbc(self.goal, dofs, V))
+            if dim == 3:
+                dofs = fem.locate_dofs_topological(V.sub(1), 2, ft.find(meshes.BOTTOM))
+                bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(1)))
             self.u.append(u)
             self.energies.append(fem.form(W))
             F.append(ufl.derivative(W, u))
@@ -111,20 +129,21 @@ class Ironing:
         for step in range(1, PRESSING + steps + 1):
             down = DOWN * min(step / PRESSING, 1)
             along = max(step - PRESSING, 0) * size * H
-            self.goal.value[:] = along, -down
+            self.goal.value[0], self.goal.value[-1] = along, -down
             force = self.solve()
             rows.append(
                 {
                     "step": step,
                     "fx": float(force[0]),
-                    "fy": float(force[1]),
+                    "fy": float(force[-1]),
                     "iterations": self.problem.iterations,
                     "halvings": self.problem.halvings,
                 }
             )
             if film and step > PRESSING:
                 film.add(along / H, force)
-            energy, move = self.energy(), np.array((SMALL, 0))
+            energy, move = self.energy(), np.zeros(len(force))
+            move[0] = SMALL
             self.goal.value[:] += move
             work = 0.5 * (force + self.solve()) @ move
             error = abs(self.energy() - energy - work) / (np.linalg.norm(force) * SMALL)
@@ -153,12 +172,13 @@ class Film:
             self.largest = 1.2 * contact.pressures(problem).max()
         plotter = plot.contact(contact, problem, largest=self.largest)
         self.path.append(along)
-        self.forces.append(np.abs(force))
+        self.forces.append(np.abs(force[[0, -1]]))
         if plotter:
             plotter.remove_scalar_bar()
-            plotter.camera.focal_point = LENGTH / 2, 0, 0
-            plotter.camera.position = LENGTH / 2, 0, 10
-            plotter.camera.parallel_scale = 0.4 * LENGTH
+            if len(force) == 2:  # always the same part of the plane
+                plotter.camera.focal_point = LENGTH / 2, 0, 0
+                plotter.camera.position = LENGTH / 2, 0, 10
+                plotter.camera.parallel_scale = 0.4 * LENGTH
             self.images.append(plotter.screenshot(None, return_img=True)[225:700])
             plotter.close()
 
@@ -197,6 +217,7 @@ class Film:
 def main():
     """Iron, and say what it took."""
     parser = argparse.ArgumentParser(description="A die is drawn along a foundation.")
+    parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--degree", type=int, choices=(1, 2), default=1)
     parser.add_argument("--flat", action="store_true", help="a flat die with corners")
     parser.add_argument("--swap", action="store_true", help="Γ1 is the die")
@@ -206,7 +227,7 @@ def main():
     parser.add_argument("--plot", type=Path, metavar="DIR", help="save a GIF")
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
-    scene = Ironing(comm, args.degree, args.flat, args.swap)
+    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim)
     film = Film(scene) if args.plot else None
     rows = scene.go(args.steps, args.step, film)
     progress.show(comm)

@@ -134,7 +134,7 @@ class Contact:
 
     def _doubts(self):
         """What is doubtful about the surfaces, one line each."""
-        if self.finer > FINER:
+        if self.finer > FINER * (1 + 1e-9):
             yield (
                 f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
                 "than with the sides swapped (Contact.between chooses)."

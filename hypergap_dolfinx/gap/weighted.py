@@ -39,7 +39,10 @@ class WeightedCells:
 
 def jacobians(element: GapElement, x) -> npt.NDArray[np.float64]:
     """∂x/∂ξ of cells at an element's points, ``(num_cells, num_points, n, n)``."""
-    return np.einsum("cmi,pmj->cpij", x - x[:, :1], element.dpsi, optimize=True)
+    num, nodes, n = x.shape
+    steps = (x - x[:, :1]).transpose(0, 2, 1).reshape(-1, nodes)
+    table = element.dpsi.transpose(1, 0, 2).reshape(nodes, -1)  # (m, p j)
+    return (steps @ table).reshape(num, n, -1, n).swapaxes(1, 2)
 
 
 def vertex_weights(element: GapElement, x, alpha) -> npt.NDArray[np.float64]:
@@ -80,11 +83,16 @@ def weigh(element: GapElement, x, alpha, w) -> WeightedCells:
     dalpha = alpha[:, 1:] - alpha[:, :1]
     area = np.linalg.norm(np.einsum("cpij,cj->cpi", cof, dalpha), axis=2)
     volume = np.einsum("cpj,cpj->cp", X[..., 0, :], cof[..., 0, :])
-    weighted = element.weights[None, :, None] * w
+    weighted = (element.weights[None, :, None] * w).swapaxes(1, 2)  # (c, b, p)
+    num, vertices, points = weighted.shape
+    n, nodes = x.shape[2], x.shape[1]
+    products = weighted[:, :, None, :, None] * cof.swapaxes(1, 2)[:, None]  # (c, b, i, p, j)
+    table = element.dpsi.swapaxes(1, 2).reshape(points * n, nodes)
+    dg = (products.reshape(-1, points * n) @ table).reshape(num, vertices, n, nodes)
     return WeightedCells(
-        g=np.einsum("cpb,cp->cb", weighted, volume),
-        m=np.einsum("cpb,cp->cb", weighted, area),
-        dg=np.einsum("cpb,cpij,pmj->cbmi", weighted, cof, element.dpsi, optimize=True),
+        g=(weighted @ volume[..., None])[..., 0],
+        m=(weighted @ area[..., None])[..., 0],
+        dg=dg.swapaxes(2, 3),
     )
 
 
