@@ -31,6 +31,7 @@ COVERED = 0.95
 """Part of a facet of Γ1 that Σ must reach for multipliers of its own: with it a flat punch's corner
 has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
 
+
 @dataclass(frozen=True)
 class Opening:
     """Σ between two surfaces, with weights w_a for each vertex of Γ1. The same on every rank.

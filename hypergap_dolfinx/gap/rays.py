@@ -132,7 +132,9 @@ def _kinks(surface: Surface) -> npt.NDArray[np.bool_]:
     before = np.full(len(surface.x), -1)
     before[end] = np.arange(len(end))
     with_one = np.flatnonzero(before[start] >= 0)
-    turn = np.einsum("fi,fi->f", surface.normals[with_one], surface.normals[before[start[with_one]]])
+    turn = np.einsum(
+        "fi,fi->f", surface.normals[with_one], surface.normals[before[start[with_one]]]
+    )
     kinks = np.zeros(len(surface.x), dtype=bool)
     kinks[start[with_one[turn < KINK]]] = True
     return kinks
@@ -161,7 +163,9 @@ class _Rays:
             a, c = v1[some, 0], v1[some, 1] - v1[some, 0]
             length = self.length[some, None]
             # Positions along Γ1's edges, in lengths of them, of both ends of Γ0's
-            s = [((v0[None, :, k] - a[:, None]) * c[:, None]).sum(axis=2) / length**2 for k in (0, 1)]
+            s = [
+                ((v0[None, :, k] - a[:, None]) * c[:, None]).sum(axis=2) / length**2 for k in (0, 1)
+            ]
             faces = (s[0] - s[1]) * length > FACES * size0
             for k, tau in ((ZERO, 0.0), (ONE, 1.0), (HALF, 0.5)):
                 before, behind = s[0] > tau, s[1] <= tau
