@@ -32,9 +32,9 @@ from hypergap_dolfinx import Contact, ContactProblem, progress
 
 # -
 
-R, a = 1.0, 0.01  # radius, half-width of the contact
+R, a = 1.0, 0.0025  # radius, half-width of the contact
 E, nu = 1.0, 0.3  # of both bodies, plane strain
-L = 50 * a  # width and height of what is meshed of the half-plane, and of the cylinder
+L = 200 * a  # width and height of what is meshed of the half-plane, and of the cylinder
 
 E_star = E / (2 * (1 - nu**2))
 P = np.pi * E_star * a**2 / (4 * R)
