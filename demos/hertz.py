@@ -37,9 +37,9 @@ from hypergap_dolfinx import Contact, ContactProblem, progress
 
 # -
 
-R, a = 1.0, 0.01  # radius, half-width of the contact
+R, a = 1.0, 0.0025  # radius, half-width of the contact
 E, nu = 1.0, 0.3  # of both bodies, plane strain
-L = {2: 50 * a, 3: 12 * a}  # width and height of what is meshed of both bodies
+L = {2: 200 * a, 3: 12 * a}  # width and height of what is meshed of both bodies
 
 E_star = E / (2 * (1 - nu**2))
 P = {2: np.pi * E_star * a**2 / (4 * R), 3: 4 * E_star * a**3 / (3 * R)}

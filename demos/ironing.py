@@ -8,8 +8,8 @@
 # both are neo-Hookean. First it goes down in a few load steps, then along. Without friction its
 # reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
 # pass each other is the ripple of the method. All is conservative: the reaction is the derivative
-# of the energy that is stored. Each step is followed by one of a thousandth of a cell to see that
-# (over a third of a cell the mean of two forces isn't their work to more than three digits).
+# of the energy that is stored. Each step is followed by one of a thousandth of a cell to see that:
+# over a third of a cell the mean of two forces isn't their work to more than two or three digits.
 
 # +
 import argparse

@@ -20,7 +20,7 @@ from hypergap_dolfinx.gap.weighted import second_derivatives, vertex_weights, we
 from hypergap_dolfinx.solve import active
 
 comm = MPI.COMM_WORLD
-STEP = 1e-4  # of differences of the fourth order
+STEP = 2e-5  # of differences of the fourth order
 DIFFERENCE = 1e-9
 
 SCENES = (
