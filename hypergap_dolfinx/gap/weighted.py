@@ -42,7 +42,7 @@ def jacobians(element: GapElement, x) -> npt.NDArray[np.float64]:
     num, nodes, n = x.shape
     steps = (x - x[:, :1]).transpose(0, 2, 1).reshape(-1, nodes)
     table = element.dpsi.transpose(1, 0, 2).reshape(nodes, -1)  # (m, p j)
-    return (steps @ table).reshape(num, n, -1, n).swapaxes(1, 2)
+    return (steps @ table).reshape(num, n, len(element.dpsi), n).swapaxes(1, 2)
 
 
 def vertex_weights(element: GapElement, x, alpha) -> npt.NDArray[np.float64]:
