@@ -44,6 +44,24 @@ class Contact:
 
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
+
+    Example:
+        A block on a wider one, a little above it:
+
+        >>> from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary
+        >>> from hypergap_dolfinx import Contact, ContactProblem
+        >>> corners = [(0, -1), (4, 0)], [(1, 0.1), (3, 1.1)]
+        >>> cells = CellType.quadrilateral
+        >>> below, above = (
+        ...     create_rectangle(MPI.COMM_SELF, c, (n, 3), cells)
+        ...     for c, n in zip(corners, (8, 5))
+        ... )
+        >>> V0, V1 = (fem.functionspace(m, ("Lagrange", 1, (2,))) for m in (below, above))
+        >>> def at(mesh, y):
+        ...     return locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], y))
+        >>> contact = Contact.between((V0, at(below, 0)), (V1, at(above, 0.1)))
+        >>> contact.swapped  # the first is coarser
+        True
     """
 
     def __init__(self, side0: Side, side1: Side, *, sliding: str = "finite"):
@@ -252,8 +270,8 @@ class Contact:
         """The distance of the bodies, negative where they overlap. Collective.
 
         Args:
-            u0: Displacement of Γ0's body.
-            u1: Displacement of Γ1's body.
+            u0: Displacement of one body, of Γ0's if both are one.
+            u1: Displacement of the other one.
             on: ``"sigma"``: on Σ under these displacements, a constant for each of its cells.
                 ``"body"``: weighted gaps over their areas, as a function of degree 1 on Γ1's body;
                 0 where Γ1 has nothing opposite.
@@ -262,6 +280,8 @@ class Contact:
             ValueError: A displacement that is not on its side's space.
             InterfaceError: Nothing of Γ1 is opposite Γ0.
         """
+        if u0.function_space != self._spaces[0]:  # `between` may have swapped them
+            u0, u1 = u1, u0
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
             if u.function_space != V:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")

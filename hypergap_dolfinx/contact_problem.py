@@ -33,6 +33,30 @@ class ContactProblem(ContactSystem):
 
     Solves F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t = 0 with p_c ≥ 0, g_c ≥ 0, p_c g_c = 0 and
     C = ∂g/∂u, one load step a call of :meth:`solve`.
+
+    Example:
+        The blocks of :class:`Contact` (with λ = μ = 1), of which the upper one is moved down:
+
+        >>> u = [fem.Function(V) for V in (V0, V1)]
+        >>> def residual(w):
+        ...     sigma = 2 * ufl.sym(ufl.grad(w)) + ufl.div(w) * ufl.Identity(2)
+        ...     return ufl.inner(sigma, ufl.grad(ufl.TestFunction(w.function_space))) * ufl.dx
+        >>> top = fem.Constant(above, (0.0, 0.0))
+        >>> bcs = [
+        ...     fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, at(V.mesh, y)), V)
+        ...     for value, V, y in ((fem.Constant(below, (0.0, 0.0)), V0, -1), (top, V1, 1.1))
+        ... ]
+        >>> problem = ContactProblem([residual(w) for w in u], u, bcs=bcs, contacts=[contact])
+        >>> for down in (0.05, 0.2):
+        ...     top.value[1] = -down
+        ...     u0, u1 = problem.solve()
+        ...     force = abs(contact.force(problem)[1])
+        ...     print(f"{force:.3f}, {contact.active.sum()} vertices in contact")
+        0.000, 0 vertices in contact
+        0.158, 5 vertices in contact
+        >>> p, g = contact.pressure(problem), contact.gap(u0, u1)
+        >>> bool(abs(g.x.array).max() < 0.01)
+        True
     """
 
     def __init__(
