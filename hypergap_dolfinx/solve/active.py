@@ -98,7 +98,7 @@ def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_],
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
     way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
-    way[can] = np.round(way[can] / max(np.abs(way[can]).max(initial=0), 1e-300), DIGITS)
+    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
     order = np.lexsort((way, pulls, ~active))  # what is active first
     for a in order[valid[order] & (size[order] > HOLDS * size.max(initial=0))].tolist():
