@@ -17,7 +17,7 @@ from hypergap_dolfinx.gap import fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
 from hypergap_dolfinx.gap.opened import OpenCells
-from hypergap_dolfinx.gap.rays import HALF, ONE, ZERO, cast
+from hypergap_dolfinx.gap.rays import Fixed, cast
 from hypergap_dolfinx.gap.strip import mesh_strip
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
@@ -117,7 +117,7 @@ class PlaneOpening:
         values = [entries, entries]
         first = state.crossings.first.reshape(len(state.numbers), -1, 2)
         at = 0
-        number = 2 * offset + HALF + 1 + np.arange(len(first))
+        number = 2 * offset + len(Fixed) + np.arange(len(first))
         for begin, table, dofs in locals_:
             some = slice(at, at + len(table))
             by = np.einsum("kmi,ma->kai", first[:, some], table)  # (crossing, dof, component)
@@ -258,8 +258,8 @@ def _place(sides: Sides, u: Displacements) -> _State:
     s[each, unknown], s[each, 1 - unknown] = found.guess, found.given
     X0, X1 = (surfaces[i].nodes[facets[:, i]] for i in (0, 1))
     crossings = fans.crossings(elements, X0, X1, unknown, s, second=True)
-    at = np.concatenate((np.zeros(HALF + 1), crossings.value))
-    at[[ZERO, ONE, HALF]] = 0, 1, 0.5
+    at = np.concatenate((np.zeros(len(Fixed)), crossings.value))
+    at[[Fixed.START, Fixed.END, Fixed.MIDDLE]] = 0, 1, 0.5
     side, parameters = np.array(found.side), np.array(found.parameters).reshape(-1, 3)
     base, apex = np.array(found.base, dtype=np.intp), np.array(found.apex, dtype=np.intp)
     vertices = np.array(found.vertices, dtype=np.intp).reshape(-1, 2)

@@ -12,6 +12,7 @@ half for both its vertices. So weights are never negative, and nothing jumps as 
 """
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,11 @@ FARTHER = 8.0
 """Longest way on Γ0 between neighbouring rays, in lengths of their edges."""
 CHUNK = 256  # edges of Γ1 at a time
 
-ZERO, ONE, HALF = range(3)  # parameters that don't depend on displacements
+
+class Fixed(IntEnum):
+    """Parameters that don't depend on displacements: an edge's start, end and middle."""
+
+    START, END, MIDDLE = range(3)
 
 
 @dataclass
@@ -68,7 +73,7 @@ class Fans:
         self.unknown.append(unknown)
         self.given.append(given)
         self.guess.append(guess)
-        return len(self.given) + HALF
+        return len(self.given) + Fixed.MIDDLE
 
     def add(self, side, base, apex, parameters, vertices):
         """Add a cell."""
@@ -122,8 +127,8 @@ class _Path:
         if steps < 0:
             return [(facet, end, start) for facet, start, end in self.between(b, a)]
         line, first = self.facets[self.chain[a[0]]], int(self.position[a[0]])
-        middle = [(line[(first + k) % len(line)], ZERO, ONE) for k in range(1, steps)]
-        return [(a[0], a[1], ONE), *middle, (b[0], ZERO, b[1])]
+        middle = [(line[(first + k) % len(line)], Fixed.START, Fixed.END) for k in range(1, steps)]
+        return [(a[0], a[1], Fixed.END), *middle, (b[0], Fixed.START, b[1])]
 
 
 def _kinks(surface: Surface) -> npt.NDArray[np.bool_]:
@@ -167,7 +172,7 @@ class _Rays:
                 ((v0[None, :, k] - a[:, None]) * c[:, None]).sum(axis=2) / length**2 for k in (0, 1)
             ]
             faces = (s[0] - s[1]) * length > FACES * size0
-            for k, tau in ((ZERO, 0.0), (ONE, 1.0), (HALF, 0.5)):
+            for k, tau in ((Fixed.START, 0.0), (Fixed.END, 1.0), (Fixed.MIDDLE, 0.5)):
                 before, behind = s[0] > tau, s[1] <= tau
                 before[:, self.first] = s[0][:, self.first] > tau - END
                 behind[:, self.last] = s[1][:, self.last] <= tau + END
@@ -197,8 +202,8 @@ class _Rays:
         """Whether Γ0 ends where a ray meets it, and how: the parameter, or −1."""
         e, t = self.hit[facet, k], self.t[facet, k]
         if t == 0 and e in self.first:
-            return ZERO
-        return ONE if t == 1 and e in self.last else -1
+            return Fixed.START
+        return Fixed.END if t == 1 and e in self.last else -1
 
 
 @dataclass
@@ -221,12 +226,12 @@ def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
     if cut[0] is not None and cut[1] is not None and cut[0][1] >= cut[1][1]:
         # Two parts of Γ0 with a hole between them: the larger counts
         cut[int(cut[1][1] < 1 - cut[0][1])] = None
-    limits, places = [ZERO, ONE], []
+    limits, places = [Fixed.START, Fixed.END], []
     for k in (0, 1):
         if (there := cut[k]) is not None:
             position[k] = there[1]
             limits[k] = fans.crossing((there[0], f), 1, 1.0 - k, there[1])
-            places.append((there[0], ONE - k))
+            places.append((there[0], (Fixed.END, Fixed.START)[k]))
         elif rays.hit[f, k] < 0:
             return None
         else:
@@ -234,9 +239,9 @@ def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
             if parameter < 0:
                 parameter = fans.crossing((e, f), 0, float(k), float(rays.t[f, k]))
             places.append((e, parameter))
-    middle, e = None, int(rays.hit[f, HALF])
+    middle, e = None, int(rays.hit[f, Fixed.MIDDLE])
     if position[1] - position[0] > COVERED and e >= 0:
-        middle = e, fans.crossing((e, f), 0, 0.5, float(rays.t[f, HALF]))
+        middle = e, fans.crossing((e, f), 0, 0.5, float(rays.t[f, Fixed.MIDDLE]))
     owner = int(position[0] > 1 - position[1])
     return _Covered((limits[0], limits[1]), (places[0], places[1]), middle, owner)
 
@@ -291,7 +296,7 @@ def _fan(fans: Fans, rays: _Rays, covered, a: int, edges: Place, ends, kink: boo
         if path.closed[c]:
             way = min(way, path.arc[path.facets[c][-1]] - way)
         if way <= FARTHER * (rays.length[edges[0]] + rays.length[edges[1]]):
-            fan(right, left, (edges[1], ZERO))
+            fan(right, left, (edges[1], Fixed.START))
             return
     for i, place in enumerate((left, right)):
         if place is None:

@@ -15,6 +15,9 @@ HOLDS = 1e-6
 """Sine between what a multiplier holds of the free rigid motions and what others do, from which it
 holds more than they."""
 
+DIGITS = 9
+"""To which ways to contact are compared: round-off doesn't choose between them."""
+
 
 def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
     """Multipliers with enough of an area to have a pressure.
@@ -72,14 +75,17 @@ def receding(before, now, facets) -> npt.NDArray[np.bool_]:
     return result
 
 
-def seeded(active, distance, valid, holds) -> tuple[npt.NDArray[np.bool_], int]:
+def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
+
+    What the shortest way closes comes first; last what would have to pull against the load.
 
     Args:
         active: The set, ``(num,)``.
-        distance: Gaps over areas: the smallest come first, ``(num,)``.
+        distance: Gaps over areas, ``(num,)``.
         valid: Which multipliers there are, ``(num,)``.
         holds: What each makes of the motions that are free without contact, ``(num, num_free)``.
+        load: Forces on those motions that contact is to balance, ``(num_free,)``.
 
     Returns:
         The set, and how many motions stay free even so.
@@ -89,7 +95,12 @@ def seeded(active, distance, valid, holds) -> tuple[npt.NDArray[np.bool_], int]:
     rows = holds / np.where(size > 0, size, 1)[:, None]
     basis = np.empty((0, num))
     result = active.copy()
-    order = np.lexsort((distance, ~active))  # what is active first
+    can = valid & (size > 0)
+    way = np.full(len(size), np.inf)
+    way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
+    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
+    pulls = rows @ load < -HOLDS * np.linalg.norm(load)
+    order = np.lexsort((way, pulls, ~active))  # what is active first
     for a in order[valid[order] & (size[order] > HOLDS * size.max(initial=0))].tolist():
         if len(basis) == num:
             break

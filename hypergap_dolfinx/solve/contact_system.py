@@ -183,6 +183,8 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             c = stiffness / rows.typical_area
             rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+            if not before and not rows.now.p.any():
+                rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
         for rows, last in zip(self._rows, before, strict=False):
             rows.now.on = active.receding(last, rows.now.on, rows.sides[1].reference.facets)
         assert self._free is not None
@@ -196,7 +198,7 @@ class ContactSystem(NonlinearSystem):
                     (self._rows, "valid"),
                 )
             )
-            on, num_free = active.seeded(every, distance, valid, np.vstack(holds))
+            on, num_free = active.seeded(every, distance, valid, np.vstack(holds), self._load())
             if num_free:
                 raise SolveError(
                     f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
@@ -207,6 +209,14 @@ class ContactSystem(NonlinearSystem):
             for rows, part in zip(self._rows, np.split(on, ends), strict=True):
                 rows.now.on = part
         return [rows.now.on.copy() for rows in self._rows]
+
+    def _load(self) -> npt.NDArray[np.float64]:
+        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
+        assert self._free is not None
+        load = np.zeros(self._free.num)
+        for i, (u, b) in enumerate(zip(self._u, self._b.getNestSubVecs(), strict=False)):
+            load += self._free.at(i, owned_values(u)).T @ b.array_r
+        return self._u[0].function_space.mesh.comm.allreduce(load)
 
     def _holds(self, rows: ContactRows) -> npt.NDArray[np.float64]:
         """What a contact's multipliers make of free rigid motions, ``(num_multipliers, num)``."""
