@@ -176,8 +176,12 @@ def main():
     parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--degree", type=int, choices=(1, 2), default=1)
     parser.add_argument("--swap", action="store_true", help="Γ1 on the other side")
-    parser.add_argument("--ratio", type=float, default=2 / 3, help="round body's cells over block's")
-    parser.add_argument("--levels", type=int, default=3, help="of h = a/10, a/20, ...; in space a/6, ...")
+    parser.add_argument(
+        "--ratio", type=float, default=2 / 3, help="round body's cells over block's"
+    )
+    parser.add_argument(
+        "--levels", type=int, default=3, help="of h = a/10, a/20, ...; in space a/6, ..."
+    )
     parser.add_argument("--json", type=Path, metavar="FILE")
     args = parser.parse_args()
     comm, rows = MPI.COMM_WORLD, []

@@ -74,6 +74,14 @@ DEMOS = {
         {"rows.0.l2_pressure": 2.224e-2, "rows.0.steps": 8},
         {"rows.0.force": 1e-8, "rows.0.p0": 2e-3, "rows.0.half_width": 0.1},
     ),
+    "hertz_solids": Demo(
+        "--dim 3 --levels 1",
+        {"rows.0.l2_pressure": 6.43e-2},
+        {"rows.0.force": 1e-8, "rows.0.p0": 2e-2, "rows.0.half_width": 0.1},
+        accuracy=0.1,  # as far as versions of Gmsh agree
+        needs=("gmsh",),
+        script="hertz",
+    ),
     "hyperelasticity": Demo(
         "--steps 6",
         {"energy": 0.26857578, "energy_difference": 6.255e-4, "newton_steps.-1": 6},
@@ -81,6 +89,12 @@ DEMOS = {
         pictures=("hyperelasticity",),
     ),
     "ironing": Demo("--steps 4", {"rows.7.fy": -0.14232, "rows.7.iterations": 5}),
+    "ironing_solids": Demo(
+        "--dim 3 --steps 20",
+        {"rows.*.halvings": 0, "rows.23.fy": -0.122},
+        slow=True,
+        script="ironing",
+    ),
     "kernel_speed": Demo("--quick"),
     "modal_analysis": Demo(
         "--modes 4",
