@@ -58,7 +58,11 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
-    "contact_patch": Demo("--quick", below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11}),
+    "contact_patch": Demo(
+        "--quick",
+        below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11},
+        pictures=("contact_patch",),
+    ),
     "gap_domain": Demo(
         pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
         pictures=("apart", "gap_domain", "tetrahedra"),
@@ -73,6 +77,16 @@ DEMOS = {
         "--levels 1",
         {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 8},
         {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
+        pictures=("hertz",),
+        needs=("matplotlib",),
+    ),
+    "hertz_solids": Demo(
+        "--dim 3 --levels 1",
+        {"rows.0.l2_pressure": 6.43e-2},
+        {"rows.0.force": 1e-8, "rows.0.p0": 2e-2, "rows.0.half_width": 0.1},
+        accuracy=0.1,  # as far as versions of Gmsh agree
+        needs=("gmsh",),
+        script="hertz",
     ),
     "hyperelasticity": Demo(
         "--steps 6",
@@ -84,6 +98,14 @@ DEMOS = {
         "--flat --steps 4",
         {"rows.7.fy": -0.28681, "rows.7.iterations": 4},
         {"rows.*.energy_error": 1e-6},
+        pictures=("ironing",),
+        needs=("matplotlib",),
+    ),
+    "ironing_solids": Demo(
+        "--dim 3 --steps 20",
+        {"rows.*.halvings": 0, "rows.23.fy": -0.122},
+        slow=True,
+        script="ironing",
     ),
     "kernel_speed": Demo("--quick"),
     "modal_analysis": Demo(
