@@ -53,7 +53,7 @@ class ContactProblem(ContactSystem):
         ...     force = abs(contact.force(problem)[1])
         ...     print(f"{force:.3f}, {contact.active.sum()} vertices in contact")
         0.000, 0 vertices in contact
-        0.158, 5 vertices in contact
+        0.312, 5 vertices in contact
         >>> p, g = contact.pressure(problem), contact.gap(u0, u1)
         >>> bool(abs(g.x.array).max() < 0.01)
         True

@@ -279,3 +279,49 @@ def test_tied_bodies_that_only_contact_holds():
         assert abs(contact.force(problem)[1] - 0.04) <= 1e-9
         found.append(contact.pressures(problem))
     np.testing.assert_allclose(*found, atol=1e-9)
+
+
+@pytest.mark.parametrize("whole", (0, 1))
+def test_finds_what_faces(whole):
+    """All of a body's boundary given, what faces away or beside has no part in it."""
+    found = []
+    for every in (False, True):
+        scene = Assembly(
+            [rectangle((8, 4), (-2, -1), (2, 0)), rectangle((5, 3), (-1, 0.05), (1, 1.05))]
+        )
+        for component in (0, 1):
+            scene.hold(0, component, meshes.BOTTOM)
+        scene.hold(1, 0, meshes.LEFT)
+        scene.load(1, meshes.TOP).value = 0.01
+        tags = [[meshes.TOP], [meshes.BOTTOM]]
+        if every:
+            tags[whole] = [meshes.LEFT, meshes.RIGHT, meshes.TOP, meshes.BOTTOM]
+        contact = Contact(*(scene.side(i, tags[i]) for i in (0, 1)))
+        problem = scene.problem([contact])
+        problem.solve()
+        p = contact.pressures(problem)
+        found.append(np.append(np.sort(p[contact.active]), contact.force(problem)))
+    np.testing.assert_allclose(*found, atol=1e-9)
+
+
+@pytest.mark.parametrize("start", (0.0, 0.1))
+def test_small_sliding_is_cheap(start):
+    """Linear constraints: an elastic body costs a handful of solves."""
+
+    def above(x):
+        return half_disc(x, -1.0) + (0, start)
+
+    scene = Assembly(
+        [rectangle((20, 6), (-2, -1), (2, 0)), rectangle((16, 6), None, None, mapping=above)]
+    )
+    scene.hold(0, 1, meshes.BOTTOM)
+    for i in (0, 1):
+        scene.hold_at(i, 0, lambda x: np.isclose(x[0], 0))
+    load = scene.load(1, meshes.TOP)
+    contact = Contact(scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM), sliding="small")
+    problem = scene.problem([contact])
+    for value in (0.01, 0.02):
+        load.value = value
+        problem.solve()
+        assert problem.iterations <= 6
+        assert abs(contact.force(problem)[1] / (2 * value) - 1) <= 1e-9
