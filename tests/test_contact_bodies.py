@@ -309,7 +309,7 @@ def test_small_sliding_is_cheap(start):
     """Linear constraints: an elastic body costs a handful of solves."""
 
     def above(x):
-        return half_disc(x, -1.0) + (0, start)
+        return half_disc(x, -1.0) + np.array((0, start))
 
     scene = Assembly(
         [rectangle((20, 6), (-2, -1), (2, 0)), rectangle((16, 6), None, None, mapping=above)]
