@@ -7,6 +7,8 @@
 
 from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFINx)
 
+from hypergap_dolfinx.contact import Contact
+from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
@@ -14,6 +16,8 @@ from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.touching import find_touching
 
 __all__ = [
+    "Contact",
+    "ContactProblem",
     "InterfaceError",
     "InvertedCellError",
     "NonlinearTiedProblem",

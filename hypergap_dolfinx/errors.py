@@ -14,9 +14,16 @@ DIGITS = 6  # of coordinates in messages
 
 
 class InterfaceError(ValueError):
-    """The facets or spaces given to a tie can't form an interface.
+    """The facets or spaces that are given can't form an interface.
 
     Raised with the same message on every rank.
+    """
+
+
+class NotFacingError(InterfaceError):
+    """Nothing of one surface lies opposite the other: there is no gap between them.
+
+    A tie can't do without; bodies in contact can be apart.
     """
 
 

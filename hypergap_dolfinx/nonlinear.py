@@ -12,16 +12,14 @@ from petsc4py import PETSc
 
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc
-from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve import solvers
-from hypergap_dolfinx.solve.system import TiedSystem
+from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.tie import Tie
 
 
-class NonlinearTiedProblem(TiedSystem):
+class NonlinearTiedProblem(NonlinearSystem):
     """Nonlinear problem F_i(u_i; v_i) = 0 on several bodies, tied to each other, for PETSc's SNES.
 
     Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
@@ -91,27 +89,15 @@ class NonlinearTiedProblem(TiedSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
-        if J is None:
-            J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
-        if not len(F) == len(u) == len(J) or not F:
-            raise ValueError(
-                f"{len(F)} residual forms, {len(u)} functions and {len(J)} Jacobian forms: give "
-                "one of each for every body."
-            )
-
-        def compiled(form):
-            return fem.form(
-                form,
-                dtype=PETSc.ScalarType,
-                form_compiler_options=form_compiler_options,
-                jit_options=jit_options,
-            )
-
-        self._F = [compiled(form) for form in F]
-        super().__init__([compiled(form) for form in J], bcs, Joined(ties), u)
-        # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
-        # then PETSc no longer knows of the communicator on some ranks, while others do
-        self._now = [compat.create_vector(f.function_space) for f in self._u]
+        super().__init__(
+            F,
+            u,
+            bcs,
+            Joined(ties),
+            J=J,
+            form_compiler_options=form_compiler_options,
+            jit_options=jit_options,
+        )
         self._solver = solvers.create(
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
@@ -126,44 +112,7 @@ class NonlinearTiedProblem(TiedSystem):
 
     def _release(self) -> list:
         snes = self.__dict__.pop("_snes", None)
-        return [*filter(None, [snes]), *super()._release(), *self.__dict__.pop("_now", [])]
-
-    def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
-        self._assign(x)
-        x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
-        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
-        multipliers = x_parts[len(x_parts) - num_ties :]
-        lifted = []
-        prescribed = self._constraints.prescribed
-        for u, now, b, F, J, bcs, held, scale in zip(
-            self._u, self._now, r_parts, self._F, self._a, self._bcs, prescribed, self._scales
-        ):
-            with b.localForm() as local, now.localForm() as values:
-                local.set(0.0)
-                values.array[:] = u.x.array
-            petsc.assemble_vector(b, F)
-            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
-            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            petsc.set_bc(b, bcs, x0=now, alpha=-1.0)
-            b.array[held] *= scale
-            lifted.append(now.copy())
-            petsc.set_bc(lifted[-1], bcs)
-        for b in r_parts[num_bodies : len(r_parts) - num_ties]:
-            b.set(0.0)
-        fields = [*lifted, *x_parts[num_bodies : len(x_parts) - num_ties]]
-        for t, multiplier in enumerate(multipliers):
-            for b, B in zip(r_parts, self._constraints.free[t]):
-                if B is not None:
-                    B.multTransposeAdd(multiplier, b, b)
-            self._constraints.apply(t, fields, r_parts[len(r_parts) - num_ties + t])
-        for vector in lifted:
-            vector.destroy()
-        r.assemble()
-
-    def _jacobian(self, x: PETSc.Vec):
-        self._assign(x)
-        self.assemble_matrix()
+        return [*filter(None, [snes]), *super()._release()]
 
     def solve(self) -> list[fem.Function]:
         """Solve, from what u holds and the multipliers of the last solve. Collective.
@@ -203,16 +152,6 @@ class NonlinearTiedProblem(TiedSystem):
             f"reason {reason} ({names.get(reason, 'unknown')}), residual "
             f"{self._snes.getFunctionNorm():.1e}; smaller load steps may help."
         )
-
-    @property
-    def F(self) -> list[fem.Form]:
-        """The compiled residual forms."""
-        return self._F
-
-    @property
-    def J(self) -> list[fem.Form]:
-        """The compiled Jacobian forms."""
-        return self._a
 
     @property
     def solver(self) -> PETSc.SNES:

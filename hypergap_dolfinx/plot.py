@@ -23,10 +23,16 @@ from dolfinx.mesh import Mesh
 from dolfinx.plot import vtk_mesh
 from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
+from hypergap_dolfinx.contact import Contact
+from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.gap.surface import Surface
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"
+PARTS = 8
+"""Straight parts that an edge of Γ1 is drawn with."""
+LIFT = 0.01
+"""How far from Γ0's body Γ1 is drawn in space, in its extent."""
 CLOSED = 0.5
 """Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
 0, half a circle 0.64, half a sphere 0.5."""
@@ -231,6 +237,79 @@ def traction(
         plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
     mean = _mean_normal(tie.surfaces[0])
     return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
+
+
+def contact(
+    contact: Contact,
+    problem: ContactProblem,
+    filename: str | Path | None = None,
+    *,
+    largest: float | None = None,
+    window: bool = False,
+) -> pyvista.Plotter | None:
+    """Bodies where they are in contact, with its pressure on Γ1 as colour and as arrows.
+
+    In 3D without Γ1's body, which would hide it. Points are the vertices of Γ1 that are in contact.
+
+    Args:
+        contact: The contact.
+        problem: A solved problem with it.
+        filename: Where to save the picture.
+        largest: Pressure at the end of the scale; the largest one if not given.
+        window: Whether to open a window.
+
+    Returns:
+        The plotter on rank 0, None on the others.
+    """
+    comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
+    surface, p = contact.displaced(problem)[1], contact.pressures(problem)
+    plotter = _plotter(comm, window)
+    for u in problem.every_u:
+        body = _with_values(u, "displacement")
+        if plotter and body is not None and (dim == 2 or u.function_space != contact.spaces[1]):
+            body.points += body["displacement"]
+            _add(plotter, body, color=_BODY)
+    if plotter:
+        largest = (p.max(initial=0) or 1.0) if largest is None else largest
+        extent = np.ptp(surface.x, axis=0).max()
+        scale: Any = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
+        bar: Any = {"lighting": False, "scalar_bar_args": _bar("pressure")}
+        direction = np.zeros_like(surface.x)
+        for corner in surface.facets.T:
+            np.add.at(direction, corner, surface.normals)
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        drawn = _drawn(surface, p)
+        x = surface.x
+        if dim == 3:  # before Γ0's body, not in it
+            x = x - LIFT * extent * direction
+            drawn.points = x
+        plotter.add_mesh(drawn, line_width=8, **scale, **bar)
+        on = contact.active
+        if on.any():
+            points = pyvista.PolyData(_padded(x[on]))
+            points["arrow"], points["pressure"] = _padded(direction[on]), p[on]
+            plotter.add_mesh(points, color="black", point_size=8, render_points_as_spheres=True)
+            length, tails = (0.12, 0.25)[dim - 2] * extent / largest, points.copy()
+            tails.points = points.points - length * p[on][:, None] * points["arrow"]
+            arrows = tails.glyph(orient="arrow", scale="pressure", factor=length)
+            plotter.add_mesh(arrows, show_scalar_bar=False, **scale)
+    up = -_mean_normal(surface)
+    return _finish(plotter, dim, filename, window, _beside(up) + up, up)
+
+
+def _drawn(surface: Surface, values: npt.NDArray[np.float64]) -> pyvista.PolyData:
+    """A surface with values at its vertices; edges in small parts, since they may be curved."""
+    if surface.gdim == 3:
+        cells = np.insert(surface.polygons, 0, surface.polygons.shape[1], axis=1)
+        drawn = pyvista.PolyData(surface.x, cells.ravel())
+        drawn["pressure"] = values
+        return drawn
+    num, t = len(surface.facets), np.linspace(0, 1, PARTS + 1)
+    x = surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, num)[:, None])
+    cells = np.insert(np.arange(len(x)).reshape(num, -1), 0, len(t), axis=1)
+    drawn = pyvista.PolyData(_padded(x), lines=cells.ravel())
+    drawn["pressure"] = (values[surface.facets] @ np.stack((1 - t, t))).ravel()
+    return drawn
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

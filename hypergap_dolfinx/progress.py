@@ -11,15 +11,16 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 
-def show(comm: MPI.Comm, text: str = ""):
+def show(comm: MPI.Comm, text: str = "", *, keep: bool = False):
     """Replace the line on the terminal; rank 0's.
 
     Args:
         comm: Communicator.
         text: The new line; without it, the line is cleared.
+        keep: Whether it stays when the next one comes.
     """
     if comm.rank == 0 and sys.stderr.isatty():
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+        print(f"\r\x1b[K{text}", end="\n" if keep else "", file=sys.stderr, flush=True)
 
 
 def monitor(solver: PETSc.SNES | PETSc.KSP, iteration: int, norm: float):

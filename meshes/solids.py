@@ -42,7 +42,7 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
 
     Args:
         comm: Communicator.
-        h: Cell size, one or one for each volume.
+        h: Cell size, one or one for each volume; or a function of x, y and z.
         build: Takes the kernel.
         kernel: Gmsh's name of it.
     """
@@ -54,12 +54,18 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
         try:
             gmsh.option.setNumber("General.Terminal", 0)
             gmsh.option.setNumber("General.NumThreads", 1)
-            gmsh.option.setNumber("Mesh.MeshSizeMin", np.min(h))
-            gmsh.option.setNumber("Mesh.MeshSizeMax", np.max(h))
+            if callable(h):
+                gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
+                gmsh.option.setNumber("Mesh.Algorithm", 6)
+                gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)
+                gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, size: h(x, y, z))
+            else:
+                gmsh.option.setNumber("Mesh.MeshSizeMin", np.min(h))
+                gmsh.option.setNumber("Mesh.MeshSizeMax", np.max(h))
             cad = getattr(gmsh.model, kernel)
             build(cad)
             cad.synchronize()
-            if np.ndim(h):
+            if np.ndim(h) and not callable(h):
                 _set_sizes(gmsh.model, h)
             gmsh.model.mesh.generate(3)
             tags, x, _ = gmsh.model.mesh.getNodes()
@@ -132,19 +138,21 @@ def of_degree(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.mesh.Mesh:
 
 def solid_block(
     comm: MPI.Comm,
-    h: float,
+    h: float | Callable[[float, float, float], float],
     mapping: Callable[[npt.NDArray], npt.NDArray] | None = None,
     *,
     halves: bool = False,
+    degree: int = 1,
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """A unit cube of unstructured tetrahedra, mapped.
 
     Args:
         comm: Communicator.
-        h: Cell size in the unit cube.
+        h: Cell size in the unit cube, or a function of x, y and z.
         mapping: Takes node coordinates in the unit cube, ``(num_nodes, 3)``, to the nodes'
-            places; the identity if not given.
+            places; the identity if not given. Applied to all nodes, as in :func:`meshes.block`.
         halves: Whether cell faces lie on the plane y = 1/2, so that a mapping may have a kink.
+        degree: Degree of the geometry.
 
     Returns:
         The mesh and its facet tags, as of :func:`meshes.block`.
@@ -157,7 +165,7 @@ def solid_block(
         else:
             cad.addBox(0, 0, 0, 1, 1, 1)
 
-    mesh = _tetrahedra(comm, h, build)
+    mesh = of_degree(_tetrahedra(comm, h, build), degree)
     tags = ((LEFT, RIGHT), (BOTTOM, TOP), (BACK, FRONT))
     markers = [
         (tag, lambda x, axis=axis, end=end: np.isclose(x[axis], end))

@@ -58,6 +58,11 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
+    "contact_patch": Demo(
+        "--quick",
+        below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11},
+        pictures=("contact_patch",),
+    ),
     "gap_domain": Demo(
         pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
         pictures=("apart", "gap_domain", "tetrahedra"),
@@ -68,11 +73,39 @@ DEMOS = {
         {"steady": 5.960e-4, "flux": 1.3023e-2, "transient": 1.1088e-3},
         pictures=("heat",),
     ),
+    "hertz": Demo(
+        "--levels 1",
+        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 8},
+        {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
+        pictures=("hertz",),
+        needs=("matplotlib",),
+    ),
+    "hertz_solids": Demo(
+        "--dim 3 --levels 1",
+        {"rows.0.l2_pressure": 6.43e-2},
+        {"rows.0.force": 1e-8, "rows.0.p0": 2e-2, "rows.0.half_width": 0.1},
+        accuracy=0.1,  # as far as versions of Gmsh agree
+        needs=("gmsh",),
+        script="hertz",
+    ),
     "hyperelasticity": Demo(
         "--steps 6",
         {"energy": 0.26857578, "energy_difference": 6.255e-4, "newton_steps.-1": 6},
         {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
         pictures=("hyperelasticity",),
+    ),
+    "ironing": Demo(
+        "--flat --steps 4",
+        {"rows.7.fy": -0.28681, "rows.7.iterations": 4},
+        {"rows.*.energy_error": 1e-6},
+        pictures=("ironing",),
+        needs=("matplotlib",),
+    ),
+    "ironing_solids": Demo(
+        "--dim 3 --steps 20",
+        {"rows.*.halvings": 0, "rows.23.fy": -0.122},
+        slow=True,
+        script="ironing",
     ),
     "kernel_speed": Demo("--quick"),
     "modal_analysis": Demo(

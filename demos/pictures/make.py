@@ -16,6 +16,7 @@ from PIL import Image
 FOLDER = Path(__file__).parent
 PICTURES = {
     "assembly": ("assembly",),
+    "contact_patch": ("contact_patch", "--quick"),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
     "modal_analysis": ("mode_3",),
@@ -28,9 +29,11 @@ PICTURES = {
     "write_files": ("write_files",),
 }
 CHARTS = {
+    "hertz": ("hertz",),
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
     "stability": ("stability",),
 }
+FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5")}
 
 
 def thumbnail(picture: Path, file: Path):
@@ -49,6 +52,17 @@ def first_chart(picture: Path, file: Path):
     _save(image, file)
 
 
+def film(picture: Path, file: Path):
+    """A GIF of every second picture."""
+    frames = []
+    with Image.open(picture) as images:
+        for k in range(0, images.n_frames, 2):
+            images.seek(k)
+            frame = images.convert("RGB").resize((400, 400 * images.height // images.width))
+            frames.append(frame.quantize(64, Image.Quantize.FASTOCTREE))
+    frames[0].save(file, save_all=True, append_images=frames[1:], duration=200, loop=0)
+
+
 def _save(image, file: Path):
     image.thumbnail((400, 260), Image.Resampling.LANCZOS)
     image.quantize(128).save(file, optimize=True)
@@ -56,10 +70,10 @@ def _save(image, file: Path):
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
-        for name, (picture, *arguments) in (PICTURES | CHARTS).items():
+        for name, (picture, *arguments) in (PICTURES | CHARTS | FILMS).items():
             script = FOLDER.parent / f"{name}.py"
             command = [sys.executable, script, *arguments, "--plot", temporary]
             subprocess.run(command, check=True, cwd=temporary)
-            file = FOLDER / f"{name}.png"
-            make = first_chart if name in CHARTS else thumbnail
-            make(Path(temporary) / f"{picture}.png", file)
+            kind = "gif" if name in FILMS else "png"
+            make = film if name in FILMS else first_chart if name in CHARTS else thumbnail
+            make(Path(temporary) / f"{picture}.{kind}", FOLDER / f"{name}.{kind}")

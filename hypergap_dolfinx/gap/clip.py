@@ -7,7 +7,7 @@
 
 import numpy as np
 
-from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
 from hypergap_dolfinx.gap.cut import Cut
 from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
@@ -47,10 +47,10 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     number = np.full(len(mine), -1)
     number[mine] = np.arange(len(cells))
     behind = np.where(behind >= 0, number[behind], -1)
-    return _sorted_out(side, x, cells, behind, origin, weights)
+    return sorted_out(side, x, cells, behind, origin, weights)
 
 
-def _sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
+def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
     """A piece of cut triangles; parts that touch in a vertex only get one each."""
     f, k = np.nonzero(behind >= 0)
     g = behind[f, k]
@@ -88,7 +88,7 @@ def _meet(cuts: tuple[Cut, Cut], snap: float) -> tuple[dict[int, int], dict[int,
     return twins
 
 
-def _parts(side: Side) -> list[Side]:
+def parts(side: Side) -> list[Side]:
     """The connected parts of a piece."""
     f, k = np.nonzero(side.behind >= 0)
     part = components(len(side.triangles), f, side.behind[f, k])
@@ -114,8 +114,8 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
         Pairs of connected pieces; the two themselves if their outlines match.
 
     Raises:
-        InterfaceError: They have nothing in common, or other parts are left of one than of the
-            other.
+        NotFacingError: They have nothing in common.
+        InterfaceError: Other parts are left of one than of the other.
     """
     alone = differing(side0, side1)
     if not any(alone):
@@ -134,11 +134,11 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
         cuts[i].follow(cuts[1 - i], outlines[1 - i], twins[i])
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
-        raise InterfaceError(
+        raise NotFacingError(
             f"Γ0 around {spot(side0.x)} and Γ1 around {spot(side1.x)} have nothing "
             "in common: neither lies opposite to the other; check the tags."
         )
-    return _matched(*(_parts(side) for side in kept))
+    return _matched(*(parts(side) for side in kept))
 
 
 def _matched(parts0: list[Side], parts1: list[Side]) -> list[tuple[Side, Side]]:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
 from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 
@@ -225,7 +225,7 @@ def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: 
         Pairs of :class:`Chain`.
 
     Raises:
-        InterfaceError: Nothing of Γ1 faces Γ0.
+        NotFacingError: Nothing of Γ1 faces Γ0.
     """
     # With one chain on each side there is no doubt which faces which: they may be as far apart as
     # they are long. Of several, those face each other that are within a facet's length
@@ -240,7 +240,7 @@ def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: 
             if apart.max() <= reach and (pair := _overlap(c0, c1, surface0, surface1, reach)):
                 pairs.append(pair)
     if not pairs:
-        raise InterfaceError(_why_not_facing(surface0, surface1, chains0, chains1))
+        raise _not_facing(surface0, surface1, chains0, chains1)
     return pairs
 
 
@@ -305,17 +305,18 @@ def _aligned(c0: Chain, c1: Chain) -> bool:
     return bool(np.einsum("si,si->s", *tangents).mean() > 0)
 
 
-def _why_not_facing(surface0, surface1, chains0, chains1) -> str:
+def _not_facing(surface0, surface1, chains0, chains1) -> InterfaceError:
+    """What is to be raised if nothing of two surfaces faces each other."""
     c0, c1 = chains0[0], chains1[0]
     distance = min(c0.project(x)[2] for x in c1.x)
     for i, j in ((i, j) for i in chains0 for j in chains1):
         if _overlap(i, j.reversed, surface0, surface1, np.ptp(i.x, axis=0).max()):
-            return (
+            return InterfaceError(
                 "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
                 "wrong side of its body, or the same surface given twice?"
             )
     across = any(_overlap(i, j, surface0, surface1, np.inf) for i in chains0 for j in chains1)
-    return (
+    return NotFacingError(
         f"Γ0 and Γ1 don't face each other: no part of Γ1 (around {spot(surface1.x)}, "
         f"{distance:.3g} away) lies opposite Γ0 (around {spot(surface0.x)}); check the tags"
         + " (faces to be tied across a distance want one tie, not one for each tag)" * across

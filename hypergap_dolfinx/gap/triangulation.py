@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
@@ -239,7 +239,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     if (cosine > FACES).all():
         angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
-        raise InterfaceError(
+        raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "
             f"more than {angle:.0f}° from parallel; check the tags."
         )
@@ -247,7 +247,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     off = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
     if off > reach:
-        raise InterfaceError(
+        raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
             f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
             "check the tags."

@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import Surface
 
 
@@ -81,3 +82,36 @@ class Pieces(Protocol):
 
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
+
+
+class Gaps(Protocol):
+    """Weighted gaps between two sides, on which a contact's multipliers act."""
+
+    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        """Gaps g and areas m, ``(num_multipliers,)`` each, and C = ∂g/∂u."""
+
+    def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
+        """Σ_a p_a ∂²g_a/∂u²."""
+
+
+class ContactInterface(Protocol):
+    """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether gaps are to be found anew where the bodies are, or stay what they were first."""
+
+    @property
+    def depth(self) -> float:
+        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+
+    def gaps(self, u: Displacements, before: Gaps | None) -> Gaps:
+        """Find the gaps where the bodies are; before they were others, or none. Collective."""

@@ -31,22 +31,25 @@ def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def motions(
-    V: fem.FunctionSpace, centre: npt.NDArray[np.float64] | None = None
+    V: fem.FunctionSpace,
+    centre: npt.NDArray[np.float64] | None = None,
+    x: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.float64]:
     """Rigid displacements of a body, constants of other fields. Collective.
 
     Args:
         V: Its space.
         centre: Of the rotations; the mean of the dofs' places if not given.
+        x: Where this rank's owned nodes are now; their :func:`places` if not given.
 
     Returns:
         This rank's owned rows, ``(num_dofs, num_modes)``.
     """
     n, block_size = V.mesh.geometry.dim, V.dofmap.index_map_bs
-    x = places(V)
+    x = places(V) if x is None else x
     modes = [np.tile(unit, (len(x), 1)) for unit in np.eye(block_size)]
     if V.value_shape == (n,):
-        x = x - (_mean(V.mesh.comm, [x]) if centre is None else centre)
+        x = x - (mean(V.mesh.comm, [x]) if centre is None else centre)
         for i, j in combinations(range(n), 2):
             mode = np.zeros((len(x), n))
             mode[:, i], mode[:, j] = x[:, j], -x[:, i]
@@ -93,7 +96,7 @@ def common_modes(
     comm, x = spaces[0].mesh.comm, [places(V) for V in spaces]
     if moved is None:
         moved = [np.ones(len(part), dtype=bool) for part in x]
-    centre = _mean(comm, [part[mask] for part, mask in zip(x, moved, strict=True)])
+    centre = mean(comm, [part[mask] for part, mask in zip(x, moved, strict=True)])
     modes = [
         np.where(np.repeat(mask, V.dofmap.index_map_bs)[:, None], motions(V, centre), 0)
         for V, mask in zip(spaces, moved, strict=True)
@@ -110,7 +113,7 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
     return R @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
-def _mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+def mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
     """The mean of places on all ranks. Collective."""
     total = sum(part.sum(axis=0) for part in x)
     return comm.allreduce(total) / comm.allreduce(sum(len(part) for part in x))

@@ -51,12 +51,12 @@ def free_motions(
         )
     ]
     every = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
-    sizes = [_cell_sizes(V) if constraints.full and _rotates(V) else None for V in spaces]
-    apart = [_apart(spaces, sizes, row) for row in constraints.full]
-    together: list[Modes] = [
-        dict(zip(nodes, common_modes([spaces[i] for i in nodes], list(nodes.values()))))
-        for nodes in _tied_groups(spaces, in_part, constraints, apart)
-    ]
+    groups, apart = tied_groups(spaces, in_part, constraints)
+    together: list[Modes] = []
+    for g in range(max(int(group.max()) for group in groups) + 1):
+        nodes = {i: group[in_part[i][0]] == g for i, group in enumerate(groups) if g in group}
+        modes = common_modes([spaces[i] for i in nodes], list(nodes.values()))
+        together.append(dict(zip(nodes, modes, strict=True)))
     return max(_num_free(K, constraints, alone, every), _num_free(K, constraints, together, apart))
 
 
@@ -122,20 +122,22 @@ def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     return sums[0] / sums[1]
 
 
-def _tied_groups(
-    spaces: Sequence[fem.FunctionSpace], in_part, constraints: ConstraintBlocks, apart
-) -> list[dict[int, npt.NDArray[np.bool_]]]:
+def tied_groups(
+    spaces: Sequence[fem.FunctionSpace], in_part, constraints: ConstraintBlocks
+) -> tuple[list[npt.NDArray[np.int32]], list[npt.NDArray[np.bool_]]]:
     """Groups of parts that ties without a distance connect. Collective.
 
     Args:
         spaces: Space of each body.
         in_part: Part of each of its nodes, and their number.
         constraints: The ties.
-        apart: Which rows tie what is apart, for each tie.
 
     Returns:
-        For each group the bodies it has parts of, and which of their nodes.
+        The group of each part of each body, the same on every rank; and which of this rank's rows
+        of each tie tie what is apart.
     """
+    sizes = [_cell_sizes(V) if constraints.full and _rotates(V) else None for V in spaces]
+    apart = [_apart(spaces, sizes, row) for row in constraints.full]
     comm = spaces[0].mesh.comm
     starts = np.cumsum([0, *(num for _, num in in_part)])
     pairs = [np.empty((0, 2), dtype=np.intp)]
@@ -148,27 +150,29 @@ def _tied_groups(
         tied = np.flatnonzero(comm.allreduce(touched))
         pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
     i, j = np.vstack(pairs).T
-    group = components(starts[-1], i, j)
-    return [
-        {
-            i: group[start + part] == g
-            for i, (start, (part, num)) in enumerate(zip(starts, in_part))
-            if g in group[start : start + num]
-        }
-        for g in range(group.max() + 1)
-    ]
+    return np.split(components(starts[-1], i, j), starts[1:-1]), apart
 
 
 def _num_free(
     K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
 ) -> int:
-    """How many combinations of motions nothing hinders. Collective.
+    """How many combinations of motions nothing hinders. Collective."""
+    return len(unhindered(K, constraints, moved, rows))
+
+
+def unhindered(
+    K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
+) -> npt.NDArray[np.float64]:
+    """The combinations of motions that nothing hinders. Collective.
 
     Args:
         K: Stiffness of each body.
         constraints: The ties.
         moved: The motions.
         rows: Which rows of each tie hinder them.
+
+    Returns:
+        Orthonormal, ``(num_free, num_motions)``.
     """
     comm, prescribed = K[0].comm.tompi4py(), constraints.prescribed
     ends = np.cumsum([0, *(next(iter(modes.values())).shape[1] for modes in moved)])
@@ -207,5 +211,5 @@ def _num_free(
                 parts[m] = np.sum(forces, axis=0)[hinder] / size
         add(parts)
     R = np.linalg.qr(np.vstack(found), mode="r")
-    values = np.linalg.svd(np.vstack(comm.allgather(R)), compute_uv=False)
-    return int((values < NOTHING * values.max(initial=1.0)).sum())
+    _, values, combinations = np.linalg.svd(np.vstack(comm.allgather(R)), full_matrices=False)
+    return combinations[values < NOTHING * values.max(initial=1.0)]

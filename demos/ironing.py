@@ -1,0 +1,251 @@
+# # Ironing: a die is pressed into a foundation and drawn along it
+#
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+#
+# Large deformation, finite sliding, no friction. The die is ten times as stiff as the foundation,
+# both are neo-Hookean. First it goes down in a few load steps, then along. Without friction its
+# reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
+# pass each other is the ripple of the method. All is conservative: the reaction is the derivative
+# of the energy that is stored. Each step is followed by one of a thousandth of a cell to see that:
+# over a third of a cell the mean of two forces isn't their work to more than two or three digits.
+
+# +
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import default_scalar_type, fem
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+import meshes
+from hypergap_dolfinx import Contact, ContactProblem, progress
+
+# -
+
+H = 0.12  # size of the foundation's cells
+LENGTH, DEPTH = 50 * H, 10 * H  # of the foundation
+WIDTH, HEIGHT, R = 16 * H, 8 * H, 20 * H  # of the die, radius of its curved bottom
+DOWN, PRESSING = H, 4  # how far the die goes down, in how many load steps
+SMALL = 1e-3 * H  # a step over which the mean of two forces is their work
+# In space: half of a spherical die and its foundation, with a disc of about ten cells in contact
+SOLID = (26 * H, 9 * H, 5 * H), (14 * H, 7 * H, 5 * H)  # foundation, die
+SOLID_CELLS = (26, 9, 5), (17, 9, 4)
+
+
+def energy(u, E, nu=0.32):
+    """Compressible neo-Hookean material."""
+    mu, lame = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    dim = len(u)
+    F = ufl.Identity(dim) + ufl.grad(u)
+    J = ufl.det(F)
+    return mu / 2 * (ufl.inner(F, F) - dim - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
+
+
+class Ironing:
+    """The scene."""
+
+    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2):
+        """Make it.
+
+        Args:
+            comm: Communicator.
+            degree: Of displacements and geometry.
+            flat: Whether the die is flat, with corners.
+            swap: Whether Γ1 is the die instead of the foundation.
+            dim: Number of dimensions.
+        """
+        sizes = ((LENGTH, DEPTH), (WIDTH, HEIGHT)) if dim == 2 else SOLID
+        cells = ((50, 10), (11, 6)) if dim == 2 else SOLID_CELLS
+        start = np.zeros(dim)  # of the die's middle
+        start[0] = 0.25 * LENGTH if dim == 2 else 10 * H
+
+        def foundation(x):
+            x = x * sizes[0]
+            x[:, -1] -= sizes[0][-1]
+            return x
+
+        def die(x):
+            x = x * sizes[1]
+            x[:, 0] -= sizes[1][0] / 2
+            square = (x[:, :-1] ** 2).sum(axis=1)
+            bottom = 0 * square if flat else R - np.sqrt(R**2 - square)
+            x[:, -1] = bottom + x[:, -1] * (1 - bottom / sizes[1][-1])
+            return start + x
+
+        self.u, self.energies, F, bcs, sides = [], [], [], [], []
+        self.goal = None
+        low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
+        for place, n, E, tags in (
+            (foundation, cells[0], 1.0, (high, low)),
+            (die, cells[1], 10.0, (low, high)),
+        ):
+            cell = "quadrilateral" if dim == 2 else "hexahedron"
+            mesh, ft = meshes.block(comm, n, place, cell=cell, degree=degree)
+            V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+            u = fem.Function(V)
+            dx = ufl.dx(metadata={"quadrature_degree": (6 - dim) * degree})
+            W = energy(u, fem.Constant(mesh, default_scalar_type(E))) * dx
+            self.goal = fem.Constant(mesh, default_scalar_type((0,) * dim))
+            dofs = fem.locate_dofs_topological(V, dim - 1, ft.find(tags[1]))
+            bcs.append(fem.dirichletbc(self.goal, dofs, V))
+            if dim == 3:
+                dofs = fem.locate_dofs_topological(V.sub(1), 2, ft.find(meshes.BOTTOM))
+                bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(1)))
+            self.u.append(u)
+            self.energies.append(fem.form(W))
+            F.append(ufl.derivative(W, u))
+            sides.append((V, ft.find(tags[0])))
+        self.comm = comm
+        self.contact = Contact(*(sides if swap else sides[::-1]))
+        self.problem = ContactProblem(F, self.u, bcs=bcs, contacts=[self.contact])
+        self.swap = swap
+
+    def energy(self):
+        """The energy that is stored in both bodies."""
+        return self.comm.allreduce(sum(fem.assemble_scalar(form) for form in self.energies))
+
+    def solve(self):
+        """Move the die to where it is to go; the force on the foundation."""
+        self.problem.solve()
+        return self.contact.force(self.problem) * (-1 if self.swap else 1)
+
+    def go(self, steps, size, film=None):
+        """Press and iron.
+
+        Args:
+            steps: Number of load steps along.
+            size: Their size, in cells of the foundation.
+            film: Takes a picture of each step along, if there is one.
+        """
+        rows = []
+        for step in range(1, PRESSING + steps + 1):
+            down = DOWN * min(step / PRESSING, 1)
+            along = max(step - PRESSING, 0) * size * H
+            self.goal.value[0], self.goal.value[-1] = along, -down
+            force = self.solve()
+            rows.append(
+                {
+                    "step": step,
+                    "fx": float(force[0]),
+                    "fy": float(force[-1]),
+                    "iterations": self.problem.iterations,
+                    "halvings": self.problem.halvings,
+                }
+            )
+            if film and step > PRESSING:
+                film.add(along / H, force)
+            energy, move = self.energy(), np.zeros(len(force))
+            move[0] = SMALL
+            self.goal.value[:] += move
+            work = 0.5 * (force + self.solve()) @ move
+            error = abs(self.energy() - energy - work) / (np.linalg.norm(force) * SMALL)
+            rows[-1]["energy_error"] = float(error)
+            progress.show(self.comm, f"step {step}: {rows[-1]['iterations']} Newton steps")
+        return rows
+
+
+# ## A moving picture
+
+
+class Film:
+    """The bodies, the pressure between them and the reaction, step by step."""
+
+    def __init__(self, scene):
+        """Nothing taken yet."""
+        self.scene, self.largest = scene, None
+        self.images, self.path, self.forces = [], [], []
+
+    def add(self, along, force):
+        """Take a picture. Collective."""
+        from hypergap_dolfinx import plot
+
+        contact, problem = self.scene.contact, self.scene.problem
+        if self.largest is None:
+            self.largest = 1.2 * contact.pressures(problem).max()
+        plotter = plot.contact(contact, problem, largest=self.largest)
+        self.path.append(along)
+        self.forces.append(np.abs(force[[0, -1]]))
+        if plotter:
+            plotter.remove_scalar_bar()
+            if len(force) == 2:  # always the same part of the plane
+                plotter.camera.focal_point = LENGTH / 2, 0, 0
+                plotter.camera.position = LENGTH / 2, 0, 10
+                plotter.camera.parallel_scale = 0.4 * LENGTH
+            self.images.append(plotter.screenshot(None, return_img=True)[225:700])
+            plotter.close()
+
+    def save(self, folder):
+        """Save the film, and its last picture."""
+        import matplotlib
+
+        matplotlib.use("agg")
+        import matplotlib.pyplot as plt
+        from matplotlib.animation import FuncAnimation, PillowWriter
+
+        folder.mkdir(parents=True, exist_ok=True)
+        fig, (above, below) = plt.subplots(
+            2, figsize=(6, 4), height_ratios=(3, 2), layout="constrained"
+        )
+        image = above.imshow(self.images[0])
+        above.axis("off")
+        forces = np.array(self.forces)
+        lines = [below.plot([], [], label=name)[0] for name in ("horizontal", "vertical")]
+        below.set(xlabel="way along, in cells", ylabel="reaction")
+        below.set(xlim=(0, max(self.path)), ylim=(-0.05 * forces.max(), 1.15 * forces.max()))
+        below.legend(loc="center right")
+
+        def show(k):
+            image.set_data(self.images[k])
+            for line, values in zip(lines, forces.T, strict=True):
+                line.set_data(self.path[: k + 1], values[: k + 1])
+            return image, *lines
+
+        film = FuncAnimation(fig, show, frames=len(self.images))
+        film.save(folder / "ironing.gif", writer=PillowWriter(fps=10), dpi=100)
+        show(len(self.images) - 1)
+        fig.savefig(folder / "ironing.png", dpi=100)
+
+
+def main():
+    """Iron, and say what it took."""
+    parser = argparse.ArgumentParser(description="A die is drawn along a foundation.")
+    parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
+    parser.add_argument("--degree", type=int, choices=(1, 2), default=1)
+    parser.add_argument("--flat", action="store_true", help="a flat die with corners")
+    parser.add_argument("--swap", action="store_true", help="Γ1 is the die")
+    parser.add_argument("--step", type=float, default=1 / 3, help="size of load steps, in cells")
+    parser.add_argument("--steps", type=int, default=60, help="number of load steps along")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="save a GIF")
+    args = parser.parse_args()
+    comm = MPI.COMM_WORLD
+    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim)
+    film = Film(scene) if args.plot else None
+    rows = scene.go(args.steps, args.step, film)
+    progress.show(comm)
+    along = rows[PRESSING:]
+    fy = np.array([row["fy"] for row in along])
+    ripple = fy - np.convolve(np.pad(fy, 3, "edge"), np.ones(7) / 7, "valid")
+    count = np.array([row["iterations"] for row in along])
+    if comm.rank == 0:
+        print(f"Newton steps a load step: {count.mean():.1f}, at most {count.max()}")
+        print(f"halved load steps: {sum(row['halvings'] for row in rows)}")
+        largest = np.abs(ripple / fy)[2:-2].max(initial=0)
+        print(f"vertical force: {fy.mean():.4f}, ripple {largest:.1e}")
+        print(f"reaction against energy: {max(row['energy_error'] for row in rows):.1e}")
+        if args.json:
+            args.json.write_text(json.dumps({"rows": rows}, indent=1))
+        if film:
+            film.save(args.plot)
+
+
+if __name__ == "__main__":
+    main()

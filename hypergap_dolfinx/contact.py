@@ -1,0 +1,371 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Contact between two surfaces: the user's door to gaps, pressures and forces."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface
+from hypergap_dolfinx.gap.opened import on_sigma
+from hypergap_dolfinx.gap.opening import Opening
+from hypergap_dolfinx.gap.plane import PlaneOpening
+from hypergap_dolfinx.gap.strip import turns
+from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.interface import Gaps
+
+LOG = logging.getLogger("hypergap_dolfinx")
+
+ALIKE = 1.1  # ratio of the sides' sizes of facets up to which stiffness decides
+STIFF = 100.0  # ratio of stiffnesses from which the softer side is Γ1, whatever the sizes
+FINER = 1.5  # how much finer than Γ0 a Γ1 may be unwarned
+BEHIND = 0.5  # overlap, in extents of the thinner body, from which surfaces face away
+FLAT = 1e-6  # turn of a surface in space, in radians, that is none
+TURNED = 0.5  # length of the mean normal up to which a surface looks to all sides
+
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
+
+
+class Contact:
+    """Two surfaces that can touch, part and slide without friction.
+
+    Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a
+    weight w_a = ∂ψ_a/∂α on it, a weighted gap g_a = ∫ w_a det X dξ, which is a volume, and a
+    pressure p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
+
+    Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
+    Bodies with a round surface of degree 2 want curved cells.
+
+    Example:
+        A block on a wider one, a little above it:
+
+        >>> from dolfinx.mesh import CellType, create_rectangle, locate_entities_boundary
+        >>> from hypergap_dolfinx import Contact, ContactProblem
+        >>> corners = [(0, -1), (4, 0)], [(1, 0.1), (3, 1.1)]
+        >>> cells = CellType.quadrilateral
+        >>> below, above = (
+        ...     create_rectangle(MPI.COMM_SELF, c, (n, 3), cells)
+        ...     for c, n in zip(corners, (8, 5))
+        ... )
+        >>> V0, V1 = (fem.functionspace(m, ("Lagrange", 1, (2,))) for m in (below, above))
+        >>> def at(mesh, y):
+        ...     return locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], y))
+        >>> contact = Contact.between((V0, at(below, 0)), (V1, at(above, 0.1)))
+        >>> contact.swapped  # the first is coarser
+        True
+    """
+
+    def __init__(self, side0: Side, side1: Side, *, sliding: str = "finite"):
+        """Find the two surfaces. Collective.
+
+        Args:
+            side0: Γ0: a Lagrange space of displacements, and local indices of exterior facets of
+                its mesh, as ``facet_tags.find(tag)`` gives them.
+            side1: Γ1, which carries the pressures: the same.
+            sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
+                stay what they are at the start, the constraints are linear.
+
+        Raises:
+            InterfaceError: Facets or spaces that can't be in contact; the message says why.
+        """
+        if sliding not in ("finite", "small"):
+            raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
+        for side in (side0, side1):
+            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
+                raise ValueError("each side of a contact is a pair: a function space and facets.")
+            if not isinstance(side[0], fem.FunctionSpace):
+                raise ValueError(
+                    f"a contact's side is (function space, facets), not "
+                    f"({type(side[0]).__name__}, …)."
+                )
+        self._spaces = (side0[0], side1[0])
+        self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
+        self._sliding, self._swapped = sliding, False
+        self._comm = comm = side0[0].mesh.comm
+        if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+            raise InterfaceError(
+                "the meshes of Γ0 and Γ1 live on different communicators; make both on one."
+            )
+        for i, V in enumerate(self._spaces):
+            if V.value_shape != (V.mesh.geometry.dim,):
+                raise InterfaceError(
+                    f"contact is between displacements; the space of Γ{i} has the value shape "
+                    f"{V.value_shape} in {V.mesh.geometry.dim} dimensions."
+                )
+        if side0[0].mesh.geometry.dim != side1[0].mesh.geometry.dim:
+            raise InterfaceError(
+                f"the mesh of Γ0 has {side0[0].mesh.geometry.dim} coordinates, that of Γ1 "
+                f"{side1[0].mesh.geometry.dim}; they must be equal."
+            )
+        self._surfaces = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
+        shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
+        raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
+        self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
+        self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
+        self.rows: ContactRows | None = None
+        """Gaps and pressures of the last problem with this contact."""
+        for doubt in self._doubts():
+            if comm.rank == 0:
+                LOG.warning(doubt)
+
+    @classmethod
+    def between(
+        cls, a: Side, b: Side, *, stiffness: tuple[float, float] | None = None, **options
+    ) -> "Contact":
+        """A contact that chooses its sides. Collective.
+
+        Γ1 is the softer side if the other is a hundred times as stiff, else the coarser one, else
+        the softer one. Look at :attr:`swapped`, or the log of ``hypergap_dolfinx``.
+
+        Args:
+            a: A space and facets, as for the constructor.
+            b: The same of the other side.
+            stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
+                facets differ by less than a tenth.
+            options: Of the constructor.
+        """
+        size = [_size(create_surface(*side, "a side")) for side in (a, b)]
+        ratio, contrast = size[0] / size[1], 1.0
+        if stiffness is not None:
+            contrast = stiffness[1] / stiffness[0]
+        if max(contrast, 1 / contrast) >= STIFF:
+            swapped, why = contrast > 1, "far softer"
+        elif max(ratio, 1 / ratio) > ALIKE:
+            swapped, why = ratio > 1, "coarser"
+        else:
+            swapped, why = contrast > 1, "softer" if contrast != 1 else ""
+        contact = cls(*((b, a) if swapped else (a, b)), **options)
+        contact._swapped = swapped
+        if a[0].mesh.comm.rank == 0:
+            which = "first" if swapped else "second"
+            LOG.info("Γ1 is the %s side%s", which, why and f", the {why} one")
+        return contact
+
+    def _doubts(self):
+        """What is doubtful about the surfaces, one line each."""
+        if self.finer > FINER * (1 + 1e-9):
+            yield (
+                f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
+                "than with the sides swapped (Contact.between chooses)."
+            )
+        for surface in self._surfaces:
+            if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
+                yield (
+                    f"{surface.name} is round with straight facets, of degree "
+                    f"{surface.element.degree}: pressures will scatter; use curved cells."
+                )
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+        return self._spaces
+
+    @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
+        return self._facets
+
+    @property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1 before any displacement, gathered on every rank."""
+        return self._surfaces
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1 as they move."""
+        return self._sides
+
+    @property
+    def sliding(self) -> str:
+        """``"finite"`` or ``"small"``."""
+        return self._sliding
+
+    @property
+    def finer(self) -> float:
+        """Size of Γ0's facets over that of Γ1's."""
+        return _size(self._surfaces[0]) / _size(self._surfaces[1])
+
+    @property
+    def follows(self) -> bool:
+        """Whether Σ follows the bodies."""
+        return self._sliding == "finite"
+
+    @property
+    def depth(self) -> float:
+        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+        return self._depth
+
+    def gaps(self, u: Displacements, before: Gaps | None = None) -> Opening | PlaneOpening:
+        """Mesh Σ where the bodies are. Collective.
+
+        Args:
+            u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
+                on every rank.
+            before: What was there before.
+
+        Raises:
+            InterfaceError: There is nothing between them, or no mesh of it.
+        """
+        if self._surfaces[0].gdim == 2:
+            return PlaneOpening.between(self._comm, self._sides, u)
+        last = before if isinstance(before, Opening) else None
+        return Opening.between(self._comm, self._sides, u, last)
+
+    @property
+    def swapped(self) -> bool:
+        """Whether :meth:`between` made its first side Γ1."""
+        return self._swapped
+
+    @property
+    def active(self) -> npt.NDArray[np.bool_]:
+        """Which vertices of Γ1 (``surfaces[1].x``) are in contact; the same on every rank."""
+        if self.rows is None:
+            raise ValueError("the contact is in no problem: make one, and call solve() first.")
+        return self.rows.now.on.copy()
+
+    def pressures(self, problem) -> npt.NDArray[np.float64]:
+        """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
+
+        They are means of the multipliers over Σ's cells, of the same force.
+
+        Args:
+            problem: A solved problem with this contact.
+
+        Returns:
+            ``(num_vertices,)``, in the order of ``surfaces[1].x``.
+        """
+        rows = problem.rows(self)
+        if rows.now.opening is None:
+            return np.zeros(len(rows.g))
+        return self._opening(rows).smoothed(rows.at, rows.now.p)
+
+    def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
+        """The pressure between the bodies. Collective.
+
+        Args:
+            problem: A solved problem with this contact.
+            on: ``"sigma"``: on Σ where the bodies are now, a constant for each of its cells.
+                ``"body"``: :meth:`pressures` as a function of degree 1 on Γ1's body, 0 elsewhere.
+
+        Returns:
+            A force per area of Γ1 where it is now. (To integrate it take :meth:`force`: the cells
+            of Σ have no volume where bodies touch.)
+        """
+        rows = problem.rows(self)
+        if self._on_body(on):
+            return self._at_vertices(self.pressures(problem), "pressure")
+        cells = self._opening(rows).cells(rows.at, rows.now.p * rows.now.on)
+        return on_sigma(self._comm, cells, "pressure")
+
+    def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
+        """The distance of the bodies, negative where they overlap. Collective.
+
+        Args:
+            u0: Displacement of one body, of Γ0's if both are one.
+            u1: Displacement of the other one.
+            on: ``"sigma"``: on Σ under these displacements, a constant for each of its cells.
+                ``"body"``: weighted gaps over their areas, as a function of degree 1 on Γ1's body;
+                0 where Γ1 has nothing opposite.
+
+        Raises:
+            ValueError: A displacement that is not on its side's space.
+            InterfaceError: Nothing of Γ1 is opposite Γ0.
+        """
+        if u0.function_space != self._spaces[0]:  # `between` may have swapped them
+            u0, u1 = u1, u0
+        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
+            if u.function_space != V:
+                raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
+        on_body = self._on_body(on)
+        rows = ContactRows(Touching(self, (u0, u1), (None, None)), [])
+        rows.look(True)
+        opening = self._opening(rows)
+        if on_body:
+            distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
+            return self._at_vertices(distance, "gap")
+        return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
+
+    def _on_body(self, on: str) -> bool:
+        if on not in ("sigma", "body"):
+            raise ValueError(f'on is "sigma" or "body", not {on!r}.')
+        return on == "body"
+
+    def _opening(self, rows: ContactRows) -> Opening | PlaneOpening:
+        if rows.now.opening is None:
+            raise InterfaceError("nothing of Γ1 lies opposite Γ0 where the bodies are.")
+        assert isinstance(rows.now.opening, Opening | PlaneOpening)
+        return rows.now.opening
+
+    def displaced(self, problem) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1 where the bodies are, gathered on every rank.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        side0, side1 = self._sides
+        u = problem.rows(self).u
+        return side0.displaced(u[0]), side1.displaced(u[1])
+
+    def force(self, problem) -> npt.NDArray[np.float64]:
+        """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        rows = problem.rows(self)
+        return rows.forces(rows.now.p)[1].sum(axis=0)
+
+    def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
+        """Values at Γ1's vertices as a function on its body."""
+        mesh = self._spaces[1].mesh
+        V = fem.functionspace(mesh, ("Lagrange", 1))
+        f = fem.Function(V, name=name)
+        surface = create_surface(V, self._facets[1], "Γ1")
+        at = np.empty(len(values), dtype=np.int64)
+        at[surface.facets] = surface.dofs
+        start, end = V.dofmap.index_map.local_range
+        mine = (at >= start) & (at < end)
+        f.x.array[at[mine] - start] = values[mine]
+        f.x.scatter_forward()
+        return f
+
+
+def _size(surface: Surface) -> float:
+    """Median size of the facets."""
+    return float(np.median(surface.size))
+
+
+def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
+    """Extent of a body along the mean normal of its surface, or its smallest one. Collective."""
+    n = surface.gdim
+    size = surface.size ** (n - 1)
+    mean = (size[:, None] * surface.normals).sum(axis=0) / size.sum()
+    along = mean[None] if np.linalg.norm(mean) > TURNED else np.eye(n)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    x = V.mesh.geometry.x[:, :n] @ along.T
+    ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    low, high = (np.array(part) for part in zip(*ends, strict=True))
+    return float((high.max(axis=0) - low.min(axis=0)).min())
+
+
+def _is_round(surface: Surface) -> bool:
+    """Whether straight facets turn by small angles, as those that stand for a curve."""
+    if surface.gdim == 2:
+        turn, corner = turns(surface)
+        return bool(((turn > 0) & ~corner).any())
+    edges = np.sort(np.concatenate([surface.facets[:, [k, k - 1]] for k in range(3)]), axis=1)
+    facet = np.tile(np.arange(len(surface.facets)), 3)
+    order = np.lexsort(edges.T)
+    first = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=1))
+    n0, n1 = (surface.normals[facet[order[first + i]]] for i in (0, 1))
+    turn = np.linalg.norm(n0 - n1, axis=1)
+    return bool(((turn > FLAT) & (turn < KINK)).any())

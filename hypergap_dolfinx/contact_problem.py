@@ -1,0 +1,284 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Bodies in contact: the user's door, load step by load step."""
+
+import logging
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from hypergap_dolfinx import progress
+from hypergap_dolfinx.contact import ALIKE, Contact
+from hypergap_dolfinx.errors import InterfaceError, SolveError, raise_on_all
+from hypergap_dolfinx.joining import Joined
+from hypergap_dolfinx.solve.contact_system import ContactSystem
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.path import LoadPath
+from hypergap_dolfinx.tie import Tie
+
+LOG = logging.getLogger("hypergap_dolfinx")
+
+HALVINGS = 6
+"""Times that a load step is halved."""
+
+
+class ContactProblem(ContactSystem):
+    """Nonlinear bodies F_i(u_i; v_i) = 0 in contact with each other, and tied where ties are given.
+
+    Solves F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t = 0 with p_c ≥ 0, g_c ≥ 0, p_c g_c = 0 and
+    C = ∂g/∂u, one load step a call of :meth:`solve`.
+
+    Example:
+        The blocks of :class:`Contact` (with λ = μ = 1), of which the upper one is moved down:
+
+        >>> u = [fem.Function(V) for V in (V0, V1)]
+        >>> def residual(w):
+        ...     sigma = 2 * ufl.sym(ufl.grad(w)) + ufl.div(w) * ufl.Identity(2)
+        ...     return ufl.inner(sigma, ufl.grad(ufl.TestFunction(w.function_space))) * ufl.dx
+        >>> top = fem.Constant(above, (0.0, 0.0))
+        >>> bcs = [
+        ...     fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, at(V.mesh, y)), V)
+        ...     for value, V, y in ((fem.Constant(below, (0.0, 0.0)), V0, -1), (top, V1, 1.1))
+        ... ]
+        >>> problem = ContactProblem([residual(w) for w in u], u, bcs=bcs, contacts=[contact])
+        >>> for down in (0.05, 0.2):
+        ...     top.value[1] = -down
+        ...     u0, u1 = problem.solve()
+        ...     force = abs(contact.force(problem)[1])
+        ...     print(f"{force:.3f}, {contact.active.sum()} vertices in contact")
+        0.000, 0 vertices in contact
+        0.312, 5 vertices in contact
+        >>> p, g = contact.pressure(problem), contact.gap(u0, u1)
+        >>> bool(abs(g.x.array).max() < 0.01)
+        True
+    """
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form | None],
+        u: Sequence[fem.Function],
+        *,
+        bcs: Sequence[fem.DirichletBC] = (),
+        contacts: Sequence[Contact],
+        ties: Sequence[Tie] = (),
+        J: Sequence[ufl.Form] | None = None,
+        rtol: float = 1e-8,
+        petsc_options_prefix: str = "hypergap_",
+        petsc_options: dict | None = None,
+        form_compiler_options: dict | None = None,
+        jit_options: dict | None = None,
+    ):
+        """Compile the forms. Collective.
+
+        Args:
+            F: Residual form of each body; None is a rigid obstacle, of which the user sets u.
+            u: Displacement of each body, as used in F; what it holds is where the bodies start.
+            bcs: Dirichlet conditions of any of the bodies.
+            contacts: The contacts between them.
+            ties: The ties between them.
+            J: Jacobian form of each body that has a form; F's derivative if not given.
+            rtol: Residual, over the forces in the bodies, that is none.
+            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
+            petsc_options: Options of the KSP of Newton's steps; MUMPS if they name no type.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
+                condition on a space that belongs to no body; a rigid Γ1 that is finer than Γ0.
+            InterfaceError: The same facets in two contacts, or in a contact and a tie.
+        """
+        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+            raise ValueError("F and u are lists, with one form and one function for each body.")
+        if len(F) != len(u):
+            raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
+        contacts = [contacts] if isinstance(contacts, Contact) else contacts
+        ties = [ties] if isinstance(ties, Tie) else ties
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
+        wrong = next((c for c in contacts if not isinstance(c, Contact)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
+            )
+        _check_apart(contacts, ties)
+        elastic = [i for i, form in enumerate(F) if form is not None]
+        forms = [form for form in F if form is not None]
+        self._every = list(u)
+        touching = []
+        for c, contact in enumerate(contacts):
+            bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
+            numbers = [elastic.index(b) if b in elastic else None for b in bodies]
+            if numbers == [None, None]:
+                raise ValueError(f"contact {c} is between two rigid bodies.")
+            if numbers[1] is None and contact.finer > ALIKE:
+                raise ValueError(
+                    f"Γ1 of contact {c} is rigid, with smaller facets than Γ0: there would be "
+                    "more pressures than displacements; swap its sides."
+                )
+            fields = u[bodies[0]], u[bodies[1]]
+            touching.append(Touching(contact, fields, (numbers[0], numbers[1])))
+        super().__init__(
+            forms,
+            [u[i] for i in elastic],
+            bcs,
+            Joined(ties),
+            touching,
+            rtol=rtol,
+            petsc_options_prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
+            J=J,
+            form_compiler_options=form_compiler_options,
+            jit_options=jit_options,
+        )
+        self._contacts = list(contacts)
+        for contact, rows in zip(self._contacts, self._rows, strict=True):
+            contact.rows = rows
+        moved = [f for f, form in zip(u, F, strict=True) if form is None]
+        self._path = LoadPath(forms, self._u, bcs, moved)
+        self._halvings = self._num_steps = 0
+
+    def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
+        """The body on one side of a contact."""
+        body = next((i for i, f in enumerate(self._every) if f.function_space == V), None)
+        if body is None:
+            raise ValueError(
+                f"Γ{side} of contact {c} is on a space of no body; make the contact and the forms "
+                "on the same function spaces."
+            )
+        return body
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The contacts."""
+        return list(self._contacts)
+
+    @property
+    def every_u(self) -> list[fem.Function]:
+        """The displacement of each body, of rigid ones too."""
+        return list(self._every)
+
+    @property
+    def iterations(self) -> int:
+        """Newton steps of the last :meth:`solve`, those of failed load steps too."""
+        return self._iterations
+
+    @property
+    def halvings(self) -> int:
+        """Times that the last :meth:`solve` halved its load step."""
+        return self._halvings
+
+    def rows(self, contact: Contact) -> ContactRows:
+        """Gaps and pressures of a contact after a solve, as arrays.
+
+        Raises:
+            ValueError: Not one of the problem's contacts, or not solved yet.
+        """
+        c = next((c for c, other in enumerate(self._contacts) if other is contact), None)
+        if c is None:
+            raise ValueError("the contact is not one of this problem's.")
+        if not self._solved:
+            raise ValueError("the problem is not solved yet: call solve() first.")
+        return self._rows[c]
+
+    def solve(self) -> list[fem.Function]:
+        """Go from the last state to the values that are set now, and accept that. Collective.
+
+        Where Newton's iteration fails, the load step is halved: all constants and functions in the
+        forms and boundary conditions are set to values between. If that fails too, the last state
+        that was found remains.
+
+        Returns:
+            The displacement of each body, the same functions as in ``u``.
+
+        Raises:
+            SolveError: No load step, however small, was solved; says why.
+        """
+        comm = self._u[0].function_space.mesh.comm
+        self._path.set_out()
+        bad = None if self._path.is_finite else "a load or a prescribed displacement is no number."
+        raise_on_all(comm, bad, SolveError)
+        self._iterations = self._halvings = 0
+        self._prepare()
+        done, size = 0.0, 1.0
+        while done < 1:
+            before = self._state()
+            s = min(done + size, 1.0)
+            self._path.go(s)
+            try:
+                steps = self._newton()
+            except SolveError as error:
+                self._restore(before)
+                size /= 2
+                self._halvings += 1
+                if size < 0.5**HALVINGS:
+                    self._path.stop(done)
+                    raise SolveError(
+                        f"contact: no solution beyond {done:.3g} of the load step; {error}"
+                    ) from error
+                progress.show(comm, f"load {s:.3g}: {error}")
+            else:
+                for rows in self._rows:
+                    rows.accept()
+                done, size = s, min(2 * size, 1.0)
+                progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
+        self._path.stop()
+        self._num_steps += 1
+        self._solved = True
+        progress.show(comm, self._summary(), keep=True)
+        if self._num_steps == 1:
+            self._warn_of_reach(comm)
+        return self._every
+
+    def _summary(self) -> str:
+        """What a load step did, in one line."""
+        halved = f", halved {self._halvings} times" if self._halvings else ""
+        num, every = (
+            sum(int(part.sum()) for part in parts)
+            for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
+        )
+        return (
+            f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
+            f"{num} of {every} vertices in contact"
+        )
+
+    def _warn_of_reach(self, comm):
+        """Say which surfaces have nothing opposite."""
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            if comm.rank == 0 and not (rows.m > 0).any():
+                x0, x1 = (surface.x.mean(axis=0) for surface in contact.surfaces)
+                LOG.warning(
+                    f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
+                    "are these the right facets?"
+                )
+
+
+def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):
+    """Raise if the same facets of two bodies are given twice. Collective."""
+    given: list[tuple[str, Contact | Tie]] = [
+        (f"contact {c}", one) for c, one in enumerate(contacts)
+    ]
+    given += [(f"tie {t}", tie) for t, tie in enumerate(ties)]
+    for (name, one), (other_name, other) in combinations(given, 2):
+        if isinstance(one, Tie):
+            continue
+        comm, twice = one.spaces[0].mesh.comm, False
+        for order in ((0, 1), (1, 0)):
+            shared = [_share(one, i, other, j) for i, j in enumerate(order)]
+            twice |= bool(np.any(comm.allgather(shared), axis=0).all())
+        if twice:
+            raise InterfaceError(
+                f"{name} and {other_name} have facets of Γ0 and of Γ1 in common; give the facets "
+                "of two bodies to one of them."
+            )
+
+
+def _share(one: Contact | Tie, i: int, other: Contact | Tie, j: int) -> bool:
+    """Whether sides have facets on this rank in common."""
+    same = one.spaces[i].mesh is other.spaces[j].mesh
+    return same and bool(np.isin(one.facets[i], other.facets[j]).any())

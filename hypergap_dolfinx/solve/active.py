@@ -1,0 +1,112 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which multipliers of a contact act: the active set of a semi-smooth Newton. NumPy alone."""
+
+import numpy as np
+import numpy.typing as npt
+
+COVERED = 1e-3
+"""Area m_a of a weight, over that of Γ1's facets around its vertex, from which it is one: what is
+cut off by the other side's end has little to say."""
+HOLDS = 1e-6
+"""Sine between what a multiplier holds of the free rigid motions and what others do, from which it
+holds more than they."""
+
+DIGITS = 9
+"""To which ways to contact are compared: round-off doesn't choose between them."""
+
+
+def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
+    """Multipliers with enough of an area to have a pressure.
+
+    Args:
+        m: Areas of the weights, ``(num,)``.
+        area: Areas of Γ1 that the vertices stand for, ``(num,)``.
+    """
+    return m > COVERED * area
+
+
+def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
+    """P − c g/m > 0: closed or overlapping, and not pulling.
+
+    Args:
+        p: Pressures, ``(num,)``.
+        g: Weighted gaps, ``(num,)``.
+        m: Areas of the weights, ``(num,)``.
+        valid: Which multipliers there are, ``(num,)``.
+        stiffness: c, of the size of a modulus over the size of a cell.
+    """
+    gap = np.divide(g, m, out=np.zeros_like(g), where=valid)
+    return valid & (p - stiffness * gap > 0)
+
+
+def receding(before, now, facets) -> npt.NDArray[np.bool_]:
+    """An active set that loses a zone at its edge, and as wide a zone beside it less one ring.
+
+    Where contact reaches too far by δ its pressure changes sign δ/2 from the edge: without the
+    other half each step would only halve what is too much. What goes wrongly comes back at once,
+    since it overlaps.
+
+    Args:
+        before: The last set, ``(num,)``.
+        now: Those that remain, and new ones, ``(num,)``.
+        facets: Vertices of Γ1's facets, ``(num_facets, n)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    lost, width = before & ~now, np.where(before, np.inf, 0)
+    while True:  # rings from the edge of the last set
+        ring = np.where(lost[facets], width[facets].min(axis=1, keepdims=True) + 1, np.inf)
+        nearer = width.copy()
+        np.minimum.at(nearer, facets, ring)
+        if (nearer == width).all():
+            break
+        width = nearer
+    left, result = np.where(lost & np.isfinite(width), width, 0.0), now.copy()
+    while (left > 0).any():
+        spread = np.zeros_like(left)
+        np.maximum.at(spread, facets, left[facets].max(axis=1, keepdims=True) - 1)
+        left = np.where(result & before, spread, 0)
+        result &= ~(left > 0)
+    return result
+
+
+def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_], int]:
+    """An active set that is enlarged until it holds what nothing else does.
+
+    What the shortest way closes comes first; last what would have to pull against the load.
+
+    Args:
+        active: The set, ``(num,)``.
+        distance: Gaps over areas, ``(num,)``.
+        valid: Which multipliers there are, ``(num,)``.
+        holds: What each makes of the motions that are free without contact, ``(num, num_free)``.
+        load: Forces on those motions that contact is to balance, ``(num_free,)``.
+
+    Returns:
+        The set, and how many motions stay free even so.
+    """
+    num = holds.shape[1]
+    size = np.linalg.norm(holds, axis=1)
+    rows = holds / np.where(size > 0, size, 1)[:, None]
+    basis = np.empty((0, num))
+    result = active.copy()
+    can = valid & (size > 0)
+    way = np.full(len(size), np.inf)
+    way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
+    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
+    pulls = rows @ load < -HOLDS * np.linalg.norm(load)
+    order = np.lexsort((way, pulls, ~active))  # what is active first
+    for a in order[valid[order] & (size[order] > HOLDS * size.max(initial=0))].tolist():
+        if len(basis) == num:
+            break
+        rest = rows[a] - (rows[a] @ basis.T) @ basis
+        length = np.linalg.norm(rest)
+        if length > HOLDS:
+            basis = np.vstack((basis, rest / length))
+            result[a] = True
+    return result, num - len(basis)

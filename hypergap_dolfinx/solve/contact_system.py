@@ -1,0 +1,408 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A semi-smooth Newton iteration for bodies in contact."""
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve import active, saddle
+from hypergap_dolfinx.solve.contacts import ContactRows, Pressed, Touching, owned_values
+from hypergap_dolfinx.solve.direct import PLANE, DirectStep
+from hypergap_dolfinx.solve.held import FreeMotions
+from hypergap_dolfinx.solve.interface import Pieces
+from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
+from hypergap_dolfinx.solve.newton import NonlinearSystem
+from hypergap_dolfinx.solve.options import Options
+
+STEPS = 25
+"""Newton steps after which a load step is halved."""
+ANEW = 10
+"""Newton steps in which Σ is made anew where the bodies are; it could cycle in later ones."""
+RENEWALS = 2
+"""Times that Σ in space is made anew where an iteration with a fixed one ended."""
+SLOW = 0.25
+"""How much of a residual is left by a step, with sets that are settled, from which Σ stays as it
+is: curved dies leave 0.01, flat ones with corners 0.4 to 0.85."""
+FAR = 1.0
+"""Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
+CLOSED = 1e-9
+"""Gap of what is in contact, in sizes of facets, that is none."""
+PULLS = 1e-8
+"""Negative pressure, over the largest, that is none."""
+ROUND_OFF = 1e-14
+"""Residual over stiffness and displacement that is round-off."""
+
+
+class ContactSystem(NonlinearSystem):
+    """F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t, and the gaps of what is in contact."""
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form],
+        u: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC],
+        pieces: Pieces,
+        touching: Sequence[Touching],
+        *,
+        rtol: float,
+        petsc_options_prefix: str,
+        petsc_options: dict | None,
+        **compiling,
+    ):
+        """Compile the forms. Collective.
+
+        Args:
+            F: Residual form of each body.
+            u: Displacement of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            pieces: The ties, and what they are pieces of.
+            touching: The contacts.
+            rtol: Residual, over the forces in the bodies, that is none.
+            petsc_options_prefix: Prefix of the KSP's options.
+            petsc_options: Options of the KSP.
+            compiling: J and options, as for :class:`NonlinearSystem`.
+        """
+        super().__init__(F, u, bcs, pieces, **compiling)
+        self._rtol = rtol
+        self._prefix = petsc_options_prefix
+        plane = self._u[0].function_space.mesh.topology.dim == 2
+        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
+        self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
+        held = self._constraints.prescribed
+        self._rows = [ContactRows(contact, held) for contact in touching]
+        self._free: FreeMotions | None = None
+        self._iterations = 0
+
+    def _prepare(self):
+        """Once: what nothing but contact holds. Collective."""
+        for u, x in zip(self._u, self._x.getNestSubVecs()):
+            x.array[:] = u.x.array[: x.getLocalSize()]
+        if self._free is None:
+            self.assemble_matrix()
+            self._scales_fixed = True
+            self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
+
+    def _state(self):
+        """What a failed load step gives back."""
+        pressed = [Pressed(r.now.opening, r.now.p.copy(), r.now.on.copy()) for r in self._rows]
+        return [part.array_r.copy() for part in self._x.getNestSubVecs()], pressed
+
+    def _restore(self, state):
+        values, pressed = state
+        for part, value in zip(self._x.getNestSubVecs(), values, strict=True):
+            part.array[:] = value
+        self._assign(self._x)
+        for rows, now in zip(self._rows, pressed, strict=True):
+            rows.now = now
+
+    def _newton(self) -> int:
+        """Newton's iteration for the values that are set. Collective.
+
+        Returns:
+            The number of its steps.
+
+        Raises:
+            SolveError: It failed.
+        """
+        self._assign(self._x)
+        before: list[npt.NDArray] = []
+        exact, follows, last, renewals = False, True, np.inf, 0
+        for step in range(STEPS + 1):
+            for rows in self._rows:
+                rows.look(follows)
+            self._residual(self._x, self._b)
+            jump = self._jump()
+            if step == 0:
+                self.assemble_matrix()
+            held = self._choose(before)
+            settled = bool(before) and all(map(np.array_equal, before, held))
+            now, ended = self._balance()
+            if step and settled and ended and not follows and renewals < RENEWALS:
+                renewals += 1
+                if any([rows.renew() for rows in self._rows]):
+                    self._residual(self._x, self._b)
+                    held = self._choose(before)
+                    settled = all(map(np.array_equal, before, held))
+                    now, ended = self._balance()
+            if step and settled and ended:
+                self._check_pushing()
+                return step
+            if step == STEPS:
+                break
+            # Feet that move are not in the tangent; mostly that's little
+            slow = exact and now > SLOW * last
+            follows = step < ANEW and (not settled or (follows and not slow))
+            exact, before, last = settled, held, now
+            if step:
+                self.assemble_matrix()
+            if step == 0 and self._slides(jump):
+                self._carry()
+            else:
+                # The last load step's pressures are as good as those of sets that are settled
+                self._step(settled or (step == 0 and self._continues()), jump)
+            self._iterations += 1
+        raise SolveError(f"Newton's iteration did not end in {STEPS} steps.")
+
+    def _check_pushing(self):
+        """Raise if what is active only to hold a body would have to pull it."""
+        for rows in self._rows:
+            p = rows.now.p[rows.now.on]
+            if p.min(initial=0) < -PULLS * np.abs(p).max(initial=0):
+                raise SolveError(
+                    "contact would have to pull: a body that nothing else holds is drawn away, or "
+                    "tilts; hold it by boundary conditions."
+                )
+
+    def _jump(self) -> list[npt.NDArray[np.float64]]:
+        """What prescribed displacements still have to move, of each body's owned dofs."""
+        jumps = []
+        for u, bcs, held in zip(self._u, self._bcs, self._constraints.prescribed, strict=True):
+            lifted = compat.create_vector(u.function_space)
+            lifted.array[:] = owned_values(u)
+            petsc.set_bc(lifted, bcs)
+            jumps.append(np.where(held, lifted.array_r - owned_values(u), 0))
+            lifted.destroy()
+        return jumps
+
+    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
+        """The active sets, of which the rows hold what nothing else does. Collective."""
+        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        for rows in self._rows:
+            c = stiffness / rows.typical_area
+            rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+            if not before and not rows.now.p.any():
+                rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
+        for rows, last in zip(self._rows, before, strict=False):
+            rows.now.on = active.receding(last, rows.now.on, rows.sides[1].reference.facets)
+        assert self._free is not None
+        if self._free.num:
+            holds = [self._holds(rows) for rows in self._rows]
+            every, distance, valid = (
+                np.concatenate([getattr(part, name) for part in parts])
+                for parts, name in (
+                    ([rows.now for rows in self._rows], "on"),
+                    (self._rows, "distance"),
+                    (self._rows, "valid"),
+                )
+            )
+            on, num_free = active.seeded(every, distance, valid, np.vstack(holds), self._load())
+            if num_free:
+                raise SolveError(
+                    f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
+                    f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact "
+                    "without friction; hold them by boundary conditions."
+                )
+            ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
+            for rows, part in zip(self._rows, np.split(on, ends), strict=True):
+                rows.now.on = part
+        return [rows.now.on.copy() for rows in self._rows]
+
+    def _load(self) -> npt.NDArray[np.float64]:
+        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
+        assert self._free is not None
+        load = np.zeros(self._free.num)
+        for i, (u, b) in enumerate(zip(self._u, self._b.getNestSubVecs(), strict=False)):
+            load += self._free.at(i, owned_values(u)).T @ b.array_r
+        return self._u[0].function_space.mesh.comm.allreduce(load)
+
+    def _holds(self, rows: ContactRows) -> npt.NDArray[np.float64]:
+        """What a contact's multipliers make of free rigid motions, ``(num_multipliers, num)``."""
+        assert self._free is not None
+        result = np.zeros((len(rows.g), self._free.num))
+        modes = [
+            None if body is None else self._free.at(body, owned_values(self._u[body]))
+            for body in rows.bodies
+        ]
+        for k in range(self._free.num):
+            parts = [
+                np.zeros_like(owned_values(f)) if m is None else m[:, k]
+                for m, f in zip(modes, rows.fields, strict=True)
+            ]
+            result[:, k] = rows.times(rows.displacements(parts)) / np.where(rows.valid, rows.m, 1)
+        return np.where(rows.valid[:, None], result, 0)
+
+    def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
+        """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
+        for rows in self._rows:
+            for i, (body, force) in enumerate(
+                zip(rows.bodies, rows.forces(rows.now.p * rows.now.on), strict=True)
+            ):
+                if body is not None:
+                    dofs, values = rows.owned(i, force)
+                    free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
+                    vectors[body].array[dofs] -= values * free
+
+    def _balance(self) -> tuple[float, bool]:
+        """The residual, and whether it is none and what is in contact is closed. Collective."""
+        comm = self._u[0].function_space.mesh.comm
+        residual = self._b.copy()
+        parts = residual.getNestSubVecs()
+        self._add_contact(parts, all_dofs=False)
+        num = len(self._u)
+        worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        size, least = 0.0, 0.0
+        for u, F, K in zip(self._u, self._F, self._K, strict=True):
+            raw = compat.create_vector(u.function_space)
+            petsc.assemble_vector(raw, F)
+            raw.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            size += raw.norm() ** 2
+            raw.destroy()
+            least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
+        for rows in self._rows:
+            size += sum((force**2).sum() for force in rows.forces(rows.now.p * rows.now.on))
+        residual.destroy()
+        if not np.isfinite(worst):
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
+            return worst, False
+        return worst, all(
+            np.abs(rows.distance[rows.now.on]).max(initial=0)
+            <= CLOSED * rows.sides[1].reference.size.max()
+            for rows in self._rows
+        )
+
+    def _continues(self) -> bool:
+        """Whether what is in contact is what was, and pushes."""
+        return all(np.array_equal(rows.now.on, rows.now.p > 0) for rows in self._rows)
+
+    def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
+        """Whether what is in contact is prescribed to move farther than its facets are long."""
+        comm = self._u[0].function_space.mesh.comm
+        far = comm.allreduce(max(np.abs(part).max(initial=0) for part in jump), MPI.MAX)
+        assert self._free is not None
+        return not self._free.num and any(
+            rows.now.p.any() and far > FAR * rows.sides[1].reference.size.max()
+            for rows in self._rows
+        )
+
+    def _carry(self):
+        """Move prescribed bodies under the forces that they have, and forget those. Collective.
+
+        Gaps where a body was say nothing about where it goes.
+        """
+        num = self._A.getNestSize()[0]
+        blocks = [[self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)]
+        right = [part.copy() for part in self._b.getNestSubVecs()]
+        self._add_contact(right, all_dofs=False)
+        try:
+            solution = self._linear_solve(blocks, right)
+        finally:
+            for part in right:
+                part.destroy()
+        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
+            x.axpy(-1.0, dx)
+            dx.destroy()
+        for rows in self._rows:
+            rows.now.p = np.zeros_like(rows.g)
+        self._assign(self._x)
+
+    def _step(self, settled: bool, jump: Sequence[npt.NDArray[np.float64]]):
+        """Solve for one step, and take it. Collective.
+
+        Args:
+            settled: Whether the sets are those of the last step: then the tangent is exact.
+            jump: What prescribed displacements have to move.
+        """
+        num = self._A.getNestSize()[0]
+        blocks: list[list[PETSc.Mat | None]] = [
+            [self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)
+        ]
+        own: list[PETSc.Mat] = []
+        if settled:
+            self._subtract_curvature(blocks, own)
+        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        right = [part.copy() for part in self._b.getNestSubVecs()]
+        scales = {}
+        for c, rows in enumerate(self._rows):
+            if not rows.now.on.any():
+                continue
+            scale = np.divide(stiffness, rows.m, out=np.zeros_like(rows.m), where=rows.valid)
+            C = rows.row_blocks(scale)
+            for line in blocks:
+                line.append(None)
+            line = [C.get(j) for j in range(len(blocks))]
+            for j, block in C.items():
+                blocks[j][-1] = block.copy().transpose()
+                own += [block, blocks[j][-1]]
+            zero = saddle.zero_matrix(next(iter(C.values())).getSizes()[0], self._A.comm)
+            own.append(zero)
+            blocks.append([*line, zero])
+            parts = [
+                np.zeros_like(owned_values(f)) if body is None else jump[body]
+                for body, f in zip(rows.bodies, rows.fields, strict=True)
+            ]
+            g = rows.g + rows.times(rows.displacements(parts))
+            b = zero.createVecLeft()
+            b.array[:] = rows.local(scale * g)
+            right.append(b)
+            scales[c] = scale
+        try:
+            solution = self._linear_solve(blocks, right)
+        finally:
+            for obj in (*own, *right):
+                obj.destroy()
+        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
+            x.axpy(-1.0, dx)
+        pressures = dict(zip(scales, solution[num:], strict=True))
+        for c, rows in enumerate(self._rows):
+            rows.now.p = np.zeros_like(rows.g)
+            if c in scales:
+                rows.now.p = rows.gathered(pressures[c].array_r.copy()) * scales[c]
+        for part in solution:
+            part.destroy()
+        self._assign(self._x)
+
+    def _subtract_curvature(self, blocks: list[list[PETSc.Mat | None]], own: list[PETSc.Mat]):
+        """Make blocks of K those of K − Σ p ∂²g. Collective."""
+        for rows in self._rows:
+            for (i, j), H in rows.curvature_blocks().items():
+                before = blocks[i][j]
+                H.scale(-1.0)
+                if before is None:
+                    blocks[i][j] = H
+                    own.append(H)
+                    continue
+                if all(before is not mine for mine in own):
+                    before = blocks[i][j] = before.copy()
+                    own.append(before)
+                before.axpy(1.0, H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                H.destroy()
+
+    def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
+        """The solution's parts. Collective."""
+        A = PETSc.Mat().createNest(blocks, comm=self._A.comm)
+        b = PETSc.Vec().createNest(right, comm=A.comm)
+        solution = [part.duplicate() for part in right]
+        x = PETSc.Vec().createNest(solution, comm=A.comm)
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        ksp.setOptionsPrefix(self._prefix)
+        try:
+            with self._options.in_use():
+                ksp.setFromOptions()
+                saddle.solve(ksp, b, x)
+            saddle.check_solved(ksp)
+            total = x.norm()
+            if not np.isfinite(total):
+                raise SolveError("the linear solve gave no numbers.")
+        except SolveError:
+            for part in solution:
+                part.destroy()
+            raise
+        finally:
+            for obj in (ksp, x, b, A):
+                obj.destroy()
+        return solution

@@ -1,0 +1,288 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, NotFacingError
+from hypergap_dolfinx.gap.constraint import coo_matrix
+from hypergap_dolfinx.gap.moving import Displacements, Sparse
+from hypergap_dolfinx.gap.surface import lengths, normals_by_area
+from hypergap_dolfinx.solve import active
+from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
+
+FREE = 1e-8
+"""Size of a gap's derivative at what can move, over that at all, from which contact can act."""
+
+
+@dataclass(frozen=True)
+class Touching:
+    """A contact among the bodies of a problem."""
+
+    contact: ContactInterface
+    u: tuple[fem.Function, fem.Function]
+    """Displacements of their bodies."""
+    bodies: tuple[int | None, int | None]
+    """Numbers of their bodies; None is a rigid one."""
+
+
+@dataclass
+class Pressed:
+    """What a load step changes, and gives back if it fails."""
+
+    opening: Gaps | None
+    p: npt.NDArray[np.float64]
+    """``(num_multipliers,)``."""
+    on: npt.NDArray[np.bool_]
+    """The active set, ``(num_multipliers,)``."""
+
+
+class ContactRows:
+    """Contact between two bodies; arrays are the same on every rank, matrices distributed."""
+
+    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
+        """Find out where the surfaces are in the bodies. Collective.
+
+        Args:
+            touching: What touches.
+            held: Which owned dofs of each body are prescribed.
+        """
+        self._contact, self.fields, self.bodies = touching.contact, touching.u, touching.bodies
+        self.sides, self.spaces = self._contact.sides, self._contact.spaces
+        self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
+        self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
+        sides, bodies = self.sides, self.bodies
+        self._n = sides[0].reference.gdim
+        num = len(sides[1].reference.x)
+        self.now = Pressed(None, np.zeros(num), np.zeros(num, dtype=bool))
+        self._held = [
+            np.ones((len(side.dofs), self._n), dtype=bool)
+            if body is None
+            else self._at_surface(i, held[body].reshape(-1, self._n).astype(np.int8)).astype(bool)
+            for i, (side, body) in enumerate(zip(sides, bodies, strict=True))
+        ]
+        surface = sides[1].reference
+        size = lengths(normals_by_area(surface.x[surface.facets]))
+        self._area = np.zeros(num)
+        for corner in surface.facets.T:
+            self._area += np.bincount(corner, size, num)
+        self._area /= surface.facets.shape[1] * (self._n - 1)
+        self._rank = np.searchsorted(surface.dof_range[1:], sides[1].vertex_dofs, side="right")
+
+    def _at_surface(self, i: int, owned: npt.NDArray) -> npt.NDArray:
+        """Values at the dofs of a side, of this rank's owned values. Collective."""
+        offset = self.spaces[i].dofmap.index_map.local_range[0]
+        return look_up(self._comm, owned, offset, self.sides[i].dofs)
+
+    def displacements(self, u: Sequence[npt.NDArray[np.float64]]) -> Displacements:
+        """Displacements at both sides' dofs. Collective.
+
+        Args:
+            u: This rank's owned values on Γ0's and Γ1's space, ``(num_dofs,)``.
+        """
+        u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
+        return u0, u1
+
+    def look(self, anew: bool):
+        """Find the gaps where the bodies are. Collective.
+
+        Args:
+            anew: Whether Σ is to be made anew, if it follows the bodies.
+
+        Raises:
+            InterfaceError: There never was a Σ, and none can be made, though the sides face each
+                other.
+        """
+        self.u = self.displacements([owned_values(f) for f in self.fields])
+        if self._follows:
+            self._follow(anew)
+        else:
+            if self._first is None:
+                self.now.opening = self._contact.gaps(self.at, None)
+                self._first = self.now.opening.gap(self.at)
+            start, self.m, self.C = self._first
+            self.g = start + self.times(self.u)
+        self._look_behind()
+        held = np.concatenate([part.ravel() for part in self._held])
+        every, free = (
+            np.bincount(self.C.i, weights * self.C.values**2, len(self.g))
+            for weights in (1.0, ~held[self.C.j])
+        )
+        self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
+
+    def _follow(self, anew: bool):
+        """Find the gaps of a Σ that follows the bodies; none where they don't face each other."""
+        now = self.now
+        try:  # the same on all ranks
+            if now.opening is None or anew:
+                try:
+                    now.opening = self._contact.gaps(self.u, now.opening)
+                except (InterfaceError, InvertedCellError) as error:
+                    if now.opening is None or isinstance(error, NotFacingError):
+                        raise
+            self.g, self.m, self.C = now.opening.gap(self.u)
+        except NotFacingError:
+            none = np.zeros(len(self._area))
+            now.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
+
+    @property
+    def at(self) -> Displacements:
+        """The displacements at which Σ is."""
+        u0, u1 = self.u
+        return (u0, u1) if self._follows else (np.zeros_like(u0), np.zeros_like(u1))
+
+    def _look_behind(self):
+        """Find out which vertices are opposite to Γ0 at its body's other side.
+
+        What came there in the present load step overlaps: it is to be pushed out.
+
+        Raises:
+            InterfaceError: All of them are, at first.
+        """
+        opposite, deep = self.m > 0, self.g < -self._contact.depth * self.m
+        if self._accepted is None:
+            if opposite.any() and deep[opposite].all():
+                raise InterfaceError(
+                    f"Γ1 is {(-self.g[opposite] / self.m[opposite]).min():.3g} and more behind Γ0: "
+                    "the bodies are on the wrong sides of each other, or the facets on those of "
+                    "the bodies."
+                )
+            self._accepted = deep, opposite
+        before, there = self._accepted
+        self._behind = (before & (self.g < 0)) | (deep & ~there)
+
+    def accept(self):
+        """The state is that from which the next load step starts."""
+        if self.now.opening is not None:
+            self._accepted = self._behind, self.m > 0
+
+    def renew(self) -> bool:
+        """Make Σ anew in space, where cells depend on what they were made at. Collective.
+
+        Returns:
+            Whether it was.
+        """
+        if self._n == 2 or not self._follows:
+            return False
+        self.look(True)
+        return True
+
+    @property
+    def distance(self) -> npt.NDArray[np.float64]:
+        """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
+        return np.divide(self.g, self.m, out=np.full_like(self.g, np.inf), where=self.valid)
+
+    @property
+    def typical_area(self) -> float:
+        """Median of the areas of multipliers."""
+        return float(np.median(self.m[self.valid])) if self.valid.any() else 1.0
+
+    def times(self, values: Displacements) -> npt.NDArray[np.float64]:
+        """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
+        flat = np.concatenate([part.ravel() for part in values])
+        products = self.C.values * flat[self.C.j]
+        return np.bincount(self.C.i, products, len(self.m)).astype(float)  # without any: integers
+
+    def forces(self, p: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+        """Cᵀp at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        num = [len(side.dofs) for side in self.sides]
+        flat = np.bincount(self.C.j, self.C.values * p[self.C.i], sum(num) * self._n)
+        return np.split(flat.astype(float).reshape(-1, self._n), num[:1])
+
+    def owned(self, i: int, values: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's owned dofs (unrolled, local) of a side, and the values that are there."""
+        start, end = self.spaces[i].dofmap.index_map.local_range
+        mine = (self.sides[i].dofs >= start) & (self.sides[i].dofs < end)
+        dofs = (self.sides[i].dofs[mine] - start)[:, None] * self._n + np.arange(self._n)
+        return dofs.ravel(), values[mine].ravel()
+
+    def order(self) -> npt.NDArray[np.intp]:
+        """The active multipliers in the order of the matrices' rows."""
+        on = np.flatnonzero(self.now.on)
+        return on[np.argsort(self._rank[on], kind="stable")]
+
+    def _side_of(self, j):
+        """Side, global dof (unrolled) and whether it is held, of columns of C."""
+        num0 = len(self.sides[0].dofs) * self._n
+        side = (j >= num0).astype(np.intp)
+        local = j - side * num0
+        node, component = np.divmod(local, self._n)
+        dof, held = np.empty_like(j), np.empty(len(j), dtype=bool)
+        for i in (0, 1):
+            on = side == i
+            dof[on] = self.sides[i].dofs[node[on]] * self._n + component[on]
+            held[on] = self._held[i][node[on], component[on]]
+        return side, dof, held
+
+    def _size(self, body: int) -> int:
+        i = self.bodies.index(body)
+        return self.spaces[i].dofmap.index_map.size_local * self._n
+
+    def row_blocks(self, scale: npt.NDArray[np.float64]) -> dict[int, PETSc.Mat]:
+        """C of the active multipliers at what can move, by body. Collective.
+
+        Args:
+            scale: Factor of each row, ``(num_multipliers,)``.
+        """
+        rows = self.order()
+        number = np.full(len(self.g), -1)
+        number[rows] = np.arange(len(rows))
+        mine = (number[self.C.i] >= 0) & (self._rank[self.C.i] == self._comm.rank)
+        i, j, values = self.C.i[mine], self.C.j[mine], self.C.values[mine]
+        side, dof, held = self._side_of(j)
+        num = int((self._rank[rows] == self._comm.rank).sum())
+        blocks = {}
+        for body in sorted({b for b in self.bodies if b is not None}):
+            on = np.array([b == body for b in self.bodies])[side] & ~held
+            entries = number[i[on]], dof[on], values[on] * scale[i[on]]
+            blocks[body] = coo_matrix(self._comm, (num, self._size(body)), *entries)
+        return blocks
+
+    def curvature_blocks(self) -> dict[tuple[int, int], PETSc.Mat]:
+        """Σ p ∂²g of what pushes, at what can move, by pairs of bodies. Collective."""
+        if not self._follows or self.now.opening is None:
+            return {}
+        H: Sparse = self.now.opening.curvature(self.u, np.maximum(self.now.p, 0) * self.now.on)
+        row_side, row, row_held = self._side_of(H.i)
+        side, column, held = self._side_of(H.j)
+        use = ~(row_held | held)
+        blocks = {}
+        bodies = sorted({b for b in self.bodies if b is not None})
+        of = np.array([-1 if b is None else b for b in self.bodies])
+        for a in bodies:
+            i = self.bodies.index(a)
+            start, end = np.multiply(self.spaces[i].dofmap.index_map.local_range, self._n)
+            for b in bodies:
+                on = use & (of[row_side] == a) & (of[side] == b) & (row >= start) & (row < end)
+                sizes = self._size(a), self._size(b)
+                blocks[a, b] = coo_matrix(self._comm, sizes, row[on], column[on], H.values[on])
+        return blocks
+
+    def gathered(self, local: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of all multipliers from this rank's active rows. Collective."""
+        values = np.zeros(len(self.g))
+        values[self.order()] = np.concatenate(self._comm.allgather(local))
+        return values
+
+    def local(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """This rank's active rows of values of all multipliers."""
+        rows = self.order()
+        return values[rows[self._rank[rows] == self._comm.rank]]
+
+
+def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
+    """This rank's owned values, ``(num_dofs,)``."""
+    dofmap = u.function_space.dofmap
+    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]

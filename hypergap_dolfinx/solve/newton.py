@@ -1,0 +1,120 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Residual and tangent of nonlinear bodies with ties between them."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.solve.interface import Pieces
+from hypergap_dolfinx.solve.system import TiedSystem
+
+
+class NonlinearSystem(TiedSystem):
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i, with their derivative in :attr:`A`."""
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form],
+        u: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC],
+        pieces: Pieces,
+        *,
+        J: Sequence[ufl.Form] | None = None,
+        form_compiler_options: dict | None = None,
+        jit_options: dict | None = None,
+    ):
+        """Compile the forms. Collective.
+
+        Args:
+            F: Residual form of each body.
+            u: Solution function of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            pieces: The ties, and what they are pieces of.
+            J: Jacobian form of each body; F's derivative if not given.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
+                a space that belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        if J is None:
+            J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
+        if not len(F) == len(u) == len(J) or not F:
+            raise ValueError(
+                f"{len(F)} residual forms, {len(u)} functions and {len(J)} Jacobian forms: give "
+                "one of each for every body."
+            )
+
+        def compiled(form):
+            return fem.form(
+                form,
+                dtype=PETSc.ScalarType,
+                form_compiler_options=form_compiler_options,
+                jit_options=jit_options,
+            )
+
+        self._F = [compiled(form) for form in F]
+        super().__init__([compiled(form) for form in J], bcs, pieces, u)
+        # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
+        # then PETSc no longer knows of the communicator on some ranks, while others do
+        self._now = [compat.create_vector(f.function_space) for f in self._u]
+
+    def _release(self) -> list:
+        return [*super()._release(), *self.__dict__.pop("_now", [])]
+
+    def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
+        """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
+        self._assign(x)
+        x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
+        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
+        multipliers = x_parts[len(x_parts) - num_ties :]
+        lifted = []
+        prescribed = self._constraints.prescribed
+        for u, now, b, F, J, bcs, held, scale in zip(
+            self._u, self._now, r_parts, self._F, self._a, self._bcs, prescribed, self._scales
+        ):
+            with b.localForm() as local, now.localForm() as values:
+                local.set(0.0)
+                values.array[:] = u.x.array
+            petsc.assemble_vector(b, F)
+            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            petsc.set_bc(b, bcs, x0=now, alpha=-1.0)
+            b.array[held] *= scale
+            lifted.append(now.copy())
+            petsc.set_bc(lifted[-1], bcs)
+        for b in r_parts[num_bodies : len(r_parts) - num_ties]:
+            b.set(0.0)
+        fields = [*lifted, *x_parts[num_bodies : len(x_parts) - num_ties]]
+        for t, multiplier in enumerate(multipliers):
+            for b, B in zip(r_parts, self._constraints.free[t]):
+                if B is not None:
+                    B.multTransposeAdd(multiplier, b, b)
+            self._constraints.apply(t, fields, r_parts[len(r_parts) - num_ties + t])
+        for vector in lifted:
+            vector.destroy()
+        r.assemble()
+
+    def _jacobian(self, x: PETSc.Vec):
+        self._assign(x)
+        self.assemble_matrix()
+
+    @property
+    def F(self) -> list[fem.Form]:
+        """The compiled residual forms."""
+        return self._F
+
+    @property
+    def J(self) -> list[fem.Form]:
+        """The compiled Jacobian forms."""
+        return self._a

@@ -1,0 +1,193 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Contact problems: bodies that touch, part, are held by contact alone; the same on any ranks."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import raises
+
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
+
+comm = MPI.COMM_WORLD
+
+
+class Blocks:
+    """A block on another one, with a gap between them."""
+
+    def __init__(
+        self, gap=0.0, held=True, degree=1, n=(4, 5), E=1.0, swap=False, walls=False, **options
+    ):
+        spans = (((0, -1), (2, 0)), ((0.5, gap), (1.5, 1 + gap)))
+        if walls:  # strain is uniform
+            spans = spans[0], ((0, gap), (2, 1 + gap))
+        self.u, F, self.bcs, sides = [], [], [], []
+        for i, (low, high) in enumerate(spans):
+
+            def place(x, low=np.array(low), high=np.array(high)):
+                return low + x * (high - low)
+
+            mesh, ft = meshes.block(comm, (n[i], 2), place, cell="quadrilateral")
+            V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+            u, v = fem.Function(V), ufl.TestFunction(V)
+            modulus = fem.Constant(mesh, default_scalar_type(E))
+            eps = ufl.sym(ufl.grad(u))
+            sigma = modulus * (2 * eps + ufl.tr(eps) * ufl.Identity(2))
+            form = ufl.inner(sigma, ufl.grad(v)) * ufl.dx
+            ds = ufl.Measure("ds", mesh, subdomain_data=ft)
+            if i == 1:
+                self.load = fem.Constant(mesh, default_scalar_type(0))
+                form += self.load * v[1] * ds(meshes.TOP)
+                self.top = fem.Constant(mesh, default_scalar_type(0))
+            if i == 0 or held:
+                tag = (meshes.BOTTOM, meshes.TOP)[i]
+                dofs = fem.locate_dofs_topological(V.sub(1), 1, ft.find(tag))
+                value = self.top if i == 1 else fem.Constant(mesh, default_scalar_type(0))
+                self.bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
+            held_across = [meshes.LEFT, *[meshes.RIGHT] * walls]
+            facets = np.concatenate([ft.find(tag) for tag in held_across])
+            dofs = fem.locate_dofs_topological(V.sub(0), 1, facets)
+            self.bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(0)))
+            self.u.append(u)
+            F.append(form)
+            sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        self.contact = Contact(*(sides[::-1] if swap else sides), **options)
+        self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+def test_touches_and_parts(sliding):
+    """Nothing, then a force, then nothing again."""
+    scene = Blocks(gap=0.02, sliding=sliding)
+    found = []
+    for top in (-0.01, -0.05, -0.1, 0.03):
+        scene.top.value = top
+        scene.problem.solve()
+        found.append((scene.contact.force(scene.problem)[1], int(scene.contact.active.sum())))
+    forces, numbers = zip(*found, strict=True)
+    assert forces[0] == 0 and numbers[0] == 0
+    assert 0 < forces[1] < forces[2] and 2 <= numbers[1] and 2 <= numbers[2]
+    assert abs(forces[2] / forces[1] - 8 / 3) < (0.1 if sliding == "finite" else 1e-2)
+    assert forces[3] == 0 and numbers[3] == 0
+    assert max(np.abs(u.x.array).max(initial=0) for u in scene.u[:1]) <= 1e-12
+
+
+@pytest.mark.ranks(gap=[0.05])
+@pytest.mark.parametrize("gap", (-0.05, 0.0, 0.05, 0.5))
+@pytest.mark.parametrize("swap", (False, True))
+def test_held_by_contact_alone(gap, swap):
+    """A block that a load presses on: from apart and from overlapping to the same state."""
+    scene = Blocks(gap=gap, held=False, swap=swap)
+    scene.load.value = 0.05
+    scene.problem.solve()
+    force = scene.contact.force(scene.problem) * (-1 if swap else 1)
+    assert abs(force[1] - 0.05) <= 1e-7 * 0.05
+    reference = Blocks(gap=0.0, held=False, swap=swap)
+    reference.load.value = 0.05
+    reference.problem.solve()
+    p = scene.contact.pressures(scene.problem)
+    np.testing.assert_allclose(p, reference.contact.pressures(reference.problem), atol=1e-7)
+    assert scene.problem.iterations <= 10
+
+
+def largest(f):
+    return comm.allreduce(np.abs(f.x.array).max(initial=0), MPI.MAX)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_gap_and_pressure(degree, sliding):
+    """As functions on Σ and on Γ1's body; of one pressure, where strain is uniform."""
+    scene = Blocks(gap=0.02, degree=degree, sliding=sliding, walls=True)
+    for on in ("sigma", "body"):
+        gap = scene.contact.gap(*scene.u, on=on)
+        assert abs(largest(gap) - 0.02) <= 1e-14
+    scene.top.value = -0.05
+    scene.problem.solve()
+    p = scene.contact.pressure(scene.problem)
+    exact = 0.03 / (1 / 3 + 1 / 3)
+    assert comm.allreduce(len(p.x.array)) > 5
+    np.testing.assert_allclose(p.x.array, exact, rtol=1e-10)
+    assert abs(largest(scene.contact.pressure(scene.problem, on="body")) / exact - 1) <= 1e-10
+    for on in ("sigma", "body"):
+        assert largest(scene.contact.gap(*scene.u, on=on)) <= 1e-12
+    with raises(ValueError, 'on is "sigma" or "body"'):
+        scene.contact.pressure(scene.problem, on="Γ1")
+
+
+@pytest.mark.ranks
+def test_nothing_holds():
+    """A motion that contact can't hold is told, not solved; so is one that it is pulled from."""
+    scene = Blocks(held=False)
+    scene.load.value = -0.05
+    with raises(SolveError, "no solution beyond 0 of the load step.*would have to pull"):
+        scene.problem.solve()
+
+
+@pytest.mark.parametrize("E", (1e-12, 1e11))
+def test_units(E):
+    found = []
+    for modulus in (1.0, E):
+        scene = Blocks(E=modulus, held=False, gap=0.02)
+        scene.load.value = 0.05 * modulus
+        scene.problem.solve()
+        found.append(scene.contact.pressures(scene.problem) / modulus)
+        found.append(scene.problem.iterations)
+    np.testing.assert_allclose(found[0], found[2], rtol=1e-9, atol=1e-12)
+    assert found[1] == found[3]
+
+
+def test_rigid_obstacle():
+    """A body without a form, which the user moves."""
+    rigid = Blocks(gap=0.0)
+    u, v = rigid.u[1], ufl.TestFunction(rigid.u[1].function_space)
+    form = ufl.inner(2 * ufl.sym(ufl.grad(u)) + ufl.div(u) * ufl.Identity(2), ufl.grad(v)) * ufl.dx
+    problem = ContactProblem([None, form], rigid.u, bcs=rigid.bcs[2:], contacts=[rigid.contact])
+    rigid.u[0].interpolate(lambda x: np.stack((0 * x[0], 0 * x[0] + 0.02)))
+    problem.solve()
+    # In a column that is held below by a frictionless plane strain is uniform
+    stress = 0.02 * (2 + 1 - 1 / 3)
+    np.testing.assert_allclose(rigid.contact.pressures(problem), stress, rtol=0.02)
+
+
+def test_sides_are_chosen(caplog):
+    blocks = Blocks(n=(4, 9)).contact
+    a, b = zip(blocks.spaces, blocks.facets, strict=True)
+    with caplog.at_level(logging.INFO, "hypergap_dolfinx"):
+        assert Contact.between(a, b).swapped  # a has larger facets
+        assert not Contact.between(a, b, stiffness=(1e6, 1.0)).swapped
+        assert Contact.between(b, a, stiffness=(1.0, 1.0)).swapped is False
+    if comm.rank == 0:
+        assert "far softer" in caplog.text and "finer than Γ0" in caplog.text
+
+
+@pytest.mark.ranks(2)
+def test_bad_input():
+    blocks = Blocks()
+    (V0, V1), (f0, f1) = blocks.contact.spaces, blocks.contact.facets
+    scalar = fem.functionspace(V0.mesh, ("Lagrange", 1))
+    with raises(ValueError, 'sliding is "finite" or "small"'):
+        Contact((V0, f0), (V1, f1), sliding="large")
+    with raises(InterfaceError, "contact is between displacements"):
+        Contact((scalar, f0), (V1, f1))
+    with raises(InterfaceError, "share facets"):
+        Contact((V0, f0), (V0, f0))
+    with raises(ValueError, "not solved yet"):
+        blocks.contact.force(blocks.problem)
+    with raises(ValueError, "contacts has a str"):
+        ContactProblem([], [], contacts=["contact"])
+    with raises(ValueError, "is on a space of no body"):
+        u = blocks.u[0]
+        form = ufl.inner(ufl.grad(u), ufl.grad(ufl.TestFunction(V0))) * ufl.dx
+        ContactProblem([form], [u], contacts=[blocks.contact])

@@ -1,0 +1,327 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Contacts among several bodies: with ties, one mesh with itself, rigid and symmetric ones."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import Body, rectangle
+
+import dolfinx
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import CellType, GhostMode
+from hypergap_dolfinx import Contact, ContactProblem, Tie
+
+comm = MPI.COMM_WORLD
+UNIAXIAL = (1 - 0.3) / (1.3 * 0.4)
+"""Stress over strain between walls, for E = 1 and ν = 0.3."""
+
+
+class Assembly:
+    """Bodies, of which components are held or moved where they have tags."""
+
+    def __init__(self, bodies):
+        self.bodies, self.bcs, self.sides = bodies, [], []
+        self.u = [fem.Function(body.V) for body in bodies]
+        self.F = [
+            ufl.inner(body.stress(u), ufl.sym(ufl.grad(ufl.TestFunction(body.V)))) * ufl.dx
+            for body, u in zip(bodies, self.u, strict=True)
+        ]
+
+    def hold(self, i, component, *tags):
+        """Returns the value, for the user to change."""
+        body = self.bodies[i]
+        value = fem.Constant(body.mesh, default_scalar_type(0))
+        V = body.V.sub(component)
+        dofs = fem.locate_dofs_topological(V, 1, np.sort(body.facets(tags)))
+        self.bcs.append(fem.dirichletbc(value, dofs, V))
+        return value
+
+    def hold_at(self, i, component, inside):
+        """Where nodes fulfil a condition."""
+        V = self.bodies[i].V
+        dofs = fem.locate_dofs_geometrical(
+            (V.sub(component), V.sub(component).collapse()[0]), inside
+        )
+        self.bcs.append(
+            fem.dirichletbc(fem.Function(V.sub(component).collapse()[0]), dofs, V.sub(component))
+        )
+
+    def load(self, i, tag, component=1):
+        body = self.bodies[i]
+        value = fem.Constant(body.mesh, default_scalar_type(0))
+        v, ds = ufl.TestFunction(body.V), ufl.Measure("ds", body.mesh, subdomain_data=body.ft)
+        self.F[i] += value * v[component] * ds(tag)
+        return value
+
+    def side(self, i, tag):
+        return self.bodies[i].V, self.bodies[i].facets(tag)
+
+    def problem(self, contacts, ties=(), **options):
+        return ContactProblem(self.F, self.u, bcs=self.bcs, contacts=contacts, ties=ties, **options)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+def test_column_of_contacts_and_ties(sliding):
+    """Four bodies between walls, two of which only contact holds: one pressure, exact."""
+    moduli, n, starts = (1.0, 3.0, 0.5, 2.0), (3, 5, 4, 3), (0.0, 1.0, 2.01, 3.03)
+    scene = Assembly(
+        [
+            rectangle((k, 2), (0, y), (2, y + 1), E=E)
+            for k, y, E in zip(n, starts, moduli, strict=True)
+        ]
+    )
+    for i in range(4):
+        scene.hold(i, 0, meshes.LEFT, meshes.RIGHT)
+    scene.hold(0, 1, meshes.BOTTOM)
+    top = scene.hold(3, 1, meshes.TOP)
+    pairs = [(scene.side(i, meshes.TOP), scene.side(i + 1, meshes.BOTTOM)) for i in range(3)]
+    tie = Tie(*pairs[0])
+    contacts = [Contact.between(*pair, sliding=sliding) for pair in pairs[1:]]
+    problem = scene.problem(contacts, [tie], rtol=1e-13)
+    for path in (-0.04, -0.08):
+        top.value = path
+        problem.solve()
+        p = (-0.03 - path) * UNIAXIAL / sum(1 / E for E in moduli)
+        for contact in contacts:
+            sign = 1 - 2 * contact.swapped
+            np.testing.assert_allclose(contact.pressures(problem), p, atol=1e-11)
+            assert abs(sign * contact.force(problem)[1] - 2 * p) <= 1e-11
+    traction = comm.allreduce(np.abs(tie.traction(problem).x.array).max(initial=0), MPI.MAX)
+    assert abs(traction / p - 1) <= 1e-9
+
+
+SLOT = 0.02
+
+
+def clamp():
+    """A C in one mesh, open on the right; INNER and OUTER are its slot below and above."""
+    whole = dolfinx.mesh.create_rectangle(
+        comm, [(0, 0), (4, 5)], (8, 5), CellType.quadrilateral, ghost_mode=GhostMode.none
+    )
+    cells = np.arange(whole.topology.index_map(2).size_local, dtype=np.int32)
+    x, y = dolfinx.mesh.compute_midpoints(whole, 2, cells)[:, :2].T
+    mesh = dolfinx.mesh.create_submesh(whole, 2, cells[(x < 1) | (np.abs(y - 2.5) > 0.5)])[0]
+    z = mesh.geometry.x
+    z[:, 1] = np.interp(z[:, 1], (0, 2, 3, 5), (0, 2, 2 + SLOT, 4 + SLOT))
+    tags = []
+    for tag, inside in (
+        (meshes.BOTTOM, lambda x: np.isclose(x[1], 0)),
+        (meshes.TOP, lambda x: np.isclose(x[1], 4 + SLOT)),
+        (meshes.INNER, lambda x: np.isclose(x[1], 2) & (x[0] > 1 - 1e-6)),
+        (meshes.OUTER, lambda x: np.isclose(x[1], 2 + SLOT) & (x[0] > 1 - 1e-6)),
+    ):
+        facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, inside)
+        tags += [(facet, tag) for facet in facets]
+    indices, values = np.array(sorted(tags), dtype=np.int32).reshape(-1, 2).T
+    ft = dolfinx.mesh.meshtags(mesh, 1, indices, values)
+    return Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("swap", (False, True))
+def test_one_mesh_with_itself(swap):
+    """A clamp that closes, as one mesh, and as three bodies with matching meshes that are tied."""
+    found = []
+    for whole in (True, False):
+        if whole:
+            scene = Assembly([clamp()])
+            sides = [scene.side(0, meshes.INNER), scene.side(0, meshes.OUTER)]
+            ties, top = [], 0
+        else:
+            spans = ((0, 4, 0, 2), (0, 1, 2, 2 + SLOT), (0, 4, 2 + SLOT, 4 + SLOT))
+            bodies = [
+                rectangle(n, (a, c), (b, d))
+                for n, (a, b, c, d) in zip(((8, 2), (2, 1), (8, 2)), spans, strict=True)
+            ]
+            scene, top = Assembly(bodies), 2
+            edges = [scene.side(0, meshes.TOP), scene.side(2, meshes.BOTTOM)]
+            sides, tied = [], []
+            for V, facets in edges:
+                x = dolfinx.mesh.compute_midpoints(V.mesh, 1, facets)[:, 0]
+                sides.append((V, facets[x > 1]))
+                tied.append((V, facets[x < 1]))
+            ties = [Tie(tied[0], scene.side(1, meshes.BOTTOM))]
+            ties.append(Tie(tied[1], scene.side(1, meshes.TOP)))
+        for component in (0, 1):
+            scene.hold(0, component, meshes.BOTTOM)
+        scene.load(top, meshes.TOP).value = 0.001
+        contact = Contact(*(sides[::-1] if swap else sides))
+        problem = scene.problem([contact], ties)
+        problem.solve()
+        order = np.argsort(contact.surfaces[1].x[:, 0])
+        found.append((contact.pressures(problem)[order], contact.force(problem)))
+        assert 2 <= contact.active.sum() < len(order) - 1
+        assert abs(contact.force(problem)[1]) > 1e-4
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-10)
+
+
+def half_disc(x, start=0.0):
+    """A block with a round bottom at y = 0, of radius 4, from ``start`` to 1 across."""
+    across = start + (1 - start) * x[:, 0]
+    bottom = 4 - np.sqrt(16 - across**2)
+    return np.column_stack((across, bottom + x[:, 1] * (1 - bottom)))
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("swap", (False, True))
+def test_symmetry_plane(swap):
+    """A half with a symmetry plane has the pressures of the whole, and half of its force.
+
+    Σ ends at the plane along a normal of Γ1's last edge, which leans a little: no round-off.
+    """
+    found = []
+    for start, n in ((0.0, 4), (-1.0, 8)):
+        bodies = [
+            rectangle((n + n // 2, 3), (2 * start, -1), (2, 0)),
+            rectangle((n, 3), None, None, mapping=lambda x, start=start: half_disc(x, start)),
+        ]
+        scene = Assembly(bodies)
+        scene.hold(0, 1, meshes.BOTTOM)
+        for i in (0, 1):
+            scene.hold_at(i, 0, lambda x: np.isclose(x[0], 0))
+        scene.load(1, meshes.TOP).value = 0.01
+        sides = [scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM)]
+        contact = Contact(*(sides[::-1] if swap else sides))
+        problem = scene.problem([contact])
+        problem.solve()
+        x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem)
+        right = x > -1e-9
+        found.append((p[right][np.argsort(x[right])], contact.force(problem)[1] * (1 - start) / 1))
+        assert contact.active[right].sum() < right.sum()
+    np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-3, atol=1e-10)
+    assert abs(abs(found[0][1]) - 0.01) <= 1e-9
+
+
+@pytest.mark.ranks(2, swap=[False])
+@pytest.mark.parametrize("swap", (False, True))
+def test_rigid_obstacle(swap):
+    """A round one without a form acts as an elastic one of which all is prescribed."""
+    found = []
+    for rigid in (True, False):
+        scene = Assembly(
+            [
+                rectangle((9, 3), (-2, -1), (2, 0)),
+                rectangle((4, 2), None, None, mapping=lambda x: half_disc(x, -1.0)),
+            ]
+        )
+        for component in (0, 1):
+            scene.hold(0, component, meshes.BOTTOM)
+        sides = [scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM)]
+        contact = Contact(*(sides[::-1] if swap else sides))
+        move = fem.Constant(scene.bodies[1].mesh, default_scalar_type((0, 0)))
+        if rigid:
+            problem = ContactProblem([scene.F[0], None], scene.u, bcs=scene.bcs, contacts=[contact])
+        else:
+            V = scene.bodies[1].V
+            dofs = fem.locate_dofs_geometrical(V, lambda x: x[0] > -9)
+            scene.bcs.append(fem.dirichletbc(move, dofs, V))
+            problem = scene.problem([contact])
+        for place in ((0, -0.1), (0.7, -0.15)):
+            move.value[:] = place
+            if rigid:
+                scene.u[1].interpolate(lambda x, place=place: np.outer(place, np.ones(x.shape[1])))
+            problem.solve()
+        found.append(np.append(contact.pressures(problem), contact.force(problem)))
+    np.testing.assert_allclose(*found, atol=1e-10)
+    assert abs(found[0][-1]) > 0.05
+
+
+def round_at(x):
+    """Height of a round surface."""
+    return 0.5 + 0.4 * np.sin(np.pi * x[:, 0])
+
+
+@pytest.mark.ranks(2)
+def test_tied_bodies_that_only_contact_holds():
+    """Tied across a round surface, where a rotation of both strains the tie a little."""
+    found = []
+    for gap in (0.0, 0.05):
+
+        def lower(x, gap=gap):
+            return np.column_stack((2 * x[:, 0] - 1, gap + x[:, 1] * round_at(x)))
+
+        def upper(x, gap=gap):
+            return np.column_stack(
+                (2 * x[:, 0] - 1, gap + round_at(x) + x[:, 1] * (1.5 - round_at(x)))
+            )
+
+        scene = Assembly(
+            [
+                rectangle((5, 2), (-2, -1), (2, 0)),
+                rectangle((4, 2), None, None, mapping=lower),
+                rectangle((7, 2), None, None, mapping=upper),
+            ]
+        )
+        scene.hold(0, 1, meshes.BOTTOM)
+        for i in (0, 2):
+            scene.hold_at(
+                i,
+                0,
+                lambda x: (
+                    np.isclose(x[0], -1 if i else -2) & np.isclose(x[1], gap + 1.5 if i else -1)
+                ),
+            )
+        scene.load(2, meshes.TOP).value = 0.02
+        tie = Tie(scene.side(2, meshes.BOTTOM), scene.side(1, meshes.TOP))
+        contact = Contact(scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM))
+        problem = scene.problem([contact], [tie])
+        problem.solve()
+        assert problem.iterations <= 8 and contact.active.sum() > 2
+        assert abs(contact.force(problem)[1] - 0.04) <= 1e-9
+        found.append(contact.pressures(problem))
+    np.testing.assert_allclose(*found, atol=1e-9)
+
+
+@pytest.mark.parametrize("whole", (0, 1))
+def test_finds_what_faces(whole):
+    """All of a body's boundary given, what faces away or beside has no part in it."""
+    found = []
+    for every in (False, True):
+        scene = Assembly(
+            [rectangle((8, 4), (-2, -1), (2, 0)), rectangle((5, 3), (-1, 0.05), (1, 1.05))]
+        )
+        for component in (0, 1):
+            scene.hold(0, component, meshes.BOTTOM)
+        scene.hold(1, 0, meshes.LEFT)
+        scene.load(1, meshes.TOP).value = 0.01
+        tags = [[meshes.TOP], [meshes.BOTTOM]]
+        if every:
+            tags[whole] = [meshes.LEFT, meshes.RIGHT, meshes.TOP, meshes.BOTTOM]
+        contact = Contact(*(scene.side(i, tags[i]) for i in (0, 1)))
+        problem = scene.problem([contact])
+        problem.solve()
+        p = contact.pressures(problem)
+        found.append(np.append(np.sort(p[contact.active]), contact.force(problem)))
+    np.testing.assert_allclose(*found, atol=1e-9)
+
+
+@pytest.mark.parametrize("start", (0.0, 0.1))
+def test_small_sliding_is_cheap(start):
+    """Linear constraints: an elastic body costs a handful of solves."""
+
+    def above(x):
+        return half_disc(x, -1.0) + np.array((0, start))
+
+    scene = Assembly(
+        [rectangle((20, 6), (-2, -1), (2, 0)), rectangle((16, 6), None, None, mapping=above)]
+    )
+    scene.hold(0, 1, meshes.BOTTOM)
+    for i in (0, 1):
+        scene.hold_at(i, 0, lambda x: np.isclose(x[0], 0))
+    load = scene.load(1, meshes.TOP)
+    contact = Contact(scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM), sliding="small")
+    problem = scene.problem([contact])
+    for value in (0.01, 0.02):
+        load.value = value
+        problem.solve()
+        assert problem.iterations <= 6
+        assert abs(contact.force(problem)[1] / (2 * value) - 1) <= 1e-9

@@ -1,0 +1,166 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The weighted gap: its value, derivatives against finite differences, balance; active sets."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import close, skew, two_blocks
+
+import basix
+from hypergap_dolfinx.gap.kernel import GapElement
+from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.plane import PlaneOpening
+from hypergap_dolfinx.gap.surface import create_surface
+from hypergap_dolfinx.gap.weighted import second_derivatives, vertex_weights, weigh
+from hypergap_dolfinx.solve import active
+
+comm = MPI.COMM_WORLD
+STEP = 2e-5  # of differences of the fourth order
+DIFFERENCE = 1e-9
+
+SCENES = (
+    {"k": (1, 1)},
+    {"k": (2, 2), "spans": ((0, 2), (0.33, 1.27))},
+    {"k": (1, 2), "spans": ((0.31, 1.2), (0, 2))},
+    {"k": (2, 1), "spans": ((0, 1.3), (0.4, 2))},
+)
+
+
+def scene(gap=0.1, amplitude=0.02, **options):
+    """Two sides, and displacements that part them and make both surfaces rough."""
+    blocks = two_blocks(n=(5, 7), mapping=skew, **options)
+    sides = tuple(
+        MovingSurface(create_surface(*block, name))
+        for block, name in zip(blocks, ("Γ0", "Γ1"), strict=True)
+    )
+    rng = np.random.default_rng(1)
+    u = [amplitude * rng.standard_normal((len(side.dofs), 2)) for side in sides]
+    u[1] += gap * skew(np.array([[0.0, 1.0]])) - gap * skew(np.zeros((1, 2)))
+    return sides, tuple(u), rng
+
+
+def dense(sparse, shape):
+    A = np.zeros(shape)
+    np.add.at(A, (sparse.i, sparse.j), sparse.values)
+    return A
+
+
+@pytest.mark.parametrize("options", SCENES)
+def test_derivatives(options):
+    """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
+    sides, u, rng = scene(**options)
+    opening = PlaneOpening.between(comm, sides, u)
+    g, _, C = opening.gap(u)
+    size = 2 * sum(len(part) for part in u)
+    shape = len(g), size
+    direction = [rng.standard_normal(part.shape) for part in u]
+    flat = np.concatenate([part.ravel() for part in direction])
+    p = rng.random(len(g))
+    H = dense(opening.curvature(u, p), (size, size))
+
+    def at(t):
+        g, _, C = opening.gap(tuple(a + t * d for a, d in zip(u, direction, strict=True)))
+        return np.concatenate((g, p @ dense(C, shape)))
+
+    difference = (8 * (at(STEP) - at(-STEP)) - at(2 * STEP) + at(-2 * STEP)) / (12 * STEP)
+    close(difference[: len(g)], dense(C, shape) @ flat, DIFFERENCE)
+    close(difference[len(g) :], H @ flat, DIFFERENCE)
+    close(H, H.T, 1e-13)
+
+
+def test_second_derivatives():
+    """Of single cells in space."""
+    element = basix.create_element(basix.ElementFamily.P, basix.CellType.tetrahedron, 2)
+    table = GapElement.with_quadrature(element, element, 4)
+    rng = np.random.default_rng(3)
+    x, alpha = rng.standard_normal((3, element.dim, 3)), rng.random((3, 4))
+    d = rng.standard_normal(x.shape)
+    w = vertex_weights(table, x, alpha)
+    p = rng.random(4)
+    f = [np.einsum("b,cbmi->cmi", p, weigh(table, x + t * d, alpha, w).dg) for t in (-1e-5, 1e-5)]
+    H = second_derivatives(table, x, w @ p)
+    close((f[1] - f[0]) / 2e-5, np.einsum("cmiqk,cqk->cmi", H, d), DIFFERENCE)
+
+
+@pytest.mark.parametrize("options", SCENES)
+@pytest.mark.parametrize("gap", (0.1, -0.05))
+def test_balance(options, gap):
+    """Forces and moments of any pressures, at any gap."""
+    sides, u, rng = scene(gap, **options)
+    opening = PlaneOpening.between(comm, sides, u)
+    g, m, C = opening.gap(u)
+    assert (m >= 0).all() and m.sum() > 0.5
+    p = rng.random(len(g))
+    forces = (p @ dense(C, (len(g), 2 * sum(map(len, u))))).reshape(-1, 2)
+    x = np.concatenate([_positions(side, part) for side, part in zip(sides, u, strict=True)])
+    size = np.abs(forces).sum()
+    assert np.abs(forces.sum(axis=0)).max() <= 1e-13 * size
+    moment = x[:, 0] * forces[:, 1] - x[:, 1] * forces[:, 0]
+    assert abs(moment.sum()) <= 1e-13 * np.abs(moment).sum()
+
+
+def _positions(side, u):
+    """Where the dofs of a surface are now."""
+    surface = side.displaced(u)
+    x = np.empty((len(side.dofs), 2))
+    facets, X = np.arange(len(surface.facets)), surface.element.points
+    points = surface.points(np.repeat(facets, len(X)), np.tile(X, (len(facets), 1)))
+    x[side.at_facets] = points.reshape(len(facets), len(X), 2)
+    return x
+
+
+@pytest.mark.parametrize("options", SCENES)
+def test_value(options):
+    """A gap of constant width has it everywhere, seen by any weight; it is the volume."""
+    sides, u, _ = scene(0.07, 0.0, **options)
+    g, m, _ = PlaneOpening.between(comm, sides, u).gap(u)
+    close(g[m > 0] / m[m > 0], np.full((m > 0).sum(), 0.07), 1e-11)
+    spans = options.get("spans", ((0, 2), (0, 2)))
+    width = min(b for _, b in spans) - max(a for a, _ in spans)
+    assert abs(m.sum() - width) <= 0.1  # ends that don't match are cut at their feet
+
+
+def test_cut_ends():
+    """A vertex with no facet that is nearly covered has no weight; the others have its part."""
+    sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((0.01, 2), (0, 2)))
+    _, m, _ = PlaneOpening.between(comm, sides, u).gap(u)
+    x = (sides[1].reference.x - sides[1].reference.x.min(axis=0)) @ [
+        np.cos(np.radians(25)),
+        np.sin(np.radians(25)),
+    ]
+    assert (m > 0).all() and abs(m.sum() - 1.99) <= 1e-12
+    sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((0.2, 2), (0, 2)))
+    _, m, _ = PlaneOpening.between(comm, sides, u).gap(u)
+    assert m[x.argmin()] == 0 and abs(m.sum() - 1.8) <= 1e-12
+
+
+def test_receding():
+    """Three vertices lost at an edge take two more with them; new ones stay."""
+    facets = np.column_stack((np.arange(12), np.arange(1, 13)))
+    before, now = np.zeros(13, dtype=bool), np.zeros(13, dtype=bool)
+    before[:10], now[:7] = True, True
+    now[11] = True
+    result = active.receding(before, now, facets)
+    assert np.flatnonzero(result).tolist() == [0, 1, 2, 3, 4, 11]
+    assert (active.receding(before, before, facets) == before).all()
+
+
+def test_seeded():
+    """Vertices are added, the nearest first, until what is free is held."""
+    x = np.linspace(-1, 1, 5)
+    holds = np.column_stack((np.ones(5), x))
+    distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
+    valid, none = np.ones(5, dtype=bool), np.zeros(5, dtype=bool)
+    on, free = active.seeded(none, distance, valid, holds, np.zeros(2))
+    assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
+    on, free = active.seeded(np.arange(5) == 4, distance, valid, holds, np.zeros(2))
+    assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
+    on, free = active.seeded(none, distance, valid, np.column_stack((x, x**2)), np.array((-1, 0)))
+    assert np.flatnonzero(on).tolist() == [0, 1] and free == 0  # those that don't pull
+    on, free = active.seeded(none, distance, np.arange(5) == 3, holds, np.zeros(2))
+    assert np.flatnonzero(on).tolist() == [3] and free == 1

@@ -1,0 +1,175 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What contact can't do anything with gets one line that says what and how, on every rank."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import rectangle
+from helpers import raises
+from test_contact_bodies import Assembly
+
+import meshes
+from dolfinx import fem
+from dolfinx.mesh import CellType, create_box, locate_entities_boundary
+from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError, Tie
+
+comm = MPI.COMM_WORLD
+
+
+def two(gap=0.0, across=0.0, n=(4, 3), **options):
+    """A block on a wider one; the lower one is held, the upper one moved."""
+    low = (-0.5 + across, gap)
+    scene = Assembly(
+        [
+            rectangle((n[0], 2), (-1, -1), (1, 0), **options),
+            rectangle((n[1], 2), low, (low[0] + 1, gap + 1), **options),
+        ]
+    )
+    for component in (0, 1):
+        scene.hold(0, component, meshes.BOTTOM)
+    scene.across, scene.down = (scene.hold(1, component, meshes.TOP) for component in (0, 1))
+    return scene
+
+
+def faces(scene):
+    return scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM)
+
+
+@pytest.mark.ranks(2)
+def test_sides():
+    scene = two()
+    side0, side1 = faces(scene)
+    scalar = fem.functionspace(scene.bodies[0].mesh, ("Lagrange", 1))
+    with raises(InterfaceError, r"contact is between displacements; the space of Γ0 has .* \(\)"):
+        Contact((scalar, side0[1]), side1)
+    with raises(InterfaceError, "Γ1 has no facets on any rank"):
+        Contact(side0, (side1[0], side1[1][:0]))
+    with raises(InterfaceError, "share facets"):
+        Contact(side0, side0)
+    with raises(ValueError, 'sliding is "finite" or "small", not \'large\''):
+        Contact(side0, side1, sliding="large")
+    with raises(ValueError, r"a contact's side is \(function space, facets\), not \(Mesh"):
+        Contact((scene.bodies[0].mesh, side0[1]), side1)
+    with raises(ValueError, "is a pair"):
+        Contact(side0[0], side1[0])
+
+
+@pytest.mark.ranks(2)
+def test_wrong_sides():
+    scene = two()
+    contact = Contact(scene.side(0, meshes.TOP), scene.side(1, meshes.TOP))
+    with raises(InterfaceError, "outward normals agree"):
+        scene.problem([contact]).solve()
+    scene = two(gap=-1.2)  # below, not on top
+    with raises(InterfaceError, "Γ1 is 1.2 and more behind Γ0: the bodies are on the wrong sides"):
+        scene.problem([Contact(*faces(scene))]).solve()
+
+
+@pytest.mark.ranks(2)
+def test_out_of_reach(caplog):
+    """Apart for ever is told once; what comes into reach later is found."""
+    scene = two(gap=0.1, across=4.0)
+    contact = Contact(*faces(scene))
+    with raises(InterfaceError, "nothing of Γ1 lies opposite Γ0"):
+        contact.gap(*scene.u)
+    problem = scene.problem([contact])
+    caplog.clear()
+    problem.solve()
+    problem.solve()
+    if comm.rank == 0:
+        assert [r.levelno for r in caplog.records] == [logging.WARNING]
+        assert "contact 0: nothing of Γ1 (around [4.  0.1]) lies opposite Γ0" in caplog.text
+    assert not contact.active.any() and not contact.pressures(problem).any()
+    scene.across.value, scene.down.value = -4.0, -0.12
+    problem.solve()
+    assert contact.force(problem)[1] > 0.01
+
+
+@pytest.mark.ranks(2)
+def test_given_twice():
+    scene = two()
+    side0, side1 = faces(scene)
+    contact = Contact(side0, side1)
+    with raises(InterfaceError, "contact 0 and tie 0 have facets of Γ0 and of Γ1 in common"):
+        scene.problem([contact], [Tie(side1, side0)])
+    with raises(InterfaceError, "contact 0 and contact 1 have facets"):
+        scene.problem([contact, Contact(side0, side1)])
+
+
+@pytest.mark.ranks(2)
+def test_problem():
+    scene = two()
+    contact = Contact(*faces(scene))
+    with raises(ValueError, "the contact is in no problem"):
+        _ = contact.active
+    problem = scene.problem(contact)  # one, not in a list
+    with raises(ValueError, "not solved yet"):
+        contact.force(problem)
+    with raises(ValueError, "contacts has a str"):
+        scene.problem(["contact"])
+    with raises(ValueError, "Γ0 of contact 0 is on a space of no body"):
+        ContactProblem(scene.F[1:], scene.u[1:], contacts=[contact])
+    with raises(ValueError, "contact 0 is between two rigid bodies"):
+        ContactProblem([None, None], scene.u, contacts=[contact])
+    finer = two(n=(4, 9))
+    with raises(ValueError, "Γ1 of contact 0 is rigid, with smaller facets"):
+        ContactProblem([finer.F[0], None], finer.u, contacts=[Contact(*faces(finer))])
+    with raises(ValueError, r"u1 is not on the space of Γ1 \(contact.spaces\[1\]\)"):
+        contact.gap(scene.u[0], scene.u[0])
+    with raises(ValueError, "not one of this problem's"):
+        Contact(*faces(scene)).force(problem)
+
+
+@pytest.mark.ranks(2)
+def test_loads():
+    scene = two(gap=0.1)
+    problem = scene.problem([Contact(*faces(scene))])
+    scene.down.value = np.nan
+    with raises(SolveError, "a load or a prescribed displacement is no number"):
+        problem.solve()
+    scene.down.value = -0.2
+    problem.solve()  # as if nothing had been
+    assert problem.iterations <= 8
+    free = Assembly(scene.bodies)
+    for component in (0, 1):
+        free.hold(0, component, meshes.BOTTOM)
+    free.load(1, meshes.TOP).value = 0.01
+    with raises(SolveError, "1 rigid motion of the bodies is held by nothing, not even by contact"):
+        free.problem([Contact(*faces(free))]).solve()
+
+
+def test_round_with_straight_facets(caplog):
+    """Of degree 2, in the plane and in space; a corner is not round."""
+
+    def bent(x):
+        return np.column_stack((2 * x[:, 0] - 1, x[:, 1] + 0.3 * (2 * x[:, 0] - 1) ** 2))
+
+    flat, round_ = (
+        rectangle((4, 2), (-1, -1), (1, 0), degree=2),
+        rectangle((4, 2), None, None, degree=2, mapping=bent),
+    )
+    box = create_box(comm, [(0, 0, 0), (1, 1, 1)], (3, 3, 1), CellType.tetrahedron)
+    below = create_box(comm, [(0, 0, -1), (1, 1, 0)], (3, 3, 1), CellType.tetrahedron)
+    facets = locate_entities_boundary(box, 2, lambda x: np.isclose(x[2], 0))
+    facets_below = locate_entities_boundary(below, 2, lambda x: np.isclose(x[2], 0))
+    cornered = locate_entities_boundary(box, 2, lambda x: x[2] < 1)
+    V, W = (fem.functionspace(mesh, ("Lagrange", 2, (3,))) for mesh in (box, below))
+    for bodies in ("plane", "flat", "corners", "space"):
+        caplog.clear()
+        if bodies == "plane":
+            Contact((flat.V, flat.facets(meshes.TOP)), (round_.V, round_.facets(meshes.BOTTOM)))
+        else:
+            if bodies == "space":
+                box.geometry.x[:, 2] += 0.3 * box.geometry.x[:, 0] ** 2
+            side = cornered if bodies == "corners" else facets
+            Contact((W, facets_below), (V, side))
+        if comm.rank == 0:
+            said = "Γ1 is round with straight facets, of degree 2" in caplog.text
+            assert said == (bodies in ("plane", "space")), bodies

@@ -1,0 +1,186 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Contact in the plane: closed surfaces, cut ends, sides swapped, units; exact or known results."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import sweep
+
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Contact, ContactProblem
+
+comm = MPI.COMM_WORLD
+
+
+def linear(u, E=1.0, nu=0.3):
+    eps = ufl.sym(ufl.grad(u))
+    return E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(2))
+
+
+def internal(u, E=1.0):
+    """Virtual work of a compressible neo-Hookean body."""
+    mu, lame, F = E / 2.6, E * 0.3 / 0.52, ufl.Identity(2) + ufl.grad(u)
+    J = ufl.det(F)
+    W = mu / 2 * (ufl.inner(F, F) - 2 - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
+    return ufl.derivative(W * ufl.dx, u)
+
+
+def held(V, component, where, value=0.0):
+    """A condition on one component: at tagged facets, or where a function of places says so."""
+    W = V.sub(component)
+    if callable(where):
+        zero = fem.Function(W.collapse()[0])
+        return fem.dirichletbc(
+            zero, fem.locate_dofs_geometrical((W, zero.function_space), where), W
+        )
+    dofs = fem.locate_dofs_topological(W, 1, where)
+    return fem.dirichletbc(default_scalar_type(value), dofs, W)
+
+
+def solve(F, u, bcs, sides, swap):
+    contact = Contact(*(sides[::-1] if swap else sides))
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem.solve()
+    return contact, problem
+
+
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("angle", (np.pi / 2, 2 * np.pi))
+def test_shrink_fit(angle, swap):
+    """Rings that overlap, linear at small strain: the exact pressure."""
+    inner, fit, outer, over = 0.5, 1.0, 2.0, 1e-4
+    u, F, bcs, sides = [], [], [], []
+    around = round(2 * angle / np.pi)
+    for i, (r0, r1) in enumerate(((inner, fit + over), (fit, outer))):
+        n = (24, 32)[i] * around
+        mesh, ft = meshes.ring_sector(comm, n, 4, r0, r1, angle=angle, degree=2)
+        V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+        u.append(fem.Function(V))
+        F.append(ufl.inner(linear(u[-1]), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        for c in (0, 1):
+            bcs.append(held(V, c, lambda x, c=c: np.isclose(x[c], 0, atol=1e-8)))
+        sides.append((V, ft.find((meshes.OUTER, meshes.INNER)[i])))
+    contact, problem = solve(F, u, bcs, sides, swap)
+    E, nu, a, b = 1 / 0.91, 0.3 / 0.7, inner, outer
+    stiff = (b**2 + fit**2) / (b**2 - fit**2) + nu, (fit**2 + a**2) / (fit**2 - a**2) - nu
+    p = contact.pressures(problem) / (over * E / (fit * sum(stiff))) - 1
+    # Curved edges are off circles by 1e-7, of an overlap of 1e-4
+    assert np.abs(p).max() <= 3e-3 and abs(p.mean()) <= 5e-4 and problem.iterations <= 2
+
+
+@pytest.mark.parametrize("swap", (False, True))
+def test_ball_in_socket(swap):
+    """Closed and nearly conforming; all around is as near, the load says where it falls."""
+    u, F, bcs, sides = [], [], [], []
+    load, gap = 0.02, 0.02
+    for i, (r0, r1, n) in enumerate(((0.3, 1 - gap, 48), (1.0, 1.5, 36))):
+        mesh, ft = meshes.ring_sector(comm, n, 5 - 2 * i, r0, r1, angle=2 * np.pi)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        u.append(fem.Function(V))
+        F.append(internal(u[-1]))
+        if i == 0:
+            weight = fem.Constant(mesh, default_scalar_type(load))
+            F[0] += weight * ufl.TestFunction(V)[1] * ufl.dx
+            area = comm.allreduce(
+                fem.assemble_scalar(fem.form(fem.Constant(mesh, default_scalar_type(1)) * ufl.dx))
+            )
+            bcs.append(held(V, 0, lambda x: np.isclose(x[0], 0)))
+        else:
+            bcs += [held(V, c, ft.find(meshes.OUTER)) for c in (0, 1)]
+        sides.append((V, ft.find((meshes.OUTER, meshes.INNER)[i])))
+    contact, problem = solve(F, u, bcs, sides, swap)
+    assert abs(abs(contact.force(problem)[1]) / (load * area) - 1) <= 1e-7
+    assert problem.iterations <= 9 and problem.halvings == 0
+    assert abs(contact.pressures(problem).max() / 0.0339 - 1) <= 0.12
+
+
+@pytest.mark.parametrize("cut", sweep((0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.94, 0.96, 0.99), 4))
+@pytest.mark.parametrize("wide", (False, True))
+def test_flat_punch(cut, wide):
+    """Its corner falls anywhere on an edge of the wider block."""
+    h = 0.1
+    x = np.linspace(-2, 2, 41) + (1 - cut) * h
+    u, F, bcs, sides = [], [], [], []
+    for i, (low, high, n, E) in enumerate(
+        (((x[0], -2), (x[-1], 0), (40, 20), 1.0), ((-0.5, 0), (0.5, 0.5), (8, 4), 1e3))
+    ):
+
+        def place(x, low=np.array(low), high=np.array(high)):
+            return low + x * (high - low)
+
+        mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        u.append(fem.Function(V))
+        F.append(ufl.inner(linear(u[-1], E), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs += [held(V, 0, away), held(V, 1, away, -1e-3 * i)]
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact, problem = solve(F, u, bcs, sides, wide)
+    mean = abs(contact.force(problem)[1])
+    assert problem.rows(contact).now.p.max() <= 6 * mean and problem.iterations <= 5
+
+
+def test_beam_of_two_layers():
+    """Layers slide on each other as they bend: the sides hardly matter."""
+    largest = []
+    for swap in (False, True):
+        u, F, bcs, sides = [], [], [], []
+        for i, n in enumerate(((20, 2), (30, 3))):
+            mesh, ft = meshes.block(
+                comm, n, lambda x, i=i: x * (10, 1) + (0, i - 1), cell="quadrilateral"
+            )
+            V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+            u.append(fem.Function(V))
+            F.append(internal(u[-1]))
+            bcs.append(held(V, 0, ft.find(meshes.LEFT)))
+            sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        ds = ufl.Measure("ds", mesh, subdomain_data=ft)
+        F[1] += (
+            fem.Constant(mesh, default_scalar_type(1e-4)) * ufl.TestFunction(V)[1] * ds(meshes.TOP)
+        )
+        corner = held(sides[0][0], 1, lambda x: np.isclose(x[0], 10) & np.isclose(x[1], -1))
+        _, problem = solve(F, u, [*bcs, corner], sides, swap)
+        assert problem.iterations <= 9
+        largest.append(max(np.hypot(*w.x.array.reshape(-1, 2).T).max() for w in u))
+    assert largest[0] > 1 and abs(largest[0] / largest[1] - 1) <= 1e-4
+
+
+@pytest.mark.parametrize(
+    ("size", "E", "angle", "move"),
+    ((1e-9, 2e11, 0.7, (3, -5)), (1e9, 1e-12, 0.3, (1, 2)), (1.0, 1.0, 2.5, (100, -50))),
+)
+def test_same_in_any_units(size, E, angle, move):
+    """Scaled, turned and moved, after finite sliding."""
+
+    def displacements(size, E, angle, move):
+        turn = np.array(((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))))
+        u, F, bcs, sides = [], [], [], []
+        for i, (low, high, n) in enumerate(
+            (((0, -1), (2, 0), (8, 3)), ((0.5, 0.02), (1.5, 1.02), (5, 4)))
+        ):
+
+            def place(x, low=np.array(low), high=np.array(high)):
+                return size * ((low + x * (high - low)) @ turn.T + move)
+
+            mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+            V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+            u.append(fem.Function(V))
+            F.append(internal(u[-1], fem.Constant(mesh, default_scalar_type(E))))
+            dofs = fem.locate_dofs_topological(V, 1, ft.find((meshes.BOTTOM, meshes.TOP)[i]))
+            goal = size * turn @ np.array((0.13, -0.1)) * i
+            bcs.append(fem.dirichletbc(default_scalar_type(goal), dofs, V))
+            sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        _, problem = solve(F, u, bcs, sides, False)
+        found = [(w.x.array.reshape(-1, 2) @ turn).ravel() / size for w in u]
+        return np.concatenate(found), problem.iterations
+
+    reference, steps = displacements(1.0, 1.0, 0.0, (0, 0))
+    found, now = displacements(size, E, angle, move)
+    assert np.abs(found - reference).max() <= 1e-9 * np.abs(reference).max() and now == steps
