@@ -75,7 +75,7 @@ DEMOS = {
     ),
     "hertz": Demo(
         "--levels 1",
-        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 8},
+        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 6},
         {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
         pictures=("hertz",),
         needs=("matplotlib",),
@@ -96,7 +96,7 @@ DEMOS = {
     ),
     "ironing": Demo(
         "--flat --steps 4",
-        {"rows.7.fy": -0.28681, "rows.7.iterations": 4},
+        {"rows.7.fy": -0.29285, "rows.7.halvings": 0},
         {"rows.*.energy_error": 1e-6},
         pictures=("ironing",),
         needs=("matplotlib",),

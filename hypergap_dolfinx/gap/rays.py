@@ -226,7 +226,8 @@ def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
     if cut[0] is not None and cut[1] is not None and cut[0][1] >= cut[1][1]:
         # Two parts of Γ0 with a hole between them: the larger counts
         cut[int(cut[1][1] < 1 - cut[0][1])] = None
-    limits, places = [Fixed.START, Fixed.END], []
+    limits: list[int] = [Fixed.START, Fixed.END]
+    places: list[Place] = []
     for k in (0, 1):
         if (there := cut[k]) is not None:
             position[k] = there[1]
@@ -235,7 +236,8 @@ def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
         elif rays.hit[f, k] < 0:
             return None
         else:
-            e, parameter = int(rays.hit[f, k]), rays.at_end(f, k)
+            e = int(rays.hit[f, k])
+            parameter = rays.at_end(f, k)
             if parameter < 0:
                 parameter = fans.crossing((e, f), 0, float(k), float(rays.t[f, k]))
             places.append((e, parameter))
