@@ -29,8 +29,8 @@ from hypergap_dolfinx.gap.triangulation import FACES, neighbours
 
 LEANS = 0.25
 """Cosine between a facet's normal and the axis from which it is in the plane."""
-KEEPS = np.cos(np.radians(15))
-"""Cosine between the axis that was and the one that would be now, from which the old one stays."""
+KEEPS = 0.966
+"""Cosine between the axis that was and what it would be now, from which the old one stays (15°)."""
 AROUND = 0.5
 """Length of the mean of normals from which they have an axis: around a ball it is 0."""
 PAIRS = 1_000_000
