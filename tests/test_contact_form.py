@@ -150,6 +150,17 @@ def test_receding():
     assert (active.receding(before, before, facets) == before).all()
 
 
+def test_without_pull():
+    """An end that pulls takes with it what balances it, whatever scatters there."""
+    facets = np.column_stack((np.arange(8), np.arange(1, 9)))
+    force = np.array((5.0, 5, 4, 3, 2, -1, 2, -6, 0))
+    before, now = force != 0, force > 0
+    now[8] = True
+    result = active.without_pull(before, now, facets, force)
+    assert np.flatnonzero(result).tolist() == [0, 1, 2, 3, 8]
+    assert (active.without_pull(before, before, facets, force) == before).all()
+
+
 def test_seeded():
     """Vertices are added, the nearest first, until what is free is held."""
     x = np.linspace(-1, 1, 5)

@@ -75,6 +75,36 @@ def receding(before, now, facets) -> npt.NDArray[np.bool_]:
     return result
 
 
+def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
+    """An active set on chains of edges that loses at an end as much as the end's pull holds.
+
+    Where contact reaches too far, its last vertex pulls, and pressures beside it scatter around
+    what they should be: without this it would lose a vertex or two each step. What goes wrongly
+    comes back at once, since it overlaps.
+
+    Args:
+        before: The last set, ``(num,)``.
+        now: Those that remain, and new ones, ``(num,)``.
+        facets: Vertices of Γ1's edges, ``(num_facets, 2)``.
+        force: Pressures times areas, ``(num,)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    result = now.copy()
+    beside = np.full((2, len(before)), -1)
+    beside[0, facets[:, 1]], beside[1, facets[:, 0]] = facets[:, 0], facets[:, 1]
+    for a in np.flatnonzero(before & ~now).tolist():
+        for outwards, inwards in (beside, beside[::-1]):
+            if outwards[a] >= 0 and before[outwards[a]]:
+                continue
+            total, b = 0.0, a
+            while b >= 0 and before[b] and (total := total + force[b]) < 0:
+                result[b] = False
+                b = inwards[b] if inwards[b] != a else -1
+    return result
+
+
 def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
 

@@ -186,7 +186,12 @@ class ContactSystem(NonlinearSystem):
             if not before and not rows.now.p.any():
                 rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
         for rows, last in zip(self._rows, before, strict=False):
-            rows.now.on = active.receding(last, rows.now.on, rows.sides[1].reference.facets)
+            facets = rows.sides[1].reference.facets
+            if facets.shape[1] == 2:
+                force = rows.now.p * rows.m
+                rows.now.on = active.without_pull(last, rows.now.on, facets, force)
+            else:
+                rows.now.on = active.receding(last, rows.now.on, facets)
         assert self._free is not None
         if self._free.num:
             holds = [self._holds(rows) for rows in self._rows]
