@@ -30,7 +30,8 @@ from hypergap_dolfinx.solve.options import Options
 STEPS = 25
 """Newton steps after which a load step is halved."""
 ANEW = 10
-"""Newton steps in which Σ is made anew where the bodies are; it could cycle in later ones."""
+"""Newton steps in which Σ is made anew where the bodies are, and sets look ahead; they could cycle
+in later ones."""
 RENEWALS = 2
 """Times that Σ in space is made anew where an iteration with a fixed one ended."""
 SLOW = 0.25
@@ -127,14 +128,14 @@ class ContactSystem(NonlinearSystem):
             jump = self._jump()
             if step == 0:
                 self.assemble_matrix()
-            held = self._choose(before)
+            held = self._choose(before, ahead=step < ANEW)
             settled = bool(before) and all(map(np.array_equal, before, held))
             now, ended = self._balance()
             if step and settled and ended and not follows and renewals < RENEWALS:
                 renewals += 1
                 if any([rows.renew() for rows in self._rows]):
                     self._residual(self._x, self._b)
-                    held = self._choose(before)
+                    held = self._choose(before, ahead=False)
                     settled = all(map(np.array_equal, before, held))
                     now, ended = self._balance()
             if step and settled and ended:
@@ -177,15 +178,23 @@ class ContactSystem(NonlinearSystem):
             lifted.destroy()
         return jumps
 
-    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
-        """The active sets, of which the rows hold what nothing else does. Collective."""
+    def _choose(
+        self, before: Sequence[npt.NDArray[np.bool_]], *, ahead: bool
+    ) -> list[npt.NDArray[np.bool_]]:
+        """The active sets, of which the rows hold what nothing else does. Collective.
+
+        Args:
+            before: The last ones, if there are any.
+            ahead: Whether zones that are too large may lose more than what pulls: mostly this
+                saves steps, but sets can cycle by it.
+        """
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
         for rows in self._rows:
             c = stiffness / rows.typical_area
             rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
             if not before and not rows.now.p.any():
                 rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
-        for rows, last in zip(self._rows, before, strict=False):
+        for rows, last in zip(self._rows, before if ahead else (), strict=False):
             facets = rows.sides[1].reference.facets
             if facets.shape[1] == 2:
                 force = rows.now.p * rows.m
