@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import NotFacingError
+from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.clip import clip, parts, sorted_out
 from hypergap_dolfinx.gap.pieces import Side
@@ -58,7 +58,7 @@ def axis_between(
     nearest, distance = _nearest(surfaces, middles)
     if not np.isfinite(distance).any():
         raise NotFacingError(
-            f"Γ0 around {middles[0].mean(axis=0)} and Γ1 around {middles[1].mean(axis=0)} can't "
+            f"Γ0 around {spot(middles[0])} and Γ1 around {spot(middles[1])} can't "
             "come into contact: no facets face each other; check the tags."
         )
     near = distance <= distance.min() + max(s.size.max() for s in surfaces)
@@ -149,8 +149,8 @@ def mesh_chart(
                 slabs += [fill(pair) for pair in common]
         if not slabs:
             raise NotFacingError(
-                f"Γ0 around {surfaces[0].x.mean(axis=0)} and Γ1 around "
-                f"{surfaces[1].x.mean(axis=0)} have nothing in common: neither lies opposite to "
+                f"Γ0 around {spot(surfaces[0].x)} and Γ1 around "
+                f"{spot(surfaces[1].x)} have nothing in common: neither lies opposite to "
                 "the other; check the tags."
             )
         return slabs
