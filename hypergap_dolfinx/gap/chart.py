@@ -20,9 +20,9 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap.cells import Hosts
-from hypergap_dolfinx.gap.clip import clip, parts, sorted_out
+from hypergap_dolfinx.gap.clip import parts, sorted_out
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.slab import SlabCells, fill, share
+from hypergap_dolfinx.gap.slab import SlabCells, fill_common, share
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface, normals_by_area
 from hypergap_dolfinx.gap.triangulation import FACES, neighbours
@@ -143,10 +143,9 @@ def mesh_chart(
         for one in sides[0]:
             for other in sides[1]:
                 try:
-                    common = clip(one, other)
+                    slabs += fill_common(one, other)
                 except NotFacingError:
                     continue
-                slabs += [fill(pair) for pair in common]
         if not slabs:
             raise NotFacingError(
                 f"Γ0 around {spot(surfaces[0].x)} and Γ1 around "

@@ -16,6 +16,10 @@ from hypergap_dolfinx.graph import components
 
 SNAP = 2e-9
 """Distance, in lengths of the outlines' edges, below which nodes and edges are at one place."""
+COARSER = 10.0
+"""Times that distance with which it is tried again where there are no cells."""
+TRIES = 3
+"""Times that it is tried."""
 
 
 def _kept(cut: Cut, other: Side) -> Side | None:
@@ -103,12 +107,13 @@ def parts(side: Side) -> list[Side]:
     return found
 
 
-def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
+def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]]:
     """What two facing pieces have in common: pairs with the same outlines.
 
     Args:
         side0: A piece of Γ0.
         side1: The one of Γ1 that faces it.
+        snap: Distance, in lengths of the outlines' edges, that is none.
 
     Returns:
         Pairs of connected pieces; the two themselves if their outlines match.
@@ -126,7 +131,7 @@ def clip(side0: Side, side1: Side) -> list[tuple[Side, Side]]:
         for side, loops in zip(sides, alone, strict=True)
         for loop in loops
     ]
-    snap = SNAP * float(min(lengths))
+    snap *= float(min(lengths))
     cuts = Cut(side0, alone[0], snap), Cut(side1, alone[1], snap)
     twins = _meet(cuts, snap)
     outlines = [cut.outline() for cut in cuts]

@@ -82,6 +82,8 @@ class Cutting:
     def _is_convex(self, a: int, b: int) -> bool:
         """Whether the edge may be flipped."""
         c, d = self.apex[a, b], self.apex[b, a]
+        if (c, d) in self.apex or (d, c) in self.apex:  # as round-off has it in narrow triangles
+            return False
         return self._turns_left(a, d, c) and self._turns_left(d, b, c)
 
     def fix(self, u: int, v: int) -> bool:

@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, raise_on_all, spot
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
-from hypergap_dolfinx.gap.clip import clip
+from hypergap_dolfinx.gap.clip import COARSER, SNAP, TRIES, clip
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
@@ -165,6 +165,36 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     return slab
 
 
+def fill_common(side0: Side, side1: Side) -> list[Slab]:
+    """Cells between what two facing pieces have in common.
+
+    Where outlines are hardly further apart than what is taken for none, they leave edges as short
+    as that, beside which the other side's nodes may lie anywhere. If there are no cells for that
+    reason, such outlines are taken for one.
+
+    Args:
+        side0: A piece of Γ0.
+        side1: The one of Γ1 that faces it.
+
+    Raises:
+        NotFacingError: They have nothing in common.
+        InterfaceError: There is no valid mesh.
+    """
+    first = None
+    for k in range(TRIES):
+        whole = False
+        try:
+            pairs = clip(side0, side1, SNAP * COARSER**k)
+            whole = pairs[0][0] is side0
+            return [fill(pair) for pair in pairs]
+        except InterfaceError as error:
+            first = first or error
+            if whole or isinstance(error, NotFacingError):
+                break
+    assert first
+    raise first
+
+
 def summary(slabs: Sequence[Slab]) -> str:
     """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
 
@@ -228,7 +258,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
             ]
             for g in range(num)
         ]
-        return [fill(common) for pair in sides for common in clip(*pair)]
+        return [slab for pair in sides for slab in fill_common(*pair)]
 
     gap = share(comm, surfaces, groups[1], make)
     if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
