@@ -75,6 +75,8 @@ class Contact:
                 stay what they are at the start, the constraints are linear.
 
         Raises:
+            ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
+                unknown.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
         if sliding not in ("finite", "small"):
@@ -259,6 +261,10 @@ class Contact:
         Returns:
             A force per area of Γ1 where it is now. (To integrate it take :meth:`force`: the cells
             of Σ have no volume where bodies touch.)
+
+        Raises:
+            ValueError: Not one of the problem's contacts, or not solved yet.
+            InterfaceError: Nothing of Γ1 is opposite Γ0, so there is no Σ; ``"body"`` has 0 then.
         """
         rows = problem.rows(self)
         if self._on_body(on):

@@ -9,6 +9,8 @@ import logging
 from collections.abc import Sequence
 from itertools import combinations
 
+from mpi4py import MPI
+
 import numpy as np
 
 import ufl
@@ -191,7 +193,8 @@ class ContactProblem(ContactSystem):
 
         Where Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
-        that was found remains.
+        that was found remains. The first load step starts with the values at construction: set the
+        load after that.
 
         Returns:
             The displacement of each body, the same functions as in ``u``.
@@ -203,6 +206,7 @@ class ContactProblem(ContactSystem):
         self._path.set_out()
         bad = None if self._path.is_finite else "a load or a prescribed displacement is no number."
         raise_on_all(comm, bad, SolveError)
+        changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0
         self._prepare()
         done, size = 0.0, 1.0
@@ -214,10 +218,18 @@ class ContactProblem(ContactSystem):
                 steps = self._newton()
             except SolveError as error:
                 self._restore(before)
+                if not changes:
+                    raise SolveError(
+                        f"contact: {error} The load step can't be halved: no value has changed "
+                        "since the last one, or since the problem was made (set loads after that)."
+                    ) from error
                 size /= 2
                 self._halvings += 1
                 if size < 0.5**HALVINGS:
                     self._path.stop(done)
+                    if done or self._solved:
+                        for rows in self._rows:
+                            rows.look(False)
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}"
                     ) from error

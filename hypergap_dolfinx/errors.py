@@ -32,7 +32,7 @@ class InvertedCellError(RuntimeError):
 
 
 class SolveError(RuntimeError):
-    """The linear solver failed; nothing that it returned may be used."""
+    """A solve failed; the message says how far it came, and nothing beyond that may be used."""
 
 
 def spot(x: npt.NDArray[np.floating]) -> str:

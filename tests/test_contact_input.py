@@ -18,7 +18,14 @@ from test_contact_bodies import Assembly
 import meshes
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
-from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError, Tie
+from hypergap_dolfinx import (
+    Contact,
+    ContactProblem,
+    InterfaceError,
+    SolveError,
+    Tie,
+    contact_problem,
+)
 
 comm = MPI.COMM_WORLD
 
@@ -143,6 +150,32 @@ def test_loads():
     free.load(1, meshes.TOP).value = 0.01
     with raises(SolveError, "1 rigid motion of the bodies is held by nothing, not even by contact"):
         free.problem([Contact(*faces(free))]).solve()
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+def test_failed_load_step(monkeypatch, sliding):
+    """The state before remains, with its forces; what can't be halved is tried once."""
+    monkeypatch.setattr(contact_problem, "HALVINGS", 1)
+    scene = two()
+    free = Assembly(scene.bodies)
+    for component in (0, 1):
+        free.hold(0, component, meshes.BOTTOM)
+    free.hold(1, 0, meshes.RIGHT)
+    load = free.load(1, meshes.TOP)
+    contact = Contact(*faces(free), sliding=sliding)
+    problem = free.problem([contact])
+    load.value = 0.1
+    problem.solve()
+    before = contact.force(problem), *(u.x.array.copy() for u in free.u)
+    load.value = -1.0
+    with raises(SolveError, "no solution beyond 0 of the load step"):
+        problem.solve()
+    after = contact.force(problem), *(u.x.array for u in free.u)
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-15)
+    with raises(SolveError, "can't be halved: no value has changed .* since the problem was made"):
+        free.problem([contact]).solve()
 
 
 def test_round_with_straight_facets(caplog):

@@ -70,6 +70,11 @@ class LoadPath:
         self.go(1)
 
     @property
+    def changes(self) -> bool:
+        """Whether any of this rank's values changes on the way."""
+        return not all(map(np.array_equal, self._start, self._end))
+
+    @property
     def is_finite(self) -> bool:
         """Whether this rank's values at the end are numbers."""
         return all(np.isfinite(a).all() for a in self._end)
