@@ -80,6 +80,18 @@ DEMOS = {
         pictures=("hertz",),
         needs=("matplotlib",),
     ),
+    "hertz_published": Demo(
+        "--published disc-on-block",
+        {"rows.0.exact_p0": 6.6124},
+        {"rows.0.p0": 5e-3, "rows.0.half_width": 1e-2},
+        script="hertz",
+    ),
+    "hertz_published_all": Demo(
+        "--published",
+        below={"rows.*.p0": 1e-2, "rows.*.half_width": 1e-2, "rows.0.approach": 1e-2},
+        slow=True,
+        script="hertz",
+    ),
     "hertz_solids": Demo(
         "--dim 3 --levels 1",
         {"rows.0.l2_pressure": 6.43e-2},
