@@ -180,7 +180,7 @@ def fill_common(side0: Side, side1: Side) -> list[Slab]:
         NotFacingError: They have nothing in common.
         InterfaceError: There is no valid mesh.
     """
-    first = None
+    first: InterfaceError | None = None
     for k in range(TRIES):
         whole = False
         try:
