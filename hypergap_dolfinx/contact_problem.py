@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import progress
 from hypergap_dolfinx.contact import ALIKE, Contact
-from hypergap_dolfinx.errors import InterfaceError, SolveError, raise_on_all
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, raise_on_all
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
@@ -201,6 +201,7 @@ class ContactProblem(ContactSystem):
 
         Raises:
             SolveError: No load step, however small, was solved; says why.
+            InterfaceError: There is no Σ between the surfaces where the bodies start.
         """
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
@@ -216,8 +217,11 @@ class ContactProblem(ContactSystem):
             self._path.go(s)
             try:
                 steps = self._newton()
-            except SolveError as error:
+            except (SolveError, InterfaceError, InvertedCellError) as error:
                 self._restore(before)
+                if not isinstance(error, SolveError) and not self._iterations:
+                    self._path.stop(done)
+                    raise  # surfaces without a Σ where the bodies were
                 if not changes:
                     raise SolveError(
                         f"contact: {error} The load step can't be halved: no value has changed "
