@@ -83,7 +83,7 @@ def test_touches_and_parts(sliding):
 
 
 @pytest.mark.ranks(gap=[0.05])
-@pytest.mark.parametrize("gap", (-0.05, 0.0, 0.05, 0.5))
+@pytest.mark.parametrize("gap", (-0.05, 0.0, 0.05, 0.5, 1.5))  # 1.5: three cells
 @pytest.mark.parametrize("swap", (False, True))
 def test_held_by_contact_alone(gap, swap):
     """A block that a load presses on: from apart and from overlapping to the same state."""
@@ -97,7 +97,7 @@ def test_held_by_contact_alone(gap, swap):
     reference.problem.solve()
     p = scene.contact.pressures(scene.problem)
     np.testing.assert_allclose(p, reference.contact.pressures(reference.problem), atol=1e-7)
-    assert scene.problem.iterations <= 10
+    assert scene.problem.iterations <= (10 if gap < 1 else 20)
 
 
 def largest(f):

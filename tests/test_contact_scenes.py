@@ -127,6 +127,35 @@ def test_flat_punch(cut, wide):
     assert problem.rows(contact).now.p.max() <= 6 * mean and problem.iterations <= 5
 
 
+def test_stiff_and_fine_on_soft_and_coarse(caplog):
+    """A round bottom 1e6 times as stiff, three times as fine: told, and `between` avoids it."""
+    u, F, bcs, sides, stiff = [], [], [], [], (1.0, 1e6)
+
+    def place(i, s):
+        x = np.column_stack((2 * s[:, 0] - 1, s[:, 1] - 1 + i))
+        if i == 1:
+            x[:, 1] += (1 - s[:, 1]) * x[:, 0] ** 2 / 4
+        return x
+
+    for i, n in enumerate(((40, 20), (120, 30))):
+        mesh, ft = meshes.block(comm, n, lambda s, i=i: place(i, s), cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        u.append(fem.Function(V))
+        F.append(ufl.inner(linear(u[-1], stiff[i]), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs += [held(V, 0, away), held(V, 1, away, -0.02 * i)]
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact = Contact.between(*sides, stiffness=stiff)
+    assert contact.swapped and not caplog.records
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem.solve()
+    half_width = np.abs(contact.surfaces[1].x[contact.active, 0]).max()
+    p0 = half_width / 2 / (2 * 0.91)  # Hertz, R = 2
+    assert problem.iterations <= 12 and 0.8 <= contact.pressures(problem).max() / p0 <= 1.4
+    Contact(*sides)
+    assert comm.rank > 0 or "times finer than Γ0" in caplog.text
+
+
 def test_beam_of_two_layers():
     """Layers slide on each other as they bend: the sides hardly matter."""
     largest = []
