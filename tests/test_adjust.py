@@ -18,7 +18,8 @@ import meshes
 import meshes.solids
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import SolveError, Tie, TiedProblem
+from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx.gap import adjust
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
 FULL = 2 * np.pi
@@ -151,3 +152,22 @@ def test_nested_shells(adjust, zero_modes):
     p.assemble_matrix()
     negative, zero, multipliers = inertia(p)
     assert (negative, zero) == (multipliers, zero_modes)
+
+
+def test_moves_that_no_mesh_of_the_gap_follows(monkeypatch):
+    """They are undone, and the message says that it was the moving."""
+    bodies = [ring(n, r, r + 0.5, 1) for n, r in zip((12, 20), (1, 1.5), strict=True)]
+    start = bodies[1].mesh.geometry.x.copy()
+    create, moved = adjust.create_gap_domain, []
+
+    def fail_later(c, *surfaces):
+        moved.append(np.abs(bodies[1].mesh.geometry.x - start).max())
+        if len(moved) > 1:
+            raise InterfaceError("Γ1 is folded.")
+        return create(c, *surfaces)
+
+    monkeypatch.setattr(adjust, "create_gap_domain", fail_later)
+    with pytest.raises(InterfaceError, match=r"adjust moves the nodes on Γ1 too far.*folded"):
+        tie(bodies, *PAIR, adjust=True)
+    assert moved[1] > 1e-3
+    assert (bodies[1].mesh.geometry.x == start).all()

@@ -17,6 +17,7 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, create_constraint
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.gap.multipliers import Multipliers
@@ -44,19 +45,30 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
         spaces of both meshes' coordinates.
 
     Raises:
-        InterfaceError: The surfaces form no interface.
+        InterfaceError: The surfaces form no interface, or don't any more when nodes were moved,
+            which are put back.
         InvertedCellError: They differ too much in shape.
     """
     W = [_coordinate_space(mesh) for mesh in (mesh0, mesh1)]
-    for last in (*[False] * (ROUNDS - 1), True):
-        surfaces = create_surface(W[0], facets0, "Γ0"), create_surface(W[1], facets1, "Γ1")
-        domain = create_gap_domain(mesh1.comm, *surfaces)
+    start = _positions(W[1])
+    for k in range(ROUNDS):
+        try:
+            surfaces = create_surface(W[0], facets0, "Γ0"), create_surface(W[1], facets1, "Γ1")
+            domain = create_gap_domain(mesh1.comm, *surfaces)
+        except (InterfaceError, InvertedCellError) as error:
+            if k == 0:
+                raise
+            _set_positions(W[1], start)
+            raise InterfaceError(
+                f"adjust moves the nodes on Γ1 too far for its facets: {error} Refine both sides "
+                "there, or tie without adjust; the nodes are where they were."
+            ) from error
         constraint = create_constraint(domain, (W[0], W[1]), free_interior=False)
         origin = surfaces[0].x[0]  # far from the origin digits are few
         X = [_positions(V) - origin for V in W]
         moved = _solve(constraint, domain, X) + origin
         constraint.destroy()
-        if not last:
+        if k < ROUNDS - 1:
             _set_positions(W[1], moved)
     return (lambda: _set_positions(W[1], moved)), domain
 
