@@ -98,6 +98,7 @@ DEMOS = {
         {"rows.0.force": 1e-8, "rows.0.p0": 2e-2, "rows.0.half_width": 0.1},
         accuracy=0.1,  # as far as versions of Gmsh agree
         needs=("gmsh",),
+        slow=True,
         script="hertz",
     ),
     "hyperelasticity": Demo(
