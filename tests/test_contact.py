@@ -64,7 +64,7 @@ class Blocks:
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(sliding=["finite"])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_touches_and_parts(sliding):
     """Nothing, then a force, then nothing again."""
@@ -82,7 +82,7 @@ def test_touches_and_parts(sliding):
     assert max(np.abs(u.x.array).max(initial=0) for u in scene.u[:1]) <= 1e-12
 
 
-@pytest.mark.ranks(gap=[0.05])
+@pytest.mark.ranks(2, gap=[0.05])
 @pytest.mark.parametrize("gap", (-0.05, 0.0, 0.05, 0.5, 1.5))  # 1.5: three cells
 @pytest.mark.parametrize("swap", (False, True))
 def test_held_by_contact_alone(gap, swap):
@@ -104,7 +104,7 @@ def largest(f):
     return comm.allreduce(np.abs(f.x.array).max(initial=0), MPI.MAX)
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(sliding=["finite"], degree=[2])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_gap_and_pressure(degree, sliding):
@@ -126,7 +126,7 @@ def test_gap_and_pressure(degree, sliding):
         scene.contact.pressure(scene.problem, on="Γ1")
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(2)
 def test_nothing_holds():
     """A motion that contact can't hold is told, not solved; so is one that it is pulled from."""
     scene = Blocks(held=False)

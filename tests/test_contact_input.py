@@ -152,7 +152,7 @@ def test_loads():
         free.problem([Contact(*faces(free))]).solve()
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, sliding=["small"])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_failed_load_step(monkeypatch, sliding):
     """The state before remains, with its forces; what can't be halved is tried once."""
