@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap.moving import Displacements, MovingSurface
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.plane import PlaneOpening
@@ -317,9 +317,7 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        side0, side1 = self._sides
-        u = problem.rows(self).u
-        return side0.displaced(u[0]), side1.displaced(u[1])
+        return displaced(self._sides, problem.rows(self).u)
 
     def force(self, problem) -> npt.NDArray[np.float64]:
         """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
@@ -335,9 +333,7 @@ class Contact:
         mesh = self._spaces[1].mesh
         V = fem.functionspace(mesh, ("Lagrange", 1))
         f = fem.Function(V, name=name)
-        surface = create_surface(V, self._facets[1], "Γ1")
-        at = np.empty(len(values), dtype=np.int64)
-        at[surface.facets] = surface.dofs
+        at = MovingSurface(create_surface(V, self._facets[1], "Γ1")).vertex_dofs
         start, end = V.dofmap.index_map.local_range
         mine = (at >= start) & (at < end)
         f.x.array[at[mine] - start] = values[mine]

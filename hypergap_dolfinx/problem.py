@@ -117,18 +117,15 @@ class TiedProblem(TiedSystem):
                 )
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
-        def compiled(form):
-            return fem.form(
-                form,
-                dtype=PETSc.ScalarType,
-                form_compiler_options=form_compiler_options,
-                jit_options=jit_options,
-            )
-
-        self._L = [compiled(form) for form in loads]
+        options = {
+            "dtype": PETSc.ScalarType,
+            "form_compiler_options": form_compiler_options,
+            "jit_options": jit_options,
+        }
+        self._L = fem.form(loads, **options)
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
-        super().__init__([compiled(form) for form in a], bcs or (), Joined(ties), solutions)
+        super().__init__(fem.form(list(a), **options), bcs or (), Joined(ties), solutions)
         self._solver = solvers.create(self._system, solver, petsc_options_prefix, petsc_options)
 
     def assemble_vector(self):

@@ -159,7 +159,6 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     """
     tdim = surface0.gdim
     gap = mesh_strip(surface0, surface1) if tdim == 2 else mesh_slab(comm, surface0, surface1)
-    mine = np.flatnonzero(gap.rank == comm.rank)
 
     # Geometry: vertices are enough unless a surface is curved
     surfaces = (surface0, surface1)
@@ -173,14 +172,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         if gap.straight is not None:
             x = straightened(x, points, gap.straight, gap.x[gap.cells])
         x = x.reshape(-1, tdim)[first]
-    nodes = x if comm.rank == 0 else np.empty((0, tdim))
-
-    def stay(comm, num_parts, cell_types, cells):
-        return compat.destinations(np.full(len(mine), comm.rank, dtype=np.int32))
-
-    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], e=coordinates, x=nodes, partitioner=stay)
-    start = sum(comm.allgather(len(mine))[: comm.rank])
-    order = mine[mesh.topology.original_cell_index - start]
+    mesh, order = distributed(comm, cells, x, gap.rank, coordinates)
 
     alpha_vertices = gap.alpha[gap.cells[order]]
     linear = fem.functionspace(mesh, ("Lagrange", 1))
@@ -201,6 +193,32 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         patch=gap.patch,
         covered=gap.covered,
     )
+
+
+def distributed(
+    comm: MPI.Comm, cells, x, rank, element: basix.ufl._ElementBase
+) -> tuple[Mesh, npt.NDArray[np.intp]]:
+    """A mesh of cells that every rank knows, each on the rank that it is for. Collective.
+
+    Args:
+        comm: Communicator.
+        cells: Nodes of the cells, ``(num_cells, num_cell_nodes)``.
+        x: Nodes, ``(num_nodes, n)``.
+        rank: Where each cell is to be, ``(num_cells,)``.
+        element: Of the coordinates.
+
+    Returns:
+        The mesh, and the numbers of this rank's cells in its order.
+    """
+    mine = np.flatnonzero(rank == comm.rank)
+    nodes = x if comm.rank == 0 else x[:0]
+
+    def stay(comm, num_parts, cell_types, cells):
+        return compat.destinations(np.full(len(mine), comm.rank, dtype=np.int32))
+
+    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], e=element, x=nodes, partitioner=stay)
+    start = sum(comm.allgather(len(mine))[: comm.rank])
+    return mesh, mine[mesh.topology.original_cell_index - start]
 
 
 def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:

@@ -47,11 +47,11 @@ class Derivatives:
     """``(num,)``."""
     first: npt.NDArray[np.float64]
     """``(num, num_variables)``."""
-    second: npt.NDArray[np.float64] | None
+    second: npt.NDArray[np.float64]
     """``(num, num_variables, num_variables)``."""
 
 
-def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s, *, second: bool) -> Derivatives:
+def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> Derivatives:
     """Volumes of cells, by their base's nodes, their apex' nodes and s₁, s₂, r.
 
     Args:
@@ -59,7 +59,6 @@ def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s, *, second: b
         X: Nodes of the bases' edges, ``(num_cells, num_nodes, 2)``.
         Q: Nodes of the apexes' edges, ``(num_cells, num_apex_nodes, 2)``.
         s: s₁, s₂ and r, ``(num_cells, 3)``.
-        second: Whether second derivatives are wanted.
     """
     num, a, b = len(X), X.shape[1], Q.shape[1]
     origin = X[:, :1]  # differences keep their digits far from the origin
@@ -87,8 +86,6 @@ def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s, *, second: b
     reach = q[:, None] - y
     first[:, ends] = 0.5 * sign * cross(reach, dy)
     first[:, r] = 0.5 * cross(dq, chord)
-    if not second:
-        return Derivatives(value, first, None)
     H = np.zeros((num, first.shape[1], first.shape[1]))
     skew = np.einsum("cp,cpa,cpb->cab", dS, N, dN)
     skew = skew - skew.transpose(0, 2, 1)
@@ -112,9 +109,7 @@ def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s, *, second: b
     return Derivatives(value, first, H)
 
 
-def crossings(
-    elements: tuple[FiniteElement, FiniteElement], X0, X1, unknown, s, *, second: bool
-) -> Derivatives:
+def crossings(elements: tuple[FiniteElement, FiniteElement], X0, X1, unknown, s) -> Derivatives:
     """Where rays along Γ1's normals cross: Φ = (x₀(s₀) − x₁(s₁)) · (chord of Γ1's edge) = 0.
 
     Args:
@@ -123,7 +118,6 @@ def crossings(
         X1: Nodes of Γ1's edges, ``(num, num_nodes1, 2)``.
         unknown: Side of the parameter that is looked for, ``(num,)``.
         s: Parameters on both sides, and where to start, ``(num, 2)``.
-        second: Whether second derivatives are wanted.
 
     Returns:
         The parameters that were looked for, by X0 and X1.
@@ -150,8 +144,6 @@ def crossings(
     by = by.reshape(num, 2 * (a + b))
     t = -by / slope[:, None]
     value = s[each, unknown]
-    if not second:
-        return Derivatives(value, t, None)
     H = np.zeros((num, a + b, 2, a + b, 2))
     for i in (0, 1):
         cross_term = N[0][:, :, None] * chord

@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix.ufl
-import dolfinx
 from dolfinx import fem
-from hypergap_dolfinx import compat
+from hypergap_dolfinx.gap.domain import distributed
 
 
 @dataclass(frozen=True)
@@ -42,23 +41,12 @@ def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str) -> fem.Function:
         cells: Σ.
         name: ``"gap"`` or ``"pressure"``.
     """
-    num_vertices, n = cells.x.shape[1:]
-    mine = np.flatnonzero(cells.rank == comm.rank)
-    nodes = cells.x.reshape(-1, n) if comm.rank == 0 else np.empty((0, n))
+    n = cells.x.shape[2]
+    x = cells.x.reshape(-1, n)
     kind = {2: "triangle", 3: "tetrahedron"}[n]
-
-    def stay(comm, num_parts, cell_types, cells):
-        return compat.destinations(np.full(len(mine), comm.rank, dtype=np.int32))
-
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        mine[:, None] * num_vertices + np.arange(num_vertices),
-        e=basix.ufl.element("Lagrange", kind, 1, shape=(n,)),
-        x=nodes,
-        partitioner=stay,
-    )
-    start = sum(comm.allgather(len(mine))[: comm.rank])
-    order = mine[mesh.topology.original_cell_index - start]
+    element = basix.ufl.element("Lagrange", kind, 1, shape=(n,))
+    vertices = np.arange(len(x)).reshape(-1, n + 1)
+    mesh, order = distributed(comm, vertices, x, cells.rank, element)
     V = fem.functionspace(mesh, ("Discontinuous Lagrange", 0))
     f = fem.Function(V, name=name)
     f.x.array[V.dofmap.list.ravel()] = getattr(cells, name)[order]

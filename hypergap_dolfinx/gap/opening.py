@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Σ between bodies where they are now, as plain arrays, and the weighted gap on their dofs."""
+"""Contact's Σ in space, as plain arrays, and the weighted gap on the dofs of both sides."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +21,7 @@ from hypergap_dolfinx.gap.chart import axis_between, mesh_chart
 from hypergap_dolfinx.gap.constraint import coo_matrix, expand
 from hypergap_dolfinx.gap.domain import interpolation_weights
 from hypergap_dolfinx.gap.kernel import GapElement
-from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
+from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.surface import Surface, tabulate
@@ -29,14 +29,12 @@ from hypergap_dolfinx.gap.surface import Surface, tabulate
 ON_VERTEX = 1e-9
 """Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
 
-COVERED = 0.95
-"""Part of a facet of Γ1 that Σ must reach for multipliers of its own: with it a flat punch's corner
-has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
-
 
 @dataclass(frozen=True)
 class Opening:
-    """Σ between two surfaces, with weights w_a for each vertex of Γ1. The same on every rank.
+    """Σ between two surfaces in space, with weights w_a for each vertex of Γ1.
+
+    The same on every rank.
 
     Which cells there are, where their nodes are hosted and how they are weighted was found at one
     place of the bodies; where they are now is an argument.
@@ -65,7 +63,7 @@ class Opening:
     rank: npt.NDArray[np.int32]
     """Rank of a body's cell beside each cell, ``(num_cells,)``."""
     axis: npt.NDArray[np.float64] | None = None
-    """Along what the surfaces were seen, in space."""
+    """Along what the surfaces were seen; None if they surround each other."""
 
     @classmethod
     def between(
@@ -82,20 +80,19 @@ class Opening:
         Raises:
             InterfaceError: They don't face each other.
         """
-        surfaces = _displaced(sides, u)
+        surfaces = displaced(sides, u)
         axis = axis_between(surfaces, before.axis if before else None)
         if axis is None:
             gap: GapCells = mesh_slab(comm, *surfaces)
         else:
             gap = mesh_chart(comm, surfaces, axis)
-        n = surfaces[0].gdim
         k = max(gap.degree, *(surface.geometry.degree for surface in surfaces))
-        cell = basix.CellType.triangle if n == 2 else basix.CellType.tetrahedron
+        cell = basix.CellType.tetrahedron
         element = basix.create_element(
             basix.ElementFamily.P, cell, k, basix.LagrangeVariant.equispaced
         )
         every = np.arange(len(gap.cells))
-        points, weights = basix.make_quadrature(cell, max(min(2 * n * (k - 1), 6), n * (k - 1)))
+        points, weights = basix.make_quadrature(cell, max(min(6 * (k - 1), 6), 3 * (k - 1)))
         vertices, shares = _multipliers(surfaces[1], gap)
         hosts = gap.hosts(element.points, every)
         alpha = gap.alpha[gap.cells]
@@ -244,10 +241,6 @@ class Opening:
         """Sums over the cells of values at their vertices, ``(num_multipliers,)``."""
         values = self.shares * values[..., None]
         return np.bincount(self.vertices.ravel(), values.ravel(), self.num_multipliers)
-
-
-def _displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
-    return sides[0].displaced(u[0]), sides[1].displaced(u[1])
 
 
 def _multipliers(

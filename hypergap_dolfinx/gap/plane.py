@@ -8,6 +8,7 @@
 from dataclasses import dataclass, field
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.gap import fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
 from hypergap_dolfinx.gap.rays import Fixed, cast
 from hypergap_dolfinx.gap.strip import mesh_strip
@@ -51,6 +52,8 @@ class _State:
     """Of the nodes at each crossing, ``(num_crossings, num_nodes0 + num_nodes1)``."""
     num: int
     """Number of variables: the nodes' and the parameters."""
+    to_dofs: PETSc.Mat | None = None
+    """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
 
 
 @dataclass
@@ -92,8 +95,10 @@ class PlaneOpening:
             self._last = last = _place(self.sides, u)
         return last
 
-    def _to_dofs(self, state: _State):
+    def _to_dofs(self, state: _State) -> PETSc.Mat:
         """Derivatives of all variables by both sides' dofs, all components."""
+        if state.to_dofs is not None:
+            return state.to_dofs
         i, j, values = [], [], []
         offset, start = 0, 0
         locals_ = []
@@ -129,7 +134,8 @@ class PlaneOpening:
             at += len(table)
         sizes = state.num, 2 * start
         parts = (np.concatenate(part) for part in (i, j, values))
-        return coo_matrix(MPI.COMM_SELF, sizes, *parts)
+        state.to_dofs = coo_matrix(MPI.COMM_SELF, sizes, *parts)
+        return state.to_dofs
 
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap.
@@ -154,10 +160,8 @@ class PlaneOpening:
                 values.append(0.5 * cells.gap.first.ravel())
         sizes = self.num_multipliers, state.num
         C = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
-        R = self._to_dofs(state)
-        product = C.matMult(R)
+        product = C.matMult(self._to_dofs(state))
         C.destroy()
-        R.destroy()
         return g, m, Sparse.of(product)
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
@@ -180,11 +184,9 @@ class PlaneOpening:
             pressure = 0.5 * p[cells.vertices].sum(axis=1)
             on = np.flatnonzero(pressure)
             numbers, pressure = cells.numbers[on], pressure[on]
-            assert cells.gap.second is not None
             add(numbers, pressure[:, None, None] * cells.gap.second[on])
             np.add.at(slope, numbers, pressure[:, None] * cells.gap.first[on])
         if len(state.numbers):
-            assert state.crossings.second is not None
             nodes = (2 * state.numbers[..., None] + np.arange(2)).reshape(len(state.numbers), -1)
             moves = slope[len(slope) - len(nodes) :]
             on = np.flatnonzero(moves)
@@ -192,10 +194,8 @@ class PlaneOpening:
         H = coo_matrix(
             MPI.COMM_SELF, (state.num, state.num), *(np.concatenate(p) for p in (i, j, values))
         )
-        R = self._to_dofs(state)
-        product = H.ptap(R)
+        product = H.ptap(self._to_dofs(state))
         H.destroy()
-        R.destroy()
         return Sparse.of(product)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -238,7 +238,7 @@ def _place(sides: Sides, u: Displacements) -> _State:
     Raises:
         InterfaceError: There is none.
     """
-    surfaces = sides[0].displaced(u[0]), sides[1].displaced(u[1])
+    surfaces = displaced(sides, u)
     found = cast(*surfaces)
     if not found.base:
         mesh_strip(*surfaces)  # says why
@@ -257,7 +257,7 @@ def _place(sides: Sides, u: Displacements) -> _State:
     each, s = np.arange(len(unknown)), np.zeros((len(unknown), 2))
     s[each, unknown], s[each, 1 - unknown] = found.guess, found.given
     X0, X1 = (surfaces[i].nodes[facets[:, i]] for i in (0, 1))
-    crossings = fans.crossings(elements, X0, X1, unknown, s, second=True)
+    crossings = fans.crossings(elements, X0, X1, unknown, s)
     at = np.concatenate((np.zeros(len(Fixed)), crossings.value))
     at[[Fixed.START, Fixed.END, Fixed.MIDDLE]] = 0, 1, 0.5
     side, parameters = np.array(found.side), np.array(found.parameters).reshape(-1, 3)
@@ -268,7 +268,7 @@ def _place(sides: Sides, u: Displacements) -> _State:
         mine = np.flatnonzero(side == i)
         X, Q = surfaces[i].nodes[base[mine]], surfaces[1 - i].nodes[apex[mine]]
         of = elements[i], elements[1 - i]
-        gap = fans.volumes(of, X, Q, at[parameters[mine]], second=True)
+        gap = fans.volumes(of, X, Q, at[parameters[mine]])
         nodes = np.hstack((numbers(i, base[mine]), numbers(1 - i, apex[mine])))
         nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), -1)
         ends = at[parameters[mine, :2]]

@@ -17,12 +17,10 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.moving import COVERED
 from hypergap_dolfinx.gap.strip import chains
 from hypergap_dolfinx.gap.surface import Surface
 
-COVERED = 0.95
-"""Part of an edge of Γ1 that Γ0 must reach for multipliers on both its vertices: with it a flat
-punch's corner has 2.5 to 5 times the mean."""
 END = 1e-7
 """Distance along an edge, in its lengths, of ends that are opposite to each other."""
 FACES = 0.25

@@ -55,16 +55,13 @@ class NonlinearSystem(TiedSystem):
                 "one of each for every body."
             )
 
-        def compiled(form):
-            return fem.form(
-                form,
-                dtype=PETSc.ScalarType,
-                form_compiler_options=form_compiler_options,
-                jit_options=jit_options,
-            )
-
-        self._F = [compiled(form) for form in F]
-        super().__init__([compiled(form) for form in J], bcs, pieces, u)
+        options = {
+            "dtype": PETSc.ScalarType,
+            "form_compiler_options": form_compiler_options,
+            "jit_options": jit_options,
+        }
+        self._F = fem.form(list(F), **options)
+        super().__init__(fem.form(list(J), **options), bcs, pieces, u)
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
