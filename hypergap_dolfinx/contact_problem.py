@@ -142,7 +142,8 @@ class ContactProblem(ContactSystem):
         for contact, rows in zip(self._contacts, self._rows, strict=True):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        self._path = LoadPath(forms, self._u, bcs, moved)
+        jumps = [array for tie in ties if tie.jump for array in tie.jump.arrays]
+        self._path = LoadPath(forms, self._u, bcs, moved, jumps)
         self._halvings = self._num_steps = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:

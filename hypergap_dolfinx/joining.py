@@ -108,7 +108,8 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for t, tie in enumerate(ties):
         V0, V1 = tie.spaces
         if not tie.free_interior:
-            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts].append(t)
+            jump = tie.jump and tie.jump.key
+            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts, jump].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -162,7 +163,8 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
         sides.append((ties[0].spaces[i], facets))
     adjusts = all(tie.adjusts for tie in ties)
     try:
-        whole = _Whole(*sides, close_gap=ties[0].closes_gap, adjust=adjusts)
+        first = ties[0]
+        whole = _Whole(*sides, close_gap=first.closes_gap, adjust=adjusts, jump=first.jump)
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []
     every = Multipliers.of(whole.constraint, whole.domain)

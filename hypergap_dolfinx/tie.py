@@ -22,6 +22,7 @@ from hypergap_dolfinx.gap import fields, quality
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -71,6 +72,7 @@ class Tie(disposal.Owner):
         interior: str = "interpolated",
         adjust: bool = False,
         close_gap: bool = False,
+        jump: Given | Jump | None = None,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -92,9 +94,16 @@ class Tie(disposal.Owner):
                 on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
                 or overlaps is pulled together, as in an interference fit. Needs displacements.
+            jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
+                ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
+                ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
+                What it is then is read for each right-hand side, so that it may change without
+                factorising again. Of pieces of one interface that have different jumps, let both
+                surfaces end at one place; there their mean holds, weighted with the multipliers.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
+            ValueError: A jump that doesn't fit the spaces, or isn't finite.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
@@ -150,6 +159,8 @@ class Tie(disposal.Owner):
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
+        self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
+        self.nodal_jump()
 
     @classmethod
     def between(
@@ -172,7 +183,7 @@ class Tie(disposal.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor.
+            options: Of the constructor; a jump is that of b over a, u_b − u_a.
 
         Returns:
             The tie.
@@ -190,6 +201,8 @@ class Tie(disposal.Owner):
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:
             swapped, why = ratio > 1, "coarser"
+        if swapped and options.get("jump") is not None:
+            options["jump"] = Jump(options["jump"]).reversed()
         tie = cls(*((b, a) if swapped else (a, b)), **options)
         tie._swapped = swapped
         if tie.sigma.comm.rank == 0:
@@ -258,13 +271,42 @@ class Tie(disposal.Owner):
         """Whether the constraint is on positions."""
         return self._close_gap
 
+    @property
+    def jump(self) -> Jump | None:
+        """The prescribed jump, if there is one."""
+        return self._jump
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """The jump as it is now, at the dofs of one side. Collective.
+
+        Returns:
+            The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
+        """
+        return self._jump and self._jump.nodal(self._spaces, self.surfaces)
+
     @cached_property
     def constraint(self) -> Constraint:
         """The constraint on one component, assembled when it is first asked for."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
+    @cached_property
+    def _gaping(self) -> npt.NDArray:
+        """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
+        return gaping(self.blocks(), self._spaces, self.surfaces[0].x[0])
+
+    def offset(self) -> PETSc.Vec | None:
+        """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
+
+        Returns:
+            A new vector; None if it is 0, without a jump and without ``close_gap``.
+        """
+        jump = self.nodal_jump()
+        if jump is None and not self._close_gap:
+            return None
+        return right_side(self.blocks(), jump, self._gaping if self._close_gap else None)
+
     def blocks(self) -> tuple[PETSc.Mat, ...]:
-        """The matrices of Σ_i B_i u_i = 0, for systems of your own.
+        """The matrices of Σ_i B_i u_i = c, for systems of your own; c is :meth:`offset`.
 
         Returns:
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs; with

@@ -62,7 +62,6 @@ class ConstraintBlocks:
         self._sides = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
         self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
-        self._gaps: dict[int, PETSc.Vec] = {}
         self._pairs: dict[int, Coincidences] = {}
         choice = choose(self._ties, self._sides, self._held)
         self._interfaces = choice.interfaces
@@ -80,9 +79,7 @@ class ConstraintBlocks:
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for obj in chain(
-            *(row.values() for row in self._rows), *self._full, *self._free, self._gaps.values()
-        ):
+        for obj in chain(*(row.values() for row in self._rows), *self._full, *self._free):
             if obj is not None:
                 obj.destroy()
 
@@ -136,7 +133,7 @@ class ConstraintBlocks:
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
 
-        A tie that closes the gap takes the positions x_i + u_i instead of the u_i.
+        What it is to be, of jumps and of positions, is subtracted.
 
         Args:
             g: Number of the interface.
@@ -147,29 +144,17 @@ class ConstraintBlocks:
         for u, B in zip(fields, self._full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
-        for t, row in enumerate(self._rows):
-            if self._ties[t].closes_gap and g in row:
-                E = row[g]
-                if E is None:
-                    c.axpy(1.0, self._gap(t))
-                else:
-                    E.multTransposeAdd(self._gap(t), c, c)
-
-    def _gap(self, t: int) -> PETSc.Vec:
-        """Σ_i B_i x_i of a tie with the positions x_i of the dofs. Collective."""
-        if t not in self._gaps:
-            tie = self._ties[t]
-            c = tie.blocks()[0].createVecLeft()
-            c.set(0.0)
-            origin = tie.surfaces[0].x[0]  # far from the origin digits are few
-            for V, B in zip(tie.spaces, tie.blocks()):
-                x = B.createVecRight()
-                n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-                x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
-                B.multAdd(x, c, c)
-                x.destroy()
-            self._gaps[t] = c
-        return self._gaps[t]
+        for tie, row in zip(self._ties, self._rows, strict=True):
+            offset = tie.offset() if g in row else None
+            if offset is None:
+                continue
+            offset.scale(-1.0)
+            E = row[g]
+            if E is None:
+                c.axpy(1.0, offset)
+            else:
+                E.multTransposeAdd(offset, c, c)
+            offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
         """Raise where both sides of a tie are prescribed, and differently. Collective.
@@ -183,6 +168,7 @@ class ConstraintBlocks:
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             if tie.closes_gap:
                 continue
+            jump = tie.nodal_jump()
             if t not in self._pairs:
                 self._pairs[t] = Coincidences(tie)
             pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
@@ -192,7 +178,12 @@ class ConstraintBlocks:
                 both.append(look_up(comm, held, start, dofs).astype(bool))
                 given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
-            pairs.check(self._names[t], both, given, size)
+            at = None
+            if jump is not None:
+                side, nodal = jump
+                start = tie.spaces[side].dofmap.index_map.local_range[0]
+                at = look_up(comm, nodal, start, pairs.dofs[side])
+            pairs.check(self._names[t], both, given, size, at)
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.

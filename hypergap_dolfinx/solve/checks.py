@@ -197,7 +197,7 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, name: str, prescribed, values, size: float):
+    def check(self, name: str, prescribed, values, size: float, jump=None):
         """Raise where both sides are prescribed, and differently.
 
         Args:
@@ -205,17 +205,23 @@ class Coincidences:
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Of displacements, the largest that either body has prescribed anywhere.
+            jump: What u₁ − u₀ is to be, as the values; nothing if not given.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
         noise = NO_LENGTH * self.extent if self.lengths else 0.0
-        wrong = both & (np.abs(values[0] - values[1]) > CONTRADICT * size + noise)
+        difference = values[1] - values[0] - (0 if jump is None else jump)
+        wrong = both & (np.abs(difference) > CONTRADICT * size + noise)
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
                 f"the prescribed displacements contradict {name} at {spot(self.x[i])}: "
-                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on "
-                "one side only."
+                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1"
+                + (
+                    "; prescribe the same on both, or on one side only."
+                    if jump is None
+                    else f", with a jump of {jump[i]}; prescribe one side only."
+                )
             )

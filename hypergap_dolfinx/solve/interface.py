@@ -58,6 +58,12 @@ class Interface(Protocol):
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
 
+    def offset(self) -> PETSc.Vec | None:
+        """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """A side, and u₁ − u₀ now at its dofs, this rank's owned rows; None if 0. Collective."""
+
 
 class Pieces(Protocol):
     """What users tied, and the interfaces that these are pieces of."""
