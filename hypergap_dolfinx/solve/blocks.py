@@ -18,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
-from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.interface import Interface
 from hypergap_dolfinx.solve.multipliers import Choice, choose
 
@@ -171,18 +171,16 @@ class ConstraintBlocks:
             jump = tie.nodal_jump()
             if t not in self._pairs:
                 self._pairs[t] = Coincidences(tie)
-            pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
-            for V, body, dofs in zip(tie.spaces, bodies, pairs.dofs, strict=True):
-                shape, start = (-1, tie.block_size), V.dofmap.index_map.local_range[0]
-                held = self._held[body].reshape(shape).astype(np.int8)
-                both.append(look_up(comm, held, start, dofs).astype(bool))
-                given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
+            pairs, both, given = self._pairs[t], [], []
+            for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
+                both.append(prescribed_dofs(tie, i, self._held[body], dofs))
+                owned = values[body].array_r.reshape(-1, tie.block_size)
+                given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
             at = None
             if jump is not None:
                 side, nodal = jump
-                start = tie.spaces[side].dofmap.index_map.local_range[0]
-                at = look_up(comm, nodal, start, pairs.dofs[side])
+                at = values_at(tie, side, nodal, pairs.dofs[side])
             pairs.check(self._names[t], both, given, size, at)
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:

@@ -23,6 +23,10 @@ APART = 0.5
 the meshes. Closed rings of 12 and 20 cells have 0.05, polygons of 3 edges in rings of 7 up to 0.28;
 blocks that are one cell apart 0.74 with 3 cells on 4, and 0.99 with 4 on 4."""
 
+TURNS = 1e-9
+"""What a row makes of a constant displacement, over its weight, that is none: round-off is 1e-14,
+a sector of 1° has 1e-4."""
+
 Modes = dict[int, npt.NDArray[np.float64]]
 """For each body, this rank's rows of motions that bodies make together, ``(num_dofs, num_modes)``.
 """
@@ -78,6 +82,7 @@ def _apart(
     """Which of a tie's rows tie what is apart, ``(num_rows,)``. Collective.
 
     A row makes nothing of constants; so what it makes of positions is its weight times a distance.
+    But if it turns one side, it makes something of them, and holds what a rotation moves.
 
     Args:
         spaces: Space of each body.
@@ -89,6 +94,7 @@ def _apart(
     if any(B is not None for B in row[len(spaces) :]):
         return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
+    constants = np.zeros((num_rows, n))
     for V, h, B in zip(spaces, sizes, row, strict=False):
         if B is None or h is None:
             continue
@@ -98,13 +104,15 @@ def _apart(
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = np.repeat(columns, V.dofmap.index_map_bs, axis=0)
         moment += product(B, columns[:, :n])
+        constants += product(B, np.tile(np.eye(n), (len(x), 1)))
         magnitudes = absolute(B)
         mine, weighted = product(magnitudes, columns[:, n:]).T
         magnitudes.destroy()
         weight += mine
         size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
     # Half of the weight is on either side
-    return 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
+    far = 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
+    return far | (np.linalg.norm(constants, axis=1) > TURNS * weight)
 
 
 def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
