@@ -4,9 +4,9 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A material repeats itself; its stiffness in the large is that of one cell, whose opposite faces are
-# tied to each other across the cell: displacements there differ by the mean strain times the
-# distance. Their meshes needn't match. This demo shows
+# The stiffness of a material that repeats itself is that of one cell, whose opposite faces are tied
+# to each other across the cell: displacements there differ by the mean strain times the distance.
+# Their meshes needn't match. This demo shows
 #
 # - ties across a distance, in all directions at once: the faces of a cell share edges and corners,
 # - a mean strain as the ties' jump: one factorisation serves all load cases,
@@ -60,6 +60,7 @@ class Cell:
     """A periodic cell under mean strains."""
 
     def __init__(self, bodies, bonds, pairs, degree):
+        """Bodies are (mesh, facet tags, moduli)."""
         self.strain = np.zeros((dim, dim))
         self.V = [fem.functionspace(mesh, ("Lagrange", degree, (dim,))) for mesh, _, _ in bodies]
 

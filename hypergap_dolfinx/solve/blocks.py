@@ -20,6 +20,7 @@ from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
 from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.matrices import nonzero_columns
 from hypergap_dolfinx.solve.multipliers import Choice, choose
 
 UNTIED = 1e-12
@@ -111,6 +112,18 @@ class ConstraintBlocks:
             [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
             for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
         ]
+
+    def carried(self) -> list[npt.NDArray[np.bool_]]:
+        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        found = []
+        for g, row in enumerate(self._full):
+            rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
+            for tie, E in zip(self._ties, self._rows, strict=True):
+                if tie.motion is not None and g in E:
+                    own = E[g]
+                    rows[slice(None) if own is None else nonzero_columns(own)] = True
+            found.append(rows)
+        return found
 
     @property
     def prescribed(self) -> list[npt.NDArray[np.bool_]]:

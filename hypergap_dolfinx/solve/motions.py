@@ -23,10 +23,6 @@ APART = 0.5
 the meshes. Closed rings of 12 and 20 cells have 0.05, polygons of 3 edges in rings of 7 up to 0.28;
 blocks that are one cell apart 0.74 with 3 cells on 4, and 0.99 with 4 on 4."""
 
-TURNS = 1e-9
-"""What a row makes of a constant displacement, over its weight, that is none: round-off is 1e-14,
-a sector of 1° has 1e-4."""
-
 Modes = dict[int, npt.NDArray[np.float64]]
 """For each body, this rank's rows of motions that bodies make together, ``(num_dofs, num_modes)``.
 """
@@ -82,7 +78,6 @@ def _apart(
     """Which of a tie's rows tie what is apart, ``(num_rows,)``. Collective.
 
     A row makes nothing of constants; so what it makes of positions is its weight times a distance.
-    But if it turns one side, it makes something of them, and holds what a rotation moves.
 
     Args:
         spaces: Space of each body.
@@ -94,7 +89,6 @@ def _apart(
     if any(B is not None for B in row[len(spaces) :]):
         return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
-    constants = np.zeros((num_rows, n))
     for V, h, B in zip(spaces, sizes, row, strict=False):
         if B is None or h is None:
             continue
@@ -104,15 +98,13 @@ def _apart(
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = np.repeat(columns, V.dofmap.index_map_bs, axis=0)
         moment += product(B, columns[:, :n])
-        constants += product(B, np.tile(np.eye(n), (len(x), 1)))
         magnitudes = absolute(B)
         mine, weighted = product(magnitudes, columns[:, n:]).T
         magnitudes.destroy()
         weight += mine
         size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
     # Half of the weight is on either side
-    far = 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
-    return far | (np.linalg.norm(constants, axis=1) > TURNS * weight)
+    return 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
 
 
 def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
@@ -145,7 +137,10 @@ def tied_groups(
         of each tie tie what is apart.
     """
     sizes = [_cell_sizes(V) if constraints.full and _rotates(V) else None for V in spaces]
-    apart = [_apart(spaces, sizes, row) for row in constraints.full]
+    apart = [
+        _apart(spaces, sizes, row) | carried
+        for row, carried in zip(constraints.full, constraints.carried(), strict=True)
+    ]
     comm = spaces[0].mesh.comm
     starts = np.cumsum([0, *(num for _, num in in_part)])
     pairs = [np.empty((0, 2), dtype=np.intp)]
