@@ -282,7 +282,9 @@ class Tie(disposal.Owner):
         Returns:
             The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
         """
-        return self._jump and self._jump.nodal(self._spaces, self.surfaces)
+        if self._jump is None:
+            return None
+        return self._jump.nodal(self._spaces, self.surfaces)
 
     @cached_property
     def constraint(self) -> Constraint:

@@ -83,13 +83,14 @@ def test_column_of_contacts_and_ties(sliding):
     scene.hold(0, 1, meshes.BOTTOM)
     top = scene.hold(3, 1, meshes.TOP)
     pairs = [(scene.side(i, meshes.TOP), scene.side(i + 1, meshes.BOTTOM)) for i in range(3)]
-    tie = Tie(*pairs[0])
+    jump = fem.Constant(scene.bodies[0].mesh, default_scalar_type((0, 0)))
+    tie = Tie(*pairs[0], jump=jump)
     contacts = [Contact.between(*pair, sliding=sliding) for pair in pairs[1:]]
     problem = scene.problem(contacts, [tie], rtol=1e-13)
-    for path in (-0.04, -0.08):
-        top.value = path
+    for path, opening in ((-0.04, 0.0), (-0.06, 0.02)):
+        top.value, jump.value[1] = path, opening
         problem.solve()
-        p = (-0.03 - path) * UNIAXIAL / sum(1 / E for E in moduli)
+        p = (opening - 0.03 - path) * UNIAXIAL / sum(1 / E for E in moduli)
         for contact in contacts:
             sign = 1 - 2 * contact.swapped
             np.testing.assert_allclose(contact.pressures(problem), p, atol=1e-11)
