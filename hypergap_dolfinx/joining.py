@@ -109,7 +109,8 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
         V0, V1 = tie.spaces
         if not tie.free_interior:
             jump = tie.jump and tie.jump.key
-            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts, jump].append(t)
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way
+            alike[id(V0), id(V1), law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -164,7 +165,13 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
     adjusts = all(tie.adjusts for tie in ties)
     try:
         first = ties[0]
-        whole = _Whole(*sides, close_gap=first.closes_gap, adjust=adjusts, jump=first.jump)
+        whole = _Whole(
+            *sides,
+            close_gap=first.closes_gap,
+            adjust=adjusts,
+            jump=first.jump,
+            compliance=first._compliance,
+        )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []
     every = Multipliers.of(whole.constraint, whole.domain)
