@@ -173,7 +173,7 @@ class Tie(disposal.Owner):
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
         self._compliance = compliance
-        self.compliance  # noqa: B018 what is wrong with it is told here
+        _ = self.compliance  # what is wrong with it is told here
 
     @classmethod
     def between(

@@ -13,13 +13,12 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-import basix
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
 from hypergap_dolfinx.gap import kernel
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
-from hypergap_dolfinx.gap.surface import create_surface, lagrange_element, tabulate
+from hypergap_dolfinx.gap.surface import Surface, create_surface, lagrange_element
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 Given = Part | Sequence[Part]
@@ -32,9 +31,8 @@ def parts(value: Given) -> tuple[Part, ...]:
     Raises:
         ValueError: Other numbers of them.
     """
-    if isinstance(value, fem.Constant | fem.Function) or callable(value):
-        return (value,)
-    if np.ndim(value) == 0 and not isinstance(value, str):  # type: ignore[arg-type]
+    single = isinstance(value, fem.Constant | fem.Function) or callable(value)
+    if single or (np.ndim(value) == 0 and not isinstance(value, str | dict)):  # type: ignore[arg-type]
         return (value,)  # type: ignore[return-value]
     if isinstance(value, str | dict) or len(value) != 2:  # type: ignore[arg-type]
         raise ValueError("compliance is one value, or a pair: the normal and the tangential one.")
@@ -81,22 +79,19 @@ class Compliance:
             )
         geometry, field = domain.geometry.degree, domain.element.degree
         rule = kernel.curved_rule(n, field, geometry)
-        points, _ = basix.make_quadrature(domain.element.cell_type, rule)
         self._element = domain.quadrature(rule)
         N, self._v = kernel.geometry_at_points(self._element, domain.x, domain.alpha_vertices)
         self._normal = (N / np.linalg.norm(N, axis=2, keepdims=True)).reshape(-1, n)
-        self._x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
-        self._x = self._x.reshape(-1, n)
         D, sign = domain.gap_factors(np.arange(len(domain.x)))
         self._sign = np.tile(sign, len(D))
         self._surfaces = [
             create_surface(part.function_space, facets1, "Γ1")
             if isinstance(part, fem.Function) and self._fits(part)
-            else None
+            else domain.surfaces[1]
             for part in self._parts
         ]
         comm = domain.mesh.comm
-        self._start = sum(comm.allgather(len(self._x))[: comm.rank])
+        self._start = sum(comm.allgather(len(self._normal))[: comm.rank])
         self._D = self._at_points(D, constraint)
         self.values()
 
@@ -118,7 +113,7 @@ class Compliance:
         """∂φ_A/∂α of the multipliers, with the weights' roots, a row a point. Collective."""
         dofmap = self._domain.space.dofmap
         nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
-        rows = self._start + np.arange(len(self._x))
+        rows = self._start + np.arange(len(self._normal))
         matrix = coo_matrix(
             self._domain.mesh.comm,
             (len(rows), constraint.R_A.getLocalSize()[0]),
@@ -152,39 +147,46 @@ class Compliance:
         Raises:
             ValueError: One is negative, or no number.
         """
-        found, error = np.zeros((len(self._parts), len(self._x))), None
+        found, error = np.zeros((len(self._parts), len(self._normal))), None
         for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
-            if surface is not None:
-                nodal = self._on_surface(part, surface)  # type: ignore[arg-type]
-                error = error or _wrong(nodal, surface)
-                found[k] = np.maximum(self._along_normals(nodal, surface), 0)
-                continue
+            dofs, first = np.unique(surface.dofs, return_index=True)
+            facet, local = np.divmod(first, surface.dofs.shape[1])
+            x = surface.points(facet, surface.element.points[local])
+            nodal = np.zeros(len(dofs))
             try:
-                value: Any = part.value if isinstance(part, fem.Constant) else part
-                if callable(value) and len(self._x):
-                    x = self._x.T
-                    value = value(np.vstack((x, np.zeros((3 - len(x), x.shape[1])))))
-                found[k] = 0.0 if callable(value) else value
+                nodal[:] = self._on_surface(part, surface, dofs, x)
             except Exception as e:
-                error = error or f"the compliance is no number on Σ: {e}".splitlines()[0]
-            wrong = ~(found[k] >= 0) | np.isinf(found[k])
+                error = error or f"the compliance is no number on Γ1: {e}".splitlines()[0]
+            wrong = ~(nodal >= 0) | np.isinf(nodal)
             if wrong.any():
                 i = int(wrong.argmax())
-                error = error or _message(found[k][i], self._x[i])
+                advice = " (infinite: leave the tie out)" if np.isinf(nodal[i]) else ""
+                error = error or (
+                    f"the compliance is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
+                    f"finite{advice}."
+                )
+            varies = isinstance(part, fem.Function) or callable(part)
+            # Between nodes a polynomial may be negative
+            found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
         raise_on_all(self._domain.mesh.comm, error, ValueError)
         return found
 
-    def _on_surface(self, c: fem.Function, surface) -> npt.NDArray[np.float64]:
-        """A function's values at Γ1's dofs, in the order of the sorted dofs. Collective."""
-        comm = self._domain.mesh.comm
-        dofs = np.unique(surface.dofs)
-        start, end = surface.dof_range[comm.rank : comm.rank + 2]
-        mine = (start <= dofs) & (dofs < end)
-        values = np.zeros(len(dofs))
-        values[mine] = np.real(c.x.array[dofs[mine] - start])
-        return comm.allreduce(values)
+    def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
+        """Values at Γ1's dofs; of a function collective."""
+        if isinstance(part, fem.Function):
+            comm = self._domain.mesh.comm
+            start, end = surface.dof_range[comm.rank : comm.rank + 2]
+            mine = (start <= dofs) & (dofs < end)
+            values = np.zeros(len(dofs))
+            values[mine] = np.real(part.x.array[dofs[mine] - start])
+            return comm.allreduce(values)
+        if isinstance(part, fem.Constant):
+            return np.real(part.value)
+        if callable(part):
+            return part(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
+        return part
 
-    def _along_normals(self, nodal: npt.NDArray, surface) -> npt.NDArray[np.float64]:
+    def _along_normals(self, nodal: npt.NDArray, surface: Surface) -> npt.NDArray[np.float64]:
         """What Γ1 has where a point's normal meets it: ∂(α c)/∂α of the φ_a's interpolant."""
         hosts = self._domain.hosts
         alpha = hosts.alpha.ravel()
@@ -225,19 +227,3 @@ class Compliance:
         for obj in objects:
             obj.destroy()
         return C
-
-
-def _wrong(values: npt.NDArray, surface) -> str | None:
-    """What is said of a function with such values at Γ1's sorted dofs."""
-    wrong = ~(values >= 0) | np.isinf(values)
-    if not wrong.any():
-        return None
-    i = int(wrong.argmax())
-    _, first = np.unique(surface.dofs, return_index=True)
-    facet, local = np.divmod(first[i : i + 1], surface.dofs.shape[1])
-    return _message(values[i], surface.points(facet, surface.element.points[local]))
-
-
-def _message(value: float, x: npt.NDArray) -> str:
-    advice = " (infinite: leave the tie out)" if np.isinf(value) else ""
-    return f"the compliance is {value:.6g} at {spot(x)}; it must be ≥ 0 and finite{advice}."

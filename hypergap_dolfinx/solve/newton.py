@@ -18,7 +18,7 @@ from hypergap_dolfinx.solve.system import TiedSystem
 
 
 class NonlinearSystem(TiedSystem):
-    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s, with their derivative in :attr:`A`."""
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative."""
 
     def __init__(
         self,
