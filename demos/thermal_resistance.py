@@ -4,8 +4,8 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Heat flows through a pipe and its coat, whose meshes don't match. Between them is a thermal contact
-# resistance c: the temperature jumps by c times the heat flux λ. This demo shows
+# Heat flows through a pipe and its coat, whose meshes don't match. Between them is a thermal
+# contact resistance c: the temperature jumps by c times the heat flux λ. This demo shows
 #
 # - `Tie(..., compliance=c)`, with c from 0 (tied) on, changed from solve to solve,
 # - rates of convergence against the exact temperature and flux.

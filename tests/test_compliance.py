@@ -95,7 +95,7 @@ def test_thermal_resistance(unit):
     """From tied to free in one problem; Γ1 is the side that conducts less, as advised."""
     slab = Slab(unit=unit)
     for k in ((1.0, 1.0), (1.0, 1e-6), (1e6, 1.0), *([(1e-9, 1e-9)] if unit == 1 else ())):
-        for c in (0, 1e-12, 1e-6, 1.0, 1e6, 1e12):
+        for c in (0, 1e-12, 1.0, 1e12):
             errors = slab.errors(k, c)
             assert max(errors) <= 1e-12, (k, c, errors)
 
@@ -169,7 +169,7 @@ def test_springs(c, interior):
     assert traction_error(p, t, bodies) <= 10 * SOLVED
 
 
-@two_ranks(how=["function"])
+@two_ranks(how=["pair"], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("how", ("function", "callable", "pair"))
 def test_fields(how, swap):
@@ -190,7 +190,7 @@ def test_fields(how, swap):
     assert error(p, stretched, turn) <= SOLVED
 
 
-@two_ranks(same=[False])
+@pytest.mark.ranks(same=[False])
 @pytest.mark.parametrize("same", (True, False))
 def test_pieces(same):
     """One interface in two pieces, and bodies that are tied to each other where these meet."""

@@ -77,12 +77,12 @@ class Compliance:
                 f"a normal and a tangential compliance need displacements, with {n} components; "
                 f"the value shape is {spaces[1].value_shape}."
             )
-        geometry, field = domain.geometry.degree, domain.element.degree
-        rule = kernel.curved_rule(n, field, geometry)
+        # Of straight cells c and both derivatives are polynomials of degree k − 1
+        rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
         self._element = domain.quadrature(rule)
         N, self._v = kernel.geometry_at_points(self._element, domain.x, domain.alpha_vertices)
         self._normal = (N / np.linalg.norm(N, axis=2, keepdims=True)).reshape(-1, n)
-        D, sign = domain.gap_factors(np.arange(len(domain.x)))
+        D, sign = domain.gap_factors(np.arange(len(domain.x)), rule)
         self._sign = np.tile(sign, len(D))
         self._surfaces = [
             create_surface(part.function_space, facets1, "Γ1")
@@ -165,7 +165,7 @@ class Compliance:
                     f"the compliance is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
                     f"finite{advice}."
                 )
-            varies = isinstance(part, fem.Function) or callable(part)
+            varies = callable(part) and not isinstance(part, fem.Constant)  # UFL's are callable
             # Between nodes a polynomial may be negative
             found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
         raise_on_all(self._domain.mesh.comm, error, ValueError)
@@ -190,7 +190,7 @@ class Compliance:
         """What Γ1 has where a point's normal meets it: ∂(α c)/∂α of the φ_a's interpolant."""
         hosts = self._domain.hosts
         alpha = hosts.alpha.ravel()
-        X = hosts.X[1].reshape(len(alpha), -1)
+        X = hosts.X[1].reshape(-1, hosts.X[1].shape[-1])
         use = np.flatnonzero(alpha > 0)
         point, dof, value = interpolation_weights(
             surface, hosts.facets[1].ravel()[use], X[use], alpha[use], self._domain.element

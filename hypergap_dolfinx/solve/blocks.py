@@ -30,7 +30,7 @@ functions or round-off."""
 
 
 class ConstraintBlocks:
-    """B and C of the saddle system [K Bᵀ; B −C]: a row of blocks for each interface, a column a field.
+    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
