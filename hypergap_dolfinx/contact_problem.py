@@ -142,8 +142,9 @@ class ContactProblem(ContactSystem):
         for contact, rows in zip(self._contacts, self._rows, strict=True):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        jumps = [array for tie in ties if tie.jump for array in tie.jump.arrays]
-        self._path = LoadPath(forms, self._u, bcs, moved, jumps)
+        laws = [law for tie in ties for law in (tie.jump, tie.compliance) if law]
+        arrays = [array for law in laws for array in law.arrays]
+        self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:

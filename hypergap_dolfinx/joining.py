@@ -110,7 +110,8 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
         if not tie.free_interior:
             jump = tie.jump and tie.jump.key
             motion = tie.motion and tie.motion.key
-            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts, jump, motion].append(t)
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion
+            alike[id(V0), id(V1), law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -171,6 +172,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
             adjust=adjusts,
             jump=first.jump,
             motion=first.motion,
+            compliance=first._compliance,
         )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []

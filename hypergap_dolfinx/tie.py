@@ -6,6 +6,7 @@
 """The tie between two surfaces: the user's door to Σ and the constraint."""
 
 import logging
+from collections.abc import Hashable
 from functools import cached_property
 
 from mpi4py import MPI
@@ -19,6 +20,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import carried, fields, quality
+from hypergap_dolfinx.gap import compliance as soft
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
@@ -75,6 +77,7 @@ class Tie(disposal.Owner):
         close_gap: bool = False,
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
+        compliance: soft.Given | None = None,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -103,10 +106,18 @@ class Tie(disposal.Owner):
                 factorising again. Of pieces of one interface that have different jumps, let both
                 surfaces end at one place; there their mean holds, weighted with the multipliers.
             motion: What carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
+            compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
+                thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
+                gives way, however little; a body that nothing else holds is held by it. One value,
+                or a pair: along Σ's normal and across it (0 ties across). Each is ≥ 0: a number, a
+                ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
+                of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
+                loop that sets it and solves again.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
-            ValueError: A jump that doesn't fit the spaces, or isn't finite.
+            ValueError: A jump or a compliance that doesn't fit the spaces, that isn't finite, or a
+                negative compliance.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
@@ -171,6 +182,8 @@ class Tie(disposal.Owner):
         self._blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
+        self._compliance = compliance
+        _ = self.compliance  # what is wrong with it is told here
 
     @classmethod
     def between(
@@ -281,14 +294,7 @@ class Tie(disposal.Owner):
             >>> strain[0, 0] = 0.01  # then solve, change it, and solve again
         """
         n = side1[0].mesh.geometry.dim
-        if (translation is None) == (rotation is None):
-            raise ValueError("a periodic tie takes a translation or a rotation, one of them.")
-        if rotation is None and not (centre is None and axis is None):
-            raise ValueError("centre and axis belong to a rotation; none is given.")
-        if rotation is None:
-            motion = carried.translation(translation, n)
-        else:
-            motion = carried.rotation(rotation, n, centre, axis)
+        motion = carried.motion(n, translation, rotation, centre, axis)
         return cls(side0, side1, motion=motion, **options)
 
     @property
@@ -298,7 +304,8 @@ class Tie(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""
-        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("constraint", None)]
+        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("compliance", None)]
+        objects.append(self.__dict__.pop("constraint", None))
         self._blocks = ()
         return [obj for obj in objects if obj is not None]
 
@@ -373,12 +380,27 @@ class Tie(disposal.Owner):
         Returns:
             The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
         """
-        return self._jump and self._jump.nodal(self._spaces, self.surfaces)
+        if self._jump is None:
+            return None
+        return self._jump.nodal(self._spaces, self.surfaces)
 
     @cached_property
     def constraint(self) -> Constraint:
         """The constraint on one component, assembled when it is first asked for."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
+
+    @property
+    def gives_way(self) -> Hashable:
+        """Equal for ties with the same compliance; None without."""
+        return None if self._compliance is None else soft.key(self._compliance)
+
+    @cached_property
+    def compliance(self) -> soft.Compliance | None:
+        """The matrix C of Σ_i B_i u_i − C λ = c, if there is a compliance."""
+        if self._compliance is None:
+            return None
+        given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
+        return soft.Compliance(*given)
 
     @cached_property
     def _gaping(self) -> npt.NDArray:

@@ -192,6 +192,13 @@ DEMOS = {
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
     ),
+    "thermal_resistance": Demo(
+        "--levels 2",
+        {"rows.0.error": 1.691e-5, "rows.4.error": 2.00e-6, "rows.6.error": 1.508e-6},
+        {"rows.*.flux": 2e-5},
+        accuracy=3e-3,
+        pictures=("thermal_resistance",),
+    ),
     "write_files": Demo("FOLDER", {"force.1": -0.1}, accuracy=1e-10, pictures=("write_files",)),
 }
 

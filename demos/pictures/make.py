@@ -26,6 +26,7 @@ PICTURES = {
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
     "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
     "read_meshes": ("read_meshes",),
+    "thermal_resistance": ("thermal_resistance", "--levels", "2"),
     "write_files": ("write_files",),
 }
 CHARTS = {

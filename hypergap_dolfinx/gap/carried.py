@@ -78,36 +78,40 @@ class Motion:
         return "the rotation" if self.turns else f"the translation {spot(self.shift)}"
 
 
-def translation(vector: npt.ArrayLike, n: int) -> Motion:
-    """The motion x ↦ x + t.
+def motion(
+    n: int,
+    translation: npt.ArrayLike | None,
+    rotation: npt.ArrayLike | None,
+    centre: npt.ArrayLike | None,
+    axis: npt.ArrayLike | None,
+) -> Motion:
+    """The motion x ↦ x + t or x ↦ R (x − c) + c.
 
     Args:
-        vector: t.
         n: Number of coordinates.
+        translation: t, or None.
+        rotation: An angle in radians, counterclockwise (in space: seen against the axis), or R; or
+            None.
+        centre: c, a point on the axis; the origin if not given.
+        axis: Direction of an angle's axis in space, of any length; z if not given.
 
     Raises:
-        ValueError: Not n finite numbers.
+        ValueError: Both or none, or what is no translation or rotation in n dimensions.
     """
-    t = np.asarray(vector, dtype=np.float64)
+    if (translation is None) == (rotation is None):
+        raise ValueError("a periodic tie takes a translation or a rotation, one of them.")
+    if rotation is not None:
+        return _rotation(rotation, n, centre, axis)
+    if not (centre is None and axis is None):
+        raise ValueError("centre and axis belong to a rotation; none is given.")
+    t = np.asarray(translation, dtype=np.float64)
     if t.shape != (n,) or not np.isfinite(t).all():
-        raise ValueError(f"a translation is {n} numbers here, not {vector}.")
+        raise ValueError(f"a translation is {n} numbers here, not {translation}.")
     return Motion(np.eye(n), np.zeros(n), t)
 
 
-def rotation(
-    turn: npt.ArrayLike, n: int, centre: npt.ArrayLike | None, axis: npt.ArrayLike | None
-) -> Motion:
-    """The motion x ↦ R (x − c) + c.
-
-    Args:
-        turn: An angle in radians, counterclockwise (in space: seen against the axis), or R.
-        n: Number of coordinates.
-        centre: c, a point on the axis; the origin if not given.
-        axis: Direction of the axis in space, of any length; z if not given.
-
-    Raises:
-        ValueError: What is not a rotation in n dimensions.
-    """
+def _rotation(turn: npt.ArrayLike, n: int, centre, axis) -> Motion:
+    """The motion x ↦ R (x − c) + c."""
     c = np.zeros(n) if centre is None else np.asarray(centre, dtype=np.float64)
     if c.shape != (n,) or not np.isfinite(c).all():
         raise ValueError(f"the centre of a rotation is {n} numbers here, not {centre}.")

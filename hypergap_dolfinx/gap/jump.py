@@ -7,6 +7,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -17,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
 from hypergap_dolfinx.gap.surface import Surface
 
-Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], npt.ArrayLike]
+Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 """What a jump can be: numbers, or what is read anew for each right-hand side."""
 
 
@@ -95,7 +96,8 @@ class Jump:
 
     def _at(self, x, own, V: fem.FunctionSpace) -> npt.NDArray:
         """Values at places, which are owned dofs of a space, ``(num, block_size)``."""
-        value, block_size = self.value, V.dofmap.index_map_bs
+        value: Any = self.value
+        block_size = V.dofmap.index_map_bs
         if isinstance(value, fem.Function):
             return value.x.array.reshape(-1, block_size)[own]
         if isinstance(value, fem.Constant):

@@ -18,6 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
+from hypergap_dolfinx.solve.compliances import Compliances
 from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.interface import Interface
 from hypergap_dolfinx.solve.matrices import nonzero_columns
@@ -30,7 +31,7 @@ functions or round-off."""
 
 
 class ConstraintBlocks:
-    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each interface, a column a field.
+    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
@@ -73,6 +74,7 @@ class ConstraintBlocks:
         rank = self._ties[0].sigma.comm.rank if self._ties else 0
         self._own = [c.own[(c.rank == rank) & (c.own >= 0)] for c in choice.columns]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
         self._full = self._pulled_back()
         self._free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
@@ -83,6 +85,7 @@ class ConstraintBlocks:
         for obj in chain(*(row.values() for row in self._rows), *self._full, *self._free):
             if obj is not None:
                 obj.destroy()
+        self.compliances.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
@@ -179,7 +182,7 @@ class ConstraintBlocks:
             InterfaceError: With the place and the values.
         """
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
-            if tie.closes_gap:
+            if tie.closes_gap or tie.compliance is not None:
                 continue
             jump = tie.nodal_jump()
             if t not in self._pairs:

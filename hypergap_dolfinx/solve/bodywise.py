@@ -61,6 +61,8 @@ class Bodies(IterativeSolver):
         constraints, spaces = system.constraints, system.spaces
         if constraints.interior_sizes:
             return "free interior nodes belong to no body"
+        if constraints.compliances:
+            return "a tie has a compliance"
         if order_of_bodies(len(spaces), _directions(constraints)) is None:
             return "the ties lead round in a circle, or from a body to itself"
         ties, wrong = range(len(constraints.bodies)), 0

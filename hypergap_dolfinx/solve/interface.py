@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.gap.carried import Motion
+from hypergap_dolfinx.gap.compliance import Compliance
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
@@ -66,6 +67,10 @@ class Interface(Protocol):
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
+
+    @property
+    def compliance(self) -> Compliance | None:
+        """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
 
     def offset(self) -> PETSc.Vec | None:
         """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""

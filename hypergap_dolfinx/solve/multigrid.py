@@ -48,6 +48,8 @@ class Multigrid(IterativeSolver):
         """Multigrid wants bodies that are alike."""
         if system.constraints.interior_sizes:
             return "free interior nodes belong to no body"
+        if system.constraints.compliances:
+            return "a tie has a compliance"
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}
         if len(block_sizes) > 1 or not block_sizes <= {1, system.spaces[0].mesh.geometry.dim}:
             return "multigrid is for bodies that all have displacements, or all have a scalar"
