@@ -194,7 +194,7 @@ class ConstraintBlocks:
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
             pairs.check(self._names[t], both, given, size)
 
-    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
 
         Args:
