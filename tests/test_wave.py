@@ -5,6 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Complex scalars: what is exact stays exact, with every solver; what is refused."""
 
+import runpy
+from pathlib import Path
+
 from mpi4py import MPI
 
 import numpy as np
@@ -142,6 +145,15 @@ def test_real_and_complex_mixed():
     ):
         with raises(ValueError, "^the value of a Dirichlet condition is of"):
             TiedProblem(a, [None, None], bcs=[bc], ties=[t])
+
+
+@pytest.mark.skipif(COMPLEX, reason="needs real scalars")
+def test_demo_with_real_scalars(monkeypatch):
+    """It says in one line what it needs."""
+    demo = Path(__file__).parents[1] / "demos" / "wave.py"
+    monkeypatch.setattr("sys.argv", ["wave.py"])
+    with pytest.raises(SystemExit, match=r"^wave\.py needs DOLFINx with complex numbers.*\.$"):
+        runpy.run_path(str(demo), run_name="__main__")
 
 
 @needs_complex
