@@ -158,7 +158,7 @@ def check_scalars(
     Raises:
         ValueError: Says what it is.
     """
-    found: list[tuple[str, np.dtype]] = []
+    found: list[tuple[str, npt.DTypeLike]] = []
     for form in forms:
         for f in (*form.coefficients(), *form.constants()) if form is not None else ():
             if isinstance(f, fem.Function | fem.Constant):
