@@ -119,8 +119,6 @@ class Tie(disposal.Owner):
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
-        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-            raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")

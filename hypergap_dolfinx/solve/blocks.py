@@ -188,7 +188,7 @@ class ConstraintBlocks:
                 at = look_up(comm, nodal, start, pairs.dofs[side])
             pairs.check(self._names[t], both, given, size, at)
 
-    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
 
         Args:

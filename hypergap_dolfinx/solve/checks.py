@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
@@ -141,6 +142,38 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             raise ValueError(
                 f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
                 "coordinates and prescribed displacements."
+            )
+
+
+def check_scalars(
+    forms: Sequence[ufl.Form | None], functions: Sequence[fem.Function], bcs: Sequence = ()
+):
+    """Raise where something is real and PETSc's scalars are complex, or the other way round.
+
+    Args:
+        forms: UFL forms of the bodies; None has nothing.
+        functions: Solutions of the bodies.
+        bcs: Dirichlet conditions; what is none is left to others.
+
+    Raises:
+        ValueError: Says what it is.
+    """
+    found: list[tuple[str, npt.DTypeLike]] = []
+    for form in forms:
+        for f in (*form.coefficients(), *form.constants()) if form is not None else ():
+            if isinstance(f, fem.Function | fem.Constant):
+                found.append((f"the {type(f).__name__} {f} of a form", f.dtype))
+    found += [(f"the function of body {i}", u.dtype) for i, u in enumerate(functions)]
+    for bc in bcs:
+        if isinstance(bc, fem.DirichletBC):
+            value = bc.g.value if hasattr(bc.g, "value") else bc.g.x.array
+            found.append(("the value of a Dirichlet condition", value.dtype))
+    for what, dtype in found:
+        if dtype != PETSc.ScalarType:
+            raise ValueError(
+                f"{what} is of {np.dtype(dtype).name}, and PETSc's scalars here are "
+                f"{np.dtype(PETSc.ScalarType).name}; make it with "
+                "dtype=dolfinx.default_scalar_type."
             )
 
 

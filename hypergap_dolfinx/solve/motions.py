@@ -97,9 +97,9 @@ def _apart(
         origin = spaces[0].mesh.comm.bcast(places(spaces[0])[:1].sum(axis=0))
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = np.repeat(columns, V.dofmap.index_map_bs, axis=0)
-        moment += product(B, columns[:, :n])
+        moment += product(B, columns[:, :n]).real
         magnitudes = absolute(B)
-        mine, weighted = product(magnitudes, columns[:, n:]).T
+        mine, weighted = product(magnitudes, columns[:, n:]).real.T
         magnitudes.destroy()
         weight += mine
         size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
@@ -162,7 +162,7 @@ def _num_free(
 
 def unhindered(
     K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
-) -> npt.NDArray[np.float64]:
+) -> npt.NDArray:
     """The combinations of motions that nothing hinders. Collective.
 
     Args:
@@ -182,7 +182,7 @@ def unhindered(
         """As few rows as some motions are say as much."""
         if parts:
             R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
-            found.append(np.zeros((len(R), ends[-1])))
+            found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
             columns = [np.arange(ends[m], ends[m + 1]) for m in parts]
             found[-1][:, np.concatenate(columns)] = R
 

@@ -61,6 +61,7 @@ class TiedSystem(disposal.Owner):
             raise ValueError(
                 f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
             )
+        checks.check_scalars((), self._u, bcs)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -149,7 +150,7 @@ class TiedSystem(disposal.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
-    def multipliers(self, tie: Interface) -> npt.NDArray[np.float64]:
+    def multipliers(self, tie: Interface) -> npt.NDArray:
         """The multipliers of a tie after a solve.
 
         Args:
