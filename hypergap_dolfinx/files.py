@@ -56,7 +56,10 @@ def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
         Functions on ``tie.sigma`` with one element, discontinuous: for ``VTXWriter`` and
         ``VTKFile``.
     """
-    u0, u1 = (next(u for u in problem.u if u.function_space == V) for V in tie.spaces)
+    u0, u1 = (
+        next(u for u in problem.u if u.function_space.contains(part.given))
+        for part in tie.components
+    )
     gap, slip = tie.gap(u0, u1)
     alpha = fem.Function(gap.function_space, name="alpha")
     alpha.interpolate(tie.alpha)

@@ -75,7 +75,7 @@ class TiedSystem(disposal.Owner):
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
         self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
-        checks.check_apart(ties, spaces)
+        checks.check_apart(ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
