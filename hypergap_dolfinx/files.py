@@ -9,7 +9,8 @@
 all of :func:`on_sigma`'s, all of :func:`interpolated`'s, displacements as they are. ``XDMFFile``
 takes continuous functions of the mesh's own degree and constants on cells, and nothing else:
 :func:`interpolated`'s of degree 0, and displacements of a higher degree than the mesh's after
-``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s.
+``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s. None of them takes
+functions on mixed spaces: give them ``w.sub(0).collapse()``.
 """
 
 import ufl

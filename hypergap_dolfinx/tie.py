@@ -309,11 +309,13 @@ class Tie(disposal.Owner):
         Raises:
             ValueError: A displacement that is not on its side's space.
         """
-        us = [part.own_function(u) for part, u in zip(self._components, (u0, u1), strict=True)]
-        for i, u in enumerate(us):
-            if u is None:
+        us = []
+        for i, (u, part) in enumerate(zip((u0, u1), self._components, strict=True)):
+            own = part.own_function(u)
+            if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
-        return fields.gap(self._domain, self.constraint, *us)
+            us.append(own)
+        return fields.gap(self._domain, self.constraint, us[0], us[1])
 
     def traction(self, problem) -> fem.Function:
         """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
