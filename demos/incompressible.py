@@ -16,6 +16,7 @@
 import argparse
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 from mpi4py import MPI
@@ -109,7 +110,7 @@ def solve_pipe(n):
         sides.append((displacements, ft))
     ties = [
         Tie((V0, ft0.find(meshes.OUTER)), (V1, ft1.find(meshes.INNER)))
-        for (V0, ft0), (V1, ft1) in zip(sides[:-1], sides[1:], strict=True)
+        for (V0, ft0), (V1, ft1) in pairwise(sides)
     ]
     problem = TiedProblem(forms, loads, bcs=bcs, ties=ties)
     *rubber, u2 = problem.solve()
@@ -134,7 +135,9 @@ def relative_errors(us, ps):
         )
         for sums, (f, exact) in zip(totals, pairs, strict=True):
             for k, g in enumerate((f - exact, exact)):
-                sums[k] += fem.assemble_scalar(fem.form(ufl.inner(g, g) * dx(u.function_space.mesh)))
+                sums[k] += fem.assemble_scalar(
+                    fem.form(ufl.inner(g, g) * dx(u.function_space.mesh))
+                )
     return np.sqrt(np.divide(*comm.allreduce(totals).T))
 
 
