@@ -22,6 +22,7 @@ PICTURES = {
     "contact_patch": ("contact_patch", "--quick"),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
+    "incompressible": ("incompressible",),
     "modal_analysis": ("mode_3",),
     "partial_overlap": ("gap_domain", "--cell", "mixed", "--degree", "1"),
     "patch_test": ("patch_test",),

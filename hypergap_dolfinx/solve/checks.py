@@ -177,23 +177,23 @@ def check_scalars(
             )
 
 
-def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
-    """Raise where two ties tie the same facets to each other.
+def check_apart(ties: Sequence[Interface]):
+    """Raise where two ties tie the same field on the same facets to each other.
 
     Args:
         ties: The ties.
-        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    every = [part for tie in ties for part in tie.components]
     sides = []
     for tie in ties:
-        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
         sides.append(
             [
-                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-                for surface, body in zip(tie.surfaces, bodies, strict=True)
+                {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, field in zip(tie.surfaces, fields, strict=True)
             ]
         )
     for t, s in combinations(range(len(ties)), 2):
