@@ -18,6 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx import progress
 from hypergap_dolfinx.contact import ALIKE, Contact
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, raise_on_all
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
@@ -107,6 +108,12 @@ class ContactProblem(ContactSystem):
         if wrong is not None:
             raise ValueError(
                 f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
+            )
+        mixed = next((i for i, f in enumerate(u) if is_mixed(f.function_space)), None)
+        if mixed is not None:
+            raise ValueError(
+                f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
+                "and nothing else."
             )
         _check_apart(contacts, ties)
         elastic = [i for i, form in enumerate(F) if form is not None]

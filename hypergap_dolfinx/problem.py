@@ -31,7 +31,9 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
     v = a.arguments()[0]
     V = v.ufl_function_space()
     if L is None:
-        return ufl.inner(fem.Constant(V.mesh, np.zeros(V.value_shape)), v) * ufl.dx
+        return (
+            ufl.inner(fem.Constant(V.mesh, np.zeros(V.value_shape, PETSc.ScalarType)), v) * ufl.dx
+        )
     if [argument.ufl_function_space() for argument in L.arguments()] != [V]:
         raise ValueError(f"a[{i}] and L[{i}] are on different function spaces; same order in both?")
     return L
@@ -122,6 +124,7 @@ class TiedProblem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
+        checks.check_scalars((*a, *loads), u or ())
         self._L = fem.form(loads, **options)
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]

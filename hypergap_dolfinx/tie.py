@@ -23,6 +23,7 @@ from hypergap_dolfinx.gap import carried, fields, quality
 from hypergap_dolfinx.gap import compliance as soft
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.carried import Motion
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
@@ -83,8 +84,12 @@ class Tie(disposal.Owner):
 
         Args:
             side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them.
-            side1: Γ1: the same; the mesh may be the same one too.
+                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. Of a mixed
+                space, a component of that kind: ``(W.sub(0), facets)`` ties the displacements of
+                Taylor–Hood elements; their pressures may jump, and need no tie. ``V.sub(1)`` or
+                ``W.sub(0).sub(1)`` ties one displacement of several.
+            side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
+                and any other space with the same values on the other side.
             interior: What nodes between the surfaces do (0 < α < 1; the middles of cross edges for
                 k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
                 a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
@@ -122,8 +127,6 @@ class Tie(disposal.Owner):
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
-        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-            raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")
@@ -160,11 +163,15 @@ class Tie(disposal.Owner):
         self._interior = interior
         self._close_gap = close_gap
         self._swapped = False
-        self._spaces = (V0, V1)
+        self._components = Component.of(V0), Component.of(V1)
+        self._spaces = self._components[0].space, self._components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
-        surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
+        surfaces = (
+            create_surface(self._spaces[0], facets0, "Γ0"),
+            create_surface(self._spaces[1], facets1, "Γ1"),
+        )
         shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
@@ -213,7 +220,7 @@ class Tie(disposal.Owner):
         """
         size, thin = [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
-            surface = create_surface(*side, name)
+            surface = create_surface(Component.of(side[0]).space, side[1], name)
             size.append(float(np.median(surface.size)) / surface.element.degree)
             thin.append(thinness(*side) < THIN)
         ratio = size[0] / size[1]
@@ -311,8 +318,13 @@ class Tie(disposal.Owner):
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
-        """V₀ and V₁."""
+        """V₀ and V₁; of a component, its own (collapsed) space."""
         return self._spaces
+
+    @property
+    def components(self) -> tuple[Component, Component]:
+        """What V₀ and V₁ are among the dofs of their bodies."""
+        return self._components
 
     @property
     def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
@@ -382,7 +394,7 @@ class Tie(disposal.Owner):
         """
         if self._jump is None:
             return None
-        return self._jump.nodal(self._spaces, self.surfaces)
+        return self._jump.nodal(self._components, self.surfaces)
 
     @cached_property
     def constraint(self) -> Constraint:
@@ -405,7 +417,7 @@ class Tie(disposal.Owner):
     @cached_property
     def _gaping(self) -> npt.NDArray:
         """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
-        return gaping(self.blocks(), self._spaces, self.surfaces[0].x[0])
+        return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
 
     def offset(self) -> PETSc.Vec | None:
         """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
@@ -416,22 +428,26 @@ class Tie(disposal.Owner):
         jump = self.nodal_jump()
         if jump is None and not self._close_gap:
             return None
-        return right_side(self.blocks(), jump, self._gaping if self._close_gap else None)
+        return right_side(
+            self.blocks(), self._components, jump, self._gaping if self._close_gap else None
+        )
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """The matrices of Σ_i B_i u_i = c, for systems of your own; c is :meth:`offset`.
 
         Returns:
-            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs; with
-            ``interior="free"`` also B_Σ for the displacements of Σ's interior nodes. A row for
-            each dof of Γ1 in reach of Γ0 (and each free interior one); prescribed displacements
-            are not taken into account. The tie owns them.
+            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
+            component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
+            of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
+            one); prescribed displacements are not taken into account. The tie owns them.
         """
         if not self._blocks:
-            turns = (self._turn, None, None)
-            self._blocks = tuple(
-                expand(B, self.block_size, turn) for B, turn in zip(self.constraint.B, turns)
+            B0, B1, *interior = self.constraint.B
+            B0, B1 = (
+                part.columns_of_body(expand(B, self.block_size, turn))
+                for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
             )
+            self._blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
         return self._blocks
 
     def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
@@ -439,7 +455,8 @@ class Tie(disposal.Owner):
 
         Args:
             u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
-                bodies.
+                bodies. Where a component is tied, the body's function with all components, or
+                ``u.sub(0)``.
             u1: Displacement of Γ1's body.
 
         Returns:
@@ -450,10 +467,13 @@ class Tie(disposal.Owner):
         Raises:
             ValueError: A displacement that is not on its side's space.
         """
-        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
-            if u.function_space != V:
+        us = []
+        for i, (u, part) in enumerate(zip((u0, u1), self._components, strict=True)):
+            own = part.own_function(u)
+            if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
-        return fields.gap(self._domain, self.constraint, u0, u1, self._turn)
+            us.append(own)
+        return fields.gap(self._domain, self.constraint, us[0], us[1], self._turn)
 
     def traction(self, problem) -> fem.Function:
         """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.surface import Surface
 
 Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
@@ -51,13 +52,13 @@ class Jump:
 
     def nodal(
         self,
-        spaces: tuple[fem.FunctionSpace, fem.FunctionSpace],
+        sides: Sequence[Component],
         surfaces: tuple[Surface, Surface],
     ) -> tuple[int, npt.NDArray]:
         """Its values now, at the dofs of one side. Collective.
 
         Args:
-            spaces: V₀ and V₁.
+            sides: V₀ and V₁.
             surfaces: Γ0 and Γ1.
 
         Returns:
@@ -67,15 +68,18 @@ class Jump:
         Raises:
             ValueError: A jump that doesn't fit the spaces, or isn't a number somewhere.
         """
-        value, side, error = self.value, 1, None
+        value: Any = self.value
+        side, error = 1, None
         if isinstance(value, fem.Function):
-            side = next((i for i in (1, 0) if value.function_space == spaces[i]), -1)
+            given = [part.own_function(value) for part in sides]
+            side = next((i for i in (1, 0) if given[i] is not None), -1)
             if side < 0:
                 raise ValueError(
                     "the jump is a function on a space of neither side; interpolate it into one on "
                     "tie.spaces[1] first."
                 )
-        V, surface = spaces[side], surfaces[side]
+            value = given[side]
+        V, surface = sides[side].space, surfaces[side]
         start, end = surface.dof_range[V.mesh.comm.rank : V.mesh.comm.rank + 2]
         dofs, first = np.unique(surface.dofs, return_index=True)
         mine = (start <= dofs) & (dofs < end)
@@ -84,7 +88,7 @@ class Jump:
         nodal = np.zeros((end - start, V.dofmap.index_map_bs), dtype=PETSc.ScalarType)
         own = dofs[mine] - start
         try:
-            nodal[own] = self.sign * self._at(x, own, V)
+            nodal[own] = self.sign * self._at(value, x, own, V)
         except Exception as e:
             error = f"the jump is no value on V₁: {e}".splitlines()[0]
         wrong = ~np.isfinite(nodal[own]).all(axis=1)
@@ -94,9 +98,9 @@ class Jump:
         raise_on_all(V.mesh.comm, error, ValueError)
         return side, nodal
 
-    def _at(self, x, own, V: fem.FunctionSpace) -> npt.NDArray:
+    @staticmethod
+    def _at(value, x, own, V: fem.FunctionSpace) -> npt.NDArray:
         """Values at places, which are owned dofs of a space, ``(num, block_size)``."""
-        value: Any = self.value
         block_size = V.dofmap.index_map_bs
         if isinstance(value, fem.Function):
             return value.x.array.reshape(-1, block_size)[own]
@@ -122,22 +126,21 @@ def _check_number(given: int, wanted: int):
         raise ValueError(f"{given} component{'s'[: given > 1]} given, the space has {wanted}.")
 
 
-def gaping(
-    B: Sequence[PETSc.Mat], spaces: Sequence[fem.FunctionSpace], origin: npt.NDArray
-) -> npt.NDArray:
+def gaping(B: Sequence[PETSc.Mat], sides: Sequence[Component], origin: npt.NDArray) -> npt.NDArray:
     """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs. Collective.
 
     Args:
         B: B₀ and B₁, and others that take no part.
-        spaces: V₀ and V₁.
+        sides: What V₀ and V₁ are among the dofs of their bodies.
         origin: A point nearby, ``(n,)``: far from the origin digits are few.
     """
     c = B[0].createVecLeft()
     c.set(0.0)
-    for V, B_i in zip(spaces, B, strict=False):
-        x = B_i.createVecRight()
+    for part, B_i in zip(sides, B, strict=False):
+        x, V = B_i.createVecRight(), part.space
         n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-        x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
+        positions = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
+        x.array[:] = part.into_body(positions)
         B_i.multAdd(x, c, c)
         x.destroy()
     rows = c.array_r.copy()
@@ -146,7 +149,10 @@ def gaping(
 
 
 def right_side(
-    B: Sequence[PETSc.Mat], jump: tuple[int, npt.NDArray] | None, gaping: npt.NDArray | None
+    B: Sequence[PETSc.Mat],
+    sides: Sequence[Component],
+    jump: tuple[int, npt.NDArray] | None,
+    gaping: npt.NDArray | None,
 ) -> PETSc.Vec:
     """The right-hand side c of Σ_i B_i u_i = c. Collective.
 
@@ -154,6 +160,7 @@ def right_side(
 
     Args:
         B: B₀ and B₁.
+        sides: What V₀ and V₁ are among the dofs of their bodies.
         jump: From :meth:`Jump.nodal`, or None.
         gaping: From :func:`gaping` where positions are to be equal, or None.
     """
@@ -164,7 +171,7 @@ def right_side(
     if jump is not None:
         side, values = jump
         g = B[side].createVecRight()
-        g.array[:] = values.ravel() * (1 if side else -1)
+        g.array[:] = sides[side].into_body(values.ravel()) * (1 if side else -1)
         B[side].multAdd(g, c, c)
         g.destroy()
     return c

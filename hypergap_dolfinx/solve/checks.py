@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
@@ -144,23 +145,55 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             )
 
 
-def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
-    """Raise where two ties tie the same facets to each other.
+def check_scalars(
+    forms: Sequence[ufl.Form | None], functions: Sequence[fem.Function], bcs: Sequence = ()
+):
+    """Raise where something is real and PETSc's scalars are complex, or the other way round.
+
+    Args:
+        forms: UFL forms of the bodies; None has nothing.
+        functions: Solutions of the bodies.
+        bcs: Dirichlet conditions; what is none is left to others.
+
+    Raises:
+        ValueError: Says what it is.
+    """
+    found: list[tuple[str, npt.DTypeLike]] = []
+    for form in forms:
+        for f in (*form.coefficients(), *form.constants()) if form is not None else ():
+            if isinstance(f, fem.Function | fem.Constant):
+                found.append((f"the {type(f).__name__} {f} of a form", f.dtype))
+    found += [(f"the function of body {i}", u.dtype) for i, u in enumerate(functions)]
+    for bc in bcs:
+        if isinstance(bc, fem.DirichletBC):
+            value = bc.g.value if hasattr(bc.g, "value") else bc.g.x.array
+            found.append(("the value of a Dirichlet condition", value.dtype))
+    for what, dtype in found:
+        if dtype != PETSc.ScalarType:
+            raise ValueError(
+                f"{what} is of {np.dtype(dtype).name}, and PETSc's scalars here are "
+                f"{np.dtype(PETSc.ScalarType).name}; make it with "
+                "dtype=dolfinx.default_scalar_type."
+            )
+
+
+def check_apart(ties: Sequence[Interface]):
+    """Raise where two ties tie the same field on the same facets to each other.
 
     Args:
         ties: The ties.
-        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    every = [part for tie in ties for part in tie.components]
     sides = []
     for tie in ties:
-        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
         sides.append(
             [
-                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-                for surface, body in zip(tie.surfaces, bodies, strict=True)
+                {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, field in zip(tie.surfaces, fields, strict=True)
             ]
         )
     for t, s in combinations(range(len(ties)), 2):

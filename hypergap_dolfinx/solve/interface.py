@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.compliance import Compliance
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
@@ -28,6 +29,10 @@ class Interface(Protocol):
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
+
+    @property
+    def components(self) -> tuple[Component, Component]:
+        """What these are among the dofs of their bodies."""
 
     @property
     def sigma(self) -> Mesh:

@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
+from hypergap_dolfinx.solve import checks
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.system import TiedSystem
 
@@ -60,6 +61,7 @@ class NonlinearSystem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
+        checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and

@@ -17,11 +17,15 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat, disposal
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve import checks, saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.interface import Interface, Pieces
 from hypergap_dolfinx.solve.motions import free_motions
 from hypergap_dolfinx.solve.solver import Solver, System
+
+PRESSURES = " (a pressure at a node, where displacements are prescribed all around)"
+"""What else may have to be held in mixed spaces."""
 
 
 class TiedSystem(disposal.Owner):
@@ -61,6 +65,7 @@ class TiedSystem(disposal.Owner):
             raise ValueError(
                 f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
             )
+        checks.check_scalars((), self._u, bcs)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -75,7 +80,7 @@ class TiedSystem(disposal.Owner):
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
         self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
-        checks.check_apart(ties, spaces)
+        checks.check_apart(ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
@@ -100,7 +105,8 @@ class TiedSystem(disposal.Owner):
             raise SolveError(
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
                 f"{'are' if free > 1 else 'is'} free; hold every "
-                "body, by boundary conditions or by a tie to one that is held."
+                "body, by boundary conditions or by a tie to one that is held"
+                f"{PRESSURES if any(map(is_mixed, self._system.spaces)) else ''}."
             )
         self._motions_known = True
 
@@ -149,7 +155,7 @@ class TiedSystem(disposal.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
-    def multipliers(self, tie: Interface) -> npt.NDArray[np.float64]:
+    def multipliers(self, tie: Interface) -> npt.NDArray:
         """The multipliers of a tie after a solve.
 
         Args:
