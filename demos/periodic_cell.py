@@ -299,6 +299,7 @@ if args.plot:
                     color="#b9cfe4" if first else "#e0913a",
                     show_edges=args.degree == 1,
                     edge_color="#4a5a6a",
+                    ambient=0.35,
                 )
         if dim == 2:
             plotter.view_xy()
