@@ -249,7 +249,7 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = ("gap_domain", "kernel_speed", "periodic_cell_3d", "pressurised_cylinder")
-"""On ranks they show no more than the sphere or the plane, for which ``make test`` takes one rank."""
+"""On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
 
 def is_drawn(file):
