@@ -50,7 +50,8 @@ def free_motions(
     Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
     moves together if nothing else holds it. Where tied surfaces nearly coincide, such a rotation
     strains the tie a little; that is an error of the meshes and holds nothing. Where they are apart
-    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it.
+    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie whose
+    motion carries one side to the other is across a distance, however short.
 
     Args:
         spaces: Space of each body.
