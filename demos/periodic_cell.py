@@ -286,7 +286,7 @@ if args.plot:
     strain = 0.12 * (np.eye(dim, k=1) + np.eye(dim, k=-1)) + 0.1 * np.diag((1, -1, 0)[:dim])
     bodies = grids(drawn.solve(strain))
     if comm.rank == 0:
-        plotter = pyvista.Plotter(off_screen=True, window_size=(1000, 900))
+        plotter = pyvista.Plotter(off_screen=True, window_size=(1100, 960))
         plotter.background_color = "white"
         for place in np.ndindex((3,) * dim):
             shift = np.zeros(3)
