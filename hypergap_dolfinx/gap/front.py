@@ -7,7 +7,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -255,7 +255,30 @@ def twinned(problem: Problem) -> Front | None:
     twin = prisms.twins(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
     if twin is None:
         return None
-    cells = prisms.prisms(facets0, twin, n0)
+    return _with_walls(problem, prisms.prisms(facets0, twin, n0))
+
+
+def quartered(problem: Problem) -> Front | None:
+    """Cells between facets and their quarters: of a triangulation and what it is refined to.
+
+    Returns:
+        None if neither is so refined.
+    """
+    n0 = problem.n0
+    x, offsets = (problem.x[:n0], problem.x[n0:]), (0, n0)
+    own = problem.facets[0], problem.facets[1] - n0
+    for i, j in ((0, 1), (1, 0)):
+        six = prisms.middles(x[i], own[i], x[j], own[j], problem.size)
+        if six is not None:
+            cells = prisms.between_quarters(problem.facets[i], six + offsets[j])
+            return _with_walls(problem, cells if i == 0 else cells[:, [1, 0, 2, 3]])
+    return None
+
+
+def _with_walls(problem: Problem, cells) -> Front:
+    """Cells that were made without a front."""
+    facets0, facets1 = problem.facets
+    x, n0 = problem.x, problem.n0
     walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
     vertices = np.zeros((len(x), 10))
     vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
@@ -367,8 +390,11 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         return _Workshop(outer, place, margins)
 
-    for variant in (None, *VARIANTS):
-        front = advance(problem, *variant, flat) if variant else twinned(problem)
+    tries: list[Callable[[], Front | None]] = [partial(twinned, problem)]
+    tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
+    tries.append(partial(quartered, problem))
+    for made in tries:
+        front = made()
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
