@@ -244,41 +244,20 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
     return int(wrong[0]), int(wrong[1])
 
 
-def twinned(problem: Problem) -> Front | None:
-    """Prisms between surfaces that match or nearly do: there a front would have to guess.
+def ready(problem: Problem, make: Callable) -> Front | None:
+    """Cells between surfaces whose triangulations tell them: where a front would have to guess.
+
+    Args:
+        problem: The surfaces.
+        make: ``prisms.between_twins`` or ``prisms.between_quarters``.
 
     Returns:
-        None if they don't match.
+        None if they don't tell.
     """
-    facets0, facets1 = problem.facets
-    x, n0 = problem.x, problem.n0
-    twin = prisms.twins(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
-    if twin is None:
+    (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
+    cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    if cells is None:
         return None
-    return _with_walls(problem, prisms.prisms(facets0, twin, n0))
-
-
-def quartered(problem: Problem) -> Front | None:
-    """Cells between facets and their quarters: of a triangulation and what it is refined to.
-
-    Returns:
-        None if neither is so refined.
-    """
-    n0 = problem.n0
-    x, offsets = (problem.x[:n0], problem.x[n0:]), (0, n0)
-    own = problem.facets[0], problem.facets[1] - n0
-    for i, j in ((0, 1), (1, 0)):
-        six = prisms.middles(x[i], own[i], x[j], own[j], problem.size)
-        if six is not None:
-            cells = prisms.between_quarters(problem.facets[i], six + offsets[j])
-            return _with_walls(problem, cells if i == 0 else cells[:, [1, 0, 2, 3]])
-    return None
-
-
-def _with_walls(problem: Problem, cells) -> Front:
-    """Cells that were made without a front."""
-    facets0, facets1 = problem.facets
-    x, n0 = problem.x, problem.n0
     walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
     vertices = np.zeros((len(x), 10))
     vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
@@ -390,9 +369,9 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         return _Workshop(outer, place, margins)
 
-    tries: list[Callable[[], Front | None]] = [partial(twinned, problem)]
+    tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
-    tries.append(partial(quartered, problem))
+    tries.append(partial(ready, problem, prisms.between_quarters))
     for made in tries:
         front = made()
         if front is None:

@@ -97,19 +97,32 @@ def _quarters(six) -> npt.NDArray[np.intp]:
     return np.vstack([np.column_stack(part) for part in parts])
 
 
-def between_quarters(facets, six) -> npt.NDArray[np.intp]:
-    """Cells between facets and their quarters: neighbours agree, whatever they are.
+def between_quarters(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
+    """Cells between facets of one side and their quarters on the other: neighbours always agree.
 
     A quarter at a corner has a cell to it. Between these is an octahedron, cut along one of its
     diagonals: four cells, of which none is flat if no facet is.
 
     Args:
-        facets: Counterclockwise seen from the quarters, ``(num_facets, 3)``.
-        six: As of ``middles``, numbered as vertices of the cells are, ``(num_facets, 6)``.
+        x0: Γ0's vertices, ``(num_vertices0, 3)``.
+        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``.
+        x1: Γ1's vertices.
+        facets1: Its facets, turned like Γ0's.
+        size: Length of the finer side's edges.
 
     Returns:
-        ``(7 num_facets, 4)``.
+        ``(7 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces aren't so.
     """
+    n0 = len(x0)
+    six = middles(x0, facets0, x1, facets1, size)
+    if six is not None:
+        return _sevens(facets0, six + n0)
+    six = middles(x1, facets1, x0, facets0, size)
+    return None if six is None else _sevens(facets1 + n0, six)[:, [1, 0, 2, 3]]
+
+
+def _sevens(facets, six) -> npt.NDArray[np.intp]:
+    """The cells between facets and their quarters above them."""
     a, b, c = facets.T
     a1, b1, c1, bc, ca, ab = six.T
     corners = ((a, a1, ab, ca), (b, b1, bc, ab), (c, c1, ca, bc))
@@ -124,22 +137,27 @@ def _sorted(facets):
     return facets[np.lexsort(facets.T[::-1])]
 
 
-def prisms(facets, twin, n0: int) -> npt.NDArray[np.intp]:
+def between_twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """Cells between facets and their twins.
 
     Cut by the order of their vertices, so that neighbours agree.
 
     Args:
-        facets: Γ0's, counterclockwise seen from Γ1, ``(num_facets, 3)``.
-        twin: Γ1's vertices, numbered from 0, at Γ0's.
-        n0: Number of Γ0's vertices.
+        x0: Γ0's vertices, ``(num_vertices, 3)``.
+        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets, 3)``.
+        x1: Γ1's vertices.
+        facets1: Its facets, turned like Γ0's.
+        size: Length of the edges.
 
     Returns:
-        ``(3 num_facets, 4)``.
+        ``(3 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces don't match.
     """
-    order = np.argsort(facets, axis=1)
-    a, b, c = np.take_along_axis(facets, order, axis=1).T
-    a1, b1, c1 = (n0 + twin[v] for v in (a, b, c))
+    twin = twins(x0, facets0, x1, facets1, size)
+    if twin is None:
+        return None
+    order = np.argsort(facets0, axis=1)
+    a, b, c = np.take_along_axis(facets0, order, axis=1).T
+    a1, b1, c1 = (len(x0) + twin[v] for v in (a, b, c))
     cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)), axis=0)  # (cell, vertex, f)
     cells = cells.transpose(2, 0, 1).copy()
     odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting
