@@ -372,8 +372,8 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
     tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
     tries.append(partial(ready, problem, prisms.between_quarters))
-    for made in tries:
-        front = made()
+    for attempt in tries:
+        front = attempt()
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
