@@ -81,7 +81,7 @@ def largest_error(tie, traction):
     problem, worst = Given(traction), 0.0
     for side in (0, 1):
         t = tie.traction(problem, on=f"side{side}")
-        x, values, normal, _ = at_points(t, 2)
+        x, values, *_ = at_points(t, 2)
         exact = traction(x.reshape(-1, x.shape[-1]), 0).reshape(values.shape)
         exact *= 1 - 2 * side
         size = comm.allreduce(np.abs(exact).max(initial=0), MPI.MAX)
@@ -181,7 +181,10 @@ def heat(mesh_of, degree, u, swap):
     a, bcs, sides = [], [], []
     for i in (0, 1):
         mesh, ft = mesh_of(i)
-        V, facets = fem.functionspace(mesh, ("Lagrange", degree)), ft.find((meshes.OUTER, meshes.INNER)[i])
+        V, facets = (
+            fem.functionspace(mesh, ("Lagrange", degree)),
+            ft.find((meshes.OUTER, meshes.INNER)[i]),
+        )
         dim = mesh.topology.dim
         w, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         a.append(ufl.inner(ufl.grad(w), ufl.grad(v)) * ufl.dx)
@@ -230,7 +233,7 @@ def errors(tie, problem, flux):
 
 
 @pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("n", ((8, 64), (16, 24), (24, 16), (64, 8)))
+@pytest.mark.parametrize("n", ((8, 64), (24, 36), (36, 24), (64, 8)))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_errors_on_a_circle(degree, n, swap):
     """At 2:3 far below λ's, at 1:8 never above."""
@@ -249,14 +252,13 @@ def test_rates_on_a_circle():
     assert (np.log2(np.divide(*found)) >= 2.9).all()
 
 
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("degree, swap", ((1, False), (1, True), (2, True)))
 def test_errors_on_a_sphere(degree, swap):
     """Hexahedra in layers, 2:3."""
+    radii = ((1, 1.25, 1.5), (1.5, 1.75, 2)) if degree == 1 else ((1.25, 1.5), (1.5, 1.75))
 
     def mesh_of(i):
-        m = (4, 6)[i] if degree == 1 else (2, 3)[i]
-        return meshes.spherical_layers(comm, m, ((1, 1.25, 1.5), (1.5, 1.75, 2))[i], degree=degree)
+        return meshes.spherical_layers(comm, (4, 6)[i], radii[i], degree=degree)
 
     tie, problem = heat(mesh_of, degree, quadratic, swap)
     e, ratios = errors(tie, problem, flux_of(quadratic, 2))
