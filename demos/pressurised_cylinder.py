@@ -120,8 +120,8 @@ def solve(rings, degree, swap, seconds):
 # ## Errors
 #
 # of the displacement and the stress, relative to the exact ones, over both rings; of the traction
-# on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$, and on both rings' surfaces; and of the gap and the slip there,
-# which should be zero, relative to the displacement $u(c)$.
+# on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$, and on both rings' surfaces; and of
+# the gap and the slip on Σ, which should be zero, relative to the displacement $u(c)$.
 
 
 def relative_errors(us, degree):

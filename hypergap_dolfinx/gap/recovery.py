@@ -42,8 +42,8 @@ from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 AGREE = 200.0
 """κ: weight of the difference of both sides' tractions. Errors over λ's on spheres of tetrahedra,
-degree 2, facets 2:3: 0.50 with 30, 0.42 with 100, 0.38 with 200, 0.36 with 300. The larger, the worse
-are fields of three facets a wave: 1.05 to 1.15 of λ's (of which the error is 20 to 70 % then)."""
+degree 2, facets 2:3: 0.50 with 30, 0.42 with 100, 0.38 with 200, 0.36 with 300. The larger, the
+worse are fields of 3 to 4 facets a wave, where λ's error is 20 to 70 %: up to 1.16 of it."""
 SMOOTH = 2.0
 """γ: weight of their distance from polynomials over two facets; 1 and 3 give the same to 3 %."""
 
