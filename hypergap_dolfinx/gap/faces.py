@@ -136,7 +136,7 @@ class Faces:
         f = fem.Function(fem.functionspace(mesh, element), name=name)
         V = f.function_space
         points = V.ufl_element().basix_element.points
-        values = np.empty((len(self.cells), len(points), nodal.shape[2]))
+        values = np.empty((len(self.cells), len(points), nodal.shape[2]), dtype=nodal.dtype)
         for some, at, _ in self._alike(points):
             values[some] = tabulate(self.domain.element, at) @ nodal[self.cells[some]]
         f.x.array.reshape(-1, nodal.shape[2])[V.dofmap.list] = values[order]

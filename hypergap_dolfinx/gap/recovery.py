@@ -70,7 +70,7 @@ class Recovery:
         self._solver = PETSc.KSP().create(comm)
         self._solver.setOperators(A)
         self._solver.setType("preonly")
-        self._solver.getPC().setType("cholesky")
+        self._solver.getPC().setType("lu")
         self._solver.getPC().setFactorSolverType("mumps")
         self._objects = [self._R, self._forces, A, self._solver]
 
@@ -97,7 +97,6 @@ class Recovery:
         A.axpy(SMOOTH, S)
         for obj in (matrix, product, S):
             obj.destroy()
-        A.setOption(PETSc.Mat.Option.SPD, True)
         return A
 
     def traction(self, side: int, shape: tuple[int, ...], multipliers: npt.NDArray) -> fem.Function:
@@ -113,7 +112,7 @@ class Recovery:
         """
         b, x = self._forces.createVecRight(), self._forces.createVecRight()
         force = self._forces.createVecLeft()
-        values = np.empty((x.getLocalSize(), multipliers.shape[1]))
+        values = np.empty((x.getLocalSize(), multipliers.shape[1]), dtype=PETSc.ScalarType)
         for component in range(values.shape[1]):
             force.array[:] = multipliers[:, component]
             self._forces.multTranspose(force, b)
