@@ -274,7 +274,8 @@ class Tie(disposal.Owner):
             options: Of the constructor, but ``adjust`` and ``close_gap``.
 
         Returns:
-            The tie. Its Σ is where Γ1 is, and so are λ, gap and slip; Γ0's body feels Rᵀλ.
+            The tie. Its Σ is where Γ1 is, and so are λ, gap, slip and both sides' tractions: Γ0's
+            body feels Rᵀλ.
 
         Raises:
             ValueError: Both a translation and a rotation, none, or one that is none.
