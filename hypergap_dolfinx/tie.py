@@ -160,7 +160,7 @@ class Tie(disposal.Owner):
         if motion is not None and (adjust or close_gap):
             raise InterfaceError("a periodic tie neither adjusts surfaces nor closes gaps.")
         self._motion = motion
-        self._turn = motion and motion.of_components(V1.value_shape)
+        self._turn = motion.of_components(V1.value_shape) if motion else None
         self._interior = interior
         self._close_gap = close_gap
         self._swapped = False

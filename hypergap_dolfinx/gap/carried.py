@@ -106,7 +106,7 @@ def motion(
         raise ValueError("centre and axis belong to a rotation; none is given.")
     t = np.asarray(translation, dtype=np.float64)
     if t.shape != (n,) or not np.isfinite(t).all():
-        raise ValueError(f"a translation is {n} numbers here, not {translation}.")
+        raise ValueError(f"a translation is {n} numbers here, not {translation!r}.")
     return Motion(np.eye(n), np.zeros(n), t)
 
 
@@ -114,7 +114,7 @@ def _rotation(turn: npt.ArrayLike, n: int, centre, axis) -> Motion:
     """The motion x ↦ R (x − c) + c."""
     c = np.zeros(n) if centre is None else np.asarray(centre, dtype=np.float64)
     if c.shape != (n,) or not np.isfinite(c).all():
-        raise ValueError(f"the centre of a rotation is {n} numbers here, not {centre}.")
+        raise ValueError(f"the centre of a rotation is {n} numbers here, not {centre!r}.")
     R = np.asarray(turn, dtype=np.float64)
     if axis is not None and (n == 2 or R.ndim):
         raise ValueError("a rotation has an axis where it is given as an angle in space.")
@@ -138,7 +138,7 @@ def _about(angle: float, n: int, axis: npt.ArrayLike) -> npt.NDArray[np.float64]
         return np.array([[c, -s], [s, c]])
     a = np.asarray(axis, dtype=np.float64)
     if a.shape != (3,) or not np.isfinite(a).all() or not a.any():
-        raise ValueError(f"the axis of a rotation is a direction in space, not {axis}.")
+        raise ValueError(f"the axis of a rotation is a direction in space, not {axis!r}.")
     a = a / np.linalg.norm(a)
     return c * np.eye(3) + (1 - c) * np.outer(a, a) + s * np.cross(np.eye(3), a)
 
