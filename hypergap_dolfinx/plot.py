@@ -26,7 +26,7 @@ from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"
@@ -90,7 +90,7 @@ def deformed(
     """The bodies before (2D: black) and after deformation, coloured by the displacement's length.
 
     Args:
-        us: Displacement of each body.
+        us: Displacement of each body; of mixed elements ``w.sub(0)``.
         filename: Where to save the picture.
         factor: What displacements are drawn times; if not given, the largest is drawn as a tenth
             of the assembly.
@@ -320,6 +320,9 @@ def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def _with_values(u: fem.Function, name: str) -> pyvista.UnstructuredGrid | None:
     """A grid with the values of a vector function at its points; on rank 0. Collective."""
+    if is_mixed(u.function_space):
+        raise ValueError("fields of a mixed space are drawn one by one: u.sub(0) for example.")
+    u = u.collapse() if u.function_space.component() else u
     V, comm = u.function_space, u.function_space.mesh.comm
     owned = np.arange(V.mesh.topology.index_map(V.mesh.topology.dim).size_local)
     cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]

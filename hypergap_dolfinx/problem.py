@@ -42,8 +42,8 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
 class TiedProblem(TiedSystem):
     """Linear problem a_i(u_i, v_i) = L_i(v_i) on several bodies, tied to each other.
 
-    Solves the saddle system [K Bᵀ; B 0] [u; λ] = [f; 0] with K and f from the forms and B from
-    the ties.
+    Solves the saddle system [K Bᵀ; B −C] [u; λ] = [f; g] with K and f from the forms and B from
+    the ties; g is 0 but for jumps and prescribed displacements, C but for compliances.
 
     Example:
         Temperatures 0 at y = 0 and 2 at y = 2, around the tie of :class:`Tie`'s example:

@@ -110,6 +110,12 @@ DEMOS = {
         {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
         pictures=("hyperelasticity",),
     ),
+    "incompressible": Demo(
+        "--levels 2",
+        {"0.error": 2.8192e-4, "1.error": 3.536e-5, "1.stress": 1.571e-3, "1.pressure": 7.530e-4},
+        {"2.error": 1e-11},
+        pictures=("incompressible",),
+    ),
     "ironing": Demo(
         "--flat --steps 4",
         {"rows.7.fy": -0.29285, "rows.7.halvings": 0},
@@ -194,6 +200,13 @@ DEMOS = {
         needs=("matplotlib",),
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
+    ),
+    "thermal_resistance": Demo(
+        "--levels 2",
+        {"rows.0.error": 1.691e-5, "rows.4.error": 2.00e-6, "rows.6.error": 1.508e-6},
+        {"rows.*.flux": 2e-5},
+        accuracy=3e-3,
+        pictures=("thermal_resistance",),
     ),
     "wave": Demo(
         "--degrees 1 2",

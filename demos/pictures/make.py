@@ -22,6 +22,7 @@ PICTURES = {
     "contact_patch": ("contact_patch", "--quick"),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
+    "incompressible": ("incompressible",),
     "modal_analysis": ("mode_3",),
     "partial_overlap": ("gap_domain", "--cell", "mixed", "--degree", "1"),
     "patch_test": ("patch_test",),
@@ -29,6 +30,7 @@ PICTURES = {
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
     "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
     "read_meshes": ("read_meshes",),
+    "thermal_resistance": ("thermal_resistance", "--levels", "2"),
     "write_files": ("write_files",),
 }
 CHARTS = {

@@ -177,23 +177,23 @@ def check_scalars(
             )
 
 
-def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
-    """Raise where two ties tie the same facets to each other.
+def check_apart(ties: Sequence[Interface]):
+    """Raise where two ties tie the same field on the same facets to each other.
 
     Args:
         ties: The ties.
-        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    every = [part for tie in ties for part in tie.components]
     sides = []
     for tie in ties:
-        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
         sides.append(
             [
-                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-                for surface, body in zip(tie.surfaces, bodies, strict=True)
+                {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, field in zip(tie.surfaces, fields, strict=True)
             ]
         )
     for t, s in combinations(range(len(ties)), 2):
@@ -230,7 +230,7 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, name: str, prescribed, values, size: float):
+    def check(self, name: str, prescribed, values, size: float, jump=None):
         """Raise where both sides are prescribed, and differently.
 
         Args:
@@ -238,17 +238,23 @@ class Coincidences:
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Of displacements, the largest that either body has prescribed anywhere.
+            jump: What u₁ − u₀ is to be, as the values; nothing if not given.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
         noise = NO_LENGTH * self.extent if self.lengths else 0.0
-        wrong = both & (np.abs(values[0] - values[1]) > CONTRADICT * size + noise)
+        difference = values[1] - values[0] - (0 if jump is None else jump)
+        wrong = both & (np.abs(difference) > CONTRADICT * size + noise)
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
                 f"the prescribed displacements contradict {name} at {spot(self.x[i])}: "
-                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on "
-                "one side only."
+                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1"
+                + (
+                    "; prescribe the same on both, or on one side only."
+                    if jump is None
+                    else f", with a jump of {jump[i]}; prescribe one side only."
+                )
             )

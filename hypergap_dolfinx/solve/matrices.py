@@ -16,6 +16,23 @@ def row_length(A: PETSc.Mat) -> float:
     return A.norm() / (A.getSize()[0] or 1) ** 0.5
 
 
+def column_length(A: PETSc.Mat, columns: npt.NDArray) -> float:
+    """Root mean square of the lengths of the rows of some columns alone. Collective.
+
+    Args:
+        A: The matrix.
+        columns: This rank's columns, numbered from 0.
+    """
+    part, mask = A.copy(), A.createVecRight()
+    mask.set(0.0)
+    mask.array[columns] = 1.0
+    part.diagonalScale(R=mask)
+    length = row_length(part)
+    for obj in (part, mask):
+        obj.destroy()
+    return length
+
+
 def mean_diagonal(K: PETSc.Mat) -> float:
     """Mean magnitude on the diagonal. Collective."""
     diagonal = K.getDiagonal()

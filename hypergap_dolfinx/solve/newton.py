@@ -19,7 +19,7 @@ from hypergap_dolfinx.solve.system import TiedSystem
 
 
 class NonlinearSystem(TiedSystem):
-    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i, with their derivative in :attr:`A`."""
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative."""
 
     def __init__(
         self,
@@ -99,7 +99,9 @@ class NonlinearSystem(TiedSystem):
             for b, B in zip(r_parts, self._constraints.free[t]):
                 if B is not None:
                     B.multTransposeAdd(multiplier, b, b)
-            self._constraints.apply(t, fields, r_parts[len(r_parts) - num_ties + t])
+            gaps = r_parts[len(r_parts) - num_ties + t]
+            self._constraints.apply(t, fields, gaps)
+            self._constraints.compliances.apply(t, multipliers, gaps)
         for vector in lifted:
             vector.destroy()
         r.assemble()
