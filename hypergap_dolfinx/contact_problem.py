@@ -149,7 +149,9 @@ class ContactProblem(ContactSystem):
         for contact, rows in zip(self._contacts, self._rows, strict=True):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        self._path = LoadPath(forms, self._u, bcs, moved)
+        laws = [law for tie in ties for law in (tie.jump, tie.compliance) if law]
+        arrays = [array for law in laws for array in law.arrays]
+        self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:

@@ -110,7 +110,9 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
         # The first tie on the same spaces: each has collapsed a component by itself
         first = next(s for s, other in enumerate(ties) if _on_the_same(tie, other))
         if not tie.free_interior:
-            alike[first, tie.closes_gap, tie.adjusts].append(t)
+            jump = tie.jump and tie.jump.key
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way
+            alike[first, law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -169,7 +171,14 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
         sides.append((ties[0].components[i].given, facets))
     adjusts = all(tie.adjusts for tie in ties)
     try:
-        whole = _Whole(*sides, close_gap=ties[0].closes_gap, adjust=adjusts)
+        first = ties[0]
+        whole = _Whole(
+            *sides,
+            close_gap=first.closes_gap,
+            adjust=adjusts,
+            jump=first.jump,
+            compliance=first._compliance,
+        )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []
     every = Multipliers.of(whole.constraint, whole.domain)

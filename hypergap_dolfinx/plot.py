@@ -5,7 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Pictures of tied bodies with PyVista: Σ pulled apart, deformed shapes, tractions.
 
-Nothing else in the package imports this module. All functions are collective; rank 0 draws.
+Nothing else in the package imports this module. All functions are collective; rank 0 draws. Of
+complex values the real part is drawn.
 """
 
 from collections.abc import Iterable, Sequence
@@ -220,7 +221,7 @@ def traction(
         if plotter and body is not None:
             _add(plotter, body, color=_BODY)
     q = tie.quadrature(1)
-    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0], q.normal[:, 0]))
+    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0].real, q.normal[:, 0]))
     if plotter and parts is not None:
         x, t = (np.vstack([part[i] for part in parts]) for i in (0, 1))
         points = pyvista.PolyData(_padded(x))
@@ -446,7 +447,7 @@ def _sigma(
     alpha[nodes[cells]] = domain.alpha_vertices @ weights.T
     values = alpha
     if f is not None:
-        components = f.x.array.reshape(-1, f.function_space.dofmap.index_map_bs)
+        components = f.x.array.real.reshape(-1, f.function_space.dofmap.index_map_bs)
         scalar = components.shape[1] == 1
         values = components[:, 0] if scalar else np.linalg.norm(components, axis=1)
     parts = mesh.comm.gather((*drawn, alpha, values))

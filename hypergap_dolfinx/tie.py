@@ -6,6 +6,7 @@
 """The tie between two surfaces: the user's door to Σ and the constraint."""
 
 import logging
+from collections.abc import Hashable
 from functools import cached_property
 
 from mpi4py import MPI
@@ -18,11 +19,13 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap import compliance as soft
 from hypergap_dolfinx.gap import fields, quality
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -72,6 +75,8 @@ class Tie(disposal.Owner):
         interior: str = "interpolated",
         adjust: bool = False,
         close_gap: bool = False,
+        jump: Given | Jump | None = None,
+        compliance: soft.Given | None = None,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -97,15 +102,28 @@ class Tie(disposal.Owner):
                 on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
                 or overlaps is pulled together, as in an interference fit. Needs displacements.
+            jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
+                ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
+                ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
+                What it is then is read for each right-hand side, so that it may change without
+                factorising again. Of pieces of one interface that have different jumps, let both
+                surfaces end at one place; there their mean holds, weighted with the multipliers.
+            compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
+                thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
+                gives way, however little; a body that nothing else holds is held by it. One value,
+                or a pair: along Σ's normal and across it (0 ties across). Each is ≥ 0: a number, a
+                ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
+                of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
+                loop that sets it and solves again.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
+            ValueError: A jump or a compliance that doesn't fit the spaces, that isn't finite, or a
+                negative compliance.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
-        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-            raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")
@@ -159,6 +177,10 @@ class Tie(disposal.Owner):
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
+        self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
+        self.nodal_jump()
+        self._compliance = compliance
+        _ = self.compliance  # what is wrong with it is told here
 
     @classmethod
     def between(
@@ -181,7 +203,7 @@ class Tie(disposal.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor.
+            options: Of the constructor; a jump is that of b over a, u_b − u_a.
 
         Returns:
             The tie.
@@ -199,6 +221,8 @@ class Tie(disposal.Owner):
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:
             swapped, why = ratio > 1, "coarser"
+        if swapped and options.get("jump") is not None:
+            options["jump"] = Jump(options["jump"]).reversed()
         tie = cls(*((b, a) if swapped else (a, b)), **options)
         tie._swapped = swapped
         if tie.sigma.comm.rank == 0:
@@ -213,7 +237,8 @@ class Tie(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""
-        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("constraint", None)]
+        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("compliance", None)]
+        objects.append(self.__dict__.pop("constraint", None))
         self._blocks = ()
         return [obj for obj in objects if obj is not None]
 
@@ -272,13 +297,59 @@ class Tie(disposal.Owner):
         """Whether the constraint is on positions."""
         return self._close_gap
 
+    @property
+    def jump(self) -> Jump | None:
+        """The prescribed jump, if there is one."""
+        return self._jump
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """The jump as it is now, at the dofs of one side. Collective.
+
+        Returns:
+            The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
+        """
+        if self._jump is None:
+            return None
+        return self._jump.nodal(self._components, self.surfaces)
+
     @cached_property
     def constraint(self) -> Constraint:
         """The constraint on one component, assembled when it is first asked for."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
+    @property
+    def gives_way(self) -> Hashable:
+        """Equal for ties with the same compliance; None without."""
+        return None if self._compliance is None else soft.key(self._compliance)
+
+    @cached_property
+    def compliance(self) -> soft.Compliance | None:
+        """The matrix C of Σ_i B_i u_i − C λ = c, if there is a compliance."""
+        if self._compliance is None:
+            return None
+        given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
+        return soft.Compliance(*given)
+
+    @cached_property
+    def _gaping(self) -> npt.NDArray:
+        """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
+        return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
+
+    def offset(self) -> PETSc.Vec | None:
+        """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
+
+        Returns:
+            A new vector; None if it is 0, without a jump and without ``close_gap``.
+        """
+        jump = self.nodal_jump()
+        if jump is None and not self._close_gap:
+            return None
+        return right_side(
+            self.blocks(), self._components, jump, self._gaping if self._close_gap else None
+        )
+
     def blocks(self) -> tuple[PETSc.Mat, ...]:
-        """The matrices of Σ_i B_i u_i = 0, for systems of your own.
+        """The matrices of Σ_i B_i u_i = c, for systems of your own; c is :meth:`offset`.
 
         Returns:
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a

@@ -73,9 +73,15 @@ class Component:
         Returns:
             The function itself if it is on this space; None if it doesn't have the field.
         """
-        if u.function_space == self.space:
+        V = u.function_space
+        if V == self.space or (
+            self.dofs is not None  # what a user has collapsed
+            and V.mesh is self.space.mesh
+            and V.ufl_element() == self.space.ufl_element()
+            and not V.component()
+        ):
             return u
-        if not u.function_space.contains(self.given):
+        if not V.contains(self.given):
             return None
         f = fem.Function(self.space, dtype=u.dtype, name=u.name)
         values = self.of_body(u.x.array)

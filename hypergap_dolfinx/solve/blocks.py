@@ -19,6 +19,7 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
+from hypergap_dolfinx.solve.compliances import Compliances
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import Interface
 from hypergap_dolfinx.solve.multipliers import Choice, Columns, choose
@@ -30,7 +31,7 @@ functions or round-off."""
 
 
 class ConstraintBlocks:
-    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each interface, a column a field.
+    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
@@ -66,7 +67,6 @@ class ConstraintBlocks:
         self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
         self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
-        self._gaps: dict[int, PETSc.Vec] = {}
         self._pairs: dict[int, Coincidences] = {}
         held = [part.of_body(self._held[i]) for i, part in self._components]
         choice = choose(self._ties, tied, held)
@@ -80,6 +80,7 @@ class ConstraintBlocks:
             for columns, group in zip(choice.columns, choice.interfaces, strict=True)
         ]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
         self._full = self._pulled_back()
         self._free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
@@ -87,11 +88,10 @@ class ConstraintBlocks:
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for obj in chain(
-            *(row.values() for row in self._rows), *self._full, *self._free, self._gaps.values()
-        ):
+        for obj in chain(*(row.values() for row in self._rows), *self._full, *self._free):
             if obj is not None:
                 obj.destroy()
+        self.compliances.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
@@ -145,7 +145,7 @@ class ConstraintBlocks:
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
 
-        A tie that closes the gap takes the positions x_i + u_i instead of the u_i.
+        What it is to be, of jumps and of positions, is subtracted.
 
         Args:
             g: Number of the interface.
@@ -156,30 +156,17 @@ class ConstraintBlocks:
         for u, B in zip(fields, self._full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
-        for t, row in enumerate(self._rows):
-            if self._ties[t].closes_gap and g in row:
-                E = row[g]
-                if E is None:
-                    c.axpy(1.0, self._gap(t))
-                else:
-                    E.multTransposeAdd(self._gap(t), c, c)
-
-    def _gap(self, t: int) -> PETSc.Vec:
-        """Σ_i B_i x_i of a tie with the positions x_i of the dofs. Collective."""
-        if t not in self._gaps:
-            tie = self._ties[t]
-            c = tie.blocks()[0].createVecLeft()
-            c.set(0.0)
-            origin = tie.surfaces[0].x[0]  # far from the origin digits are few
-            for part, B in zip(tie.components, tie.blocks()):
-                x, V = B.createVecRight(), part.space
-                n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-                positions = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
-                x.array[:] = part.into_body(positions)
-                B.multAdd(x, c, c)
-                x.destroy()
-            self._gaps[t] = c
-        return self._gaps[t]
+        for tie, row in zip(self._ties, self._rows, strict=True):
+            offset = tie.offset() if g in row else None
+            if offset is None:
+                continue
+            offset.scale(-1.0)
+            E = row[g]
+            if E is None:
+                c.axpy(1.0, offset)
+            else:
+                E.multTransposeAdd(offset, c, c)
+            offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
         """Raise where both sides of a tie are prescribed, and differently. Collective.
@@ -191,8 +178,9 @@ class ConstraintBlocks:
             InterfaceError: With the place and the values.
         """
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
-            if tie.closes_gap:
+            if tie.closes_gap or tie.compliance is not None:
                 continue
+            jump = tie.nodal_jump()
             if t not in self._pairs:
                 self._pairs[t] = Coincidences(tie)
             pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
@@ -203,9 +191,14 @@ class ConstraintBlocks:
                 value = part.of_body(values[body].array_r).reshape(shape)
                 given.append(look_up(comm, value, start, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
-            pairs.check(self._names[t], both, given, size)
+            at = None
+            if jump is not None:
+                side, nodal = jump
+                start = tie.spaces[side].dofmap.index_map.local_range[0]
+                at = look_up(comm, nodal, start, pairs.dofs[side])
+            pairs.check(self._names[t], both, given, size, at)
 
-    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
 
         Args:

@@ -120,9 +120,9 @@ def _apart(
         origin = first.mesh.comm.bcast(places(first)[:1].sum(axis=0))
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = part.into_body(np.repeat(columns, part.space.dofmap.index_map_bs, axis=0))
-        moment += product(B, columns[:, :n])
+        moment += product(B, columns[:, :n]).real
         magnitudes = absolute(B)
-        mine, weighted = product(magnitudes, columns[:, n:]).T
+        mine, weighted = product(magnitudes, columns[:, n:]).real.T
         magnitudes.destroy()
         weight += mine
         size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
@@ -191,7 +191,7 @@ def unhindered(
     constraints: ConstraintBlocks,
     moved: Sequence[Modes],
     rows,
-) -> npt.NDArray[np.float64]:
+) -> npt.NDArray:
     """The combinations of motions that nothing hinders. Collective.
 
     Args:
@@ -212,7 +212,7 @@ def unhindered(
         """As few rows as some motions are say as much."""
         if parts:
             R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
-            found.append(np.zeros((len(R), ends[-1])))
+            found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
             columns = [np.arange(ends[m], ends[m + 1]) for m in parts]
             found[-1][:, np.concatenate(columns)] = R
 

@@ -40,8 +40,8 @@ class Multigrid(IterativeSolver):
         **prefixed("interface_", LU),
     }
     ADVICE = (
-        '; solver="iterative" is for stiffness that is symmetric and positive definite, and for '
-        'cells of good shape: take solver="direct"'
+        '; solver="iterative" is for stiffness that is symmetric (of complex numbers: Hermitian) '
+        'and positive definite, and for cells of good shape: take solver="direct"'
     )
 
     @classmethod
@@ -49,6 +49,8 @@ class Multigrid(IterativeSolver):
         """Multigrid wants bodies that are alike."""
         if system.constraints.interior_sizes:
             return "free interior nodes belong to no body"
+        if system.constraints.compliances:
+            return "a tie has a compliance"
         if any(map(is_mixed, system.spaces)):
             return "multigrid is for bodies with one field, and a space is mixed"
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}
