@@ -26,6 +26,7 @@ from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
+from hypergap_dolfinx.gap.recovery import Recovery
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -237,8 +238,9 @@ class Tie(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""
-        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("compliance", None)]
-        objects.append(self.__dict__.pop("constraint", None))
+        names = ("_recovery", "compliance", "constraint")
+        own = [self.__dict__.pop(name, None) for name in names]
+        objects = [*getattr(self, "_blocks", ()), *own]
         self._blocks = ()
         return [obj for obj in objects if obj is not None]
 
@@ -317,6 +319,11 @@ class Tie(disposal.Owner):
         """The constraint on one component, assembled when it is first asked for."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
+    @cached_property
+    def _recovery(self) -> Recovery:
+        """What recovers tractions on the bodies' surfaces."""
+        return Recovery(self._domain, self.constraint)
+
     @property
     def gives_way(self) -> Hashable:
         """Equal for ties with the same compliance; None without."""
@@ -388,21 +395,37 @@ class Tie(disposal.Owner):
             us.append(own)
         return fields.gap(self._domain, self.constraint, us[0], us[1])
 
-    def traction(self, problem) -> fem.Function:
-        """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
+    def traction(self, problem, *, on: str = "sigma") -> fem.Function:
+        """The traction between the bodies, of a solved problem. Collective.
 
         Args:
             problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
+            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous. It
+                is the traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels
+                −λ. (Of a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it
+                use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+
+                ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
+                the forces of λ at both sides' nodes: of an order more than λ, and smooth. It is a
+                Lagrange function on a mesh of its own, the part of Γᵢ that is tied, so
+                ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
+                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files have it. At kinks it
+                has a value on each side. Both sides' are opposite to each other; where fields
+                change within a few facets, λ is as good.
 
         Returns:
-            λ on Σ, discontinuous; force per area (2D: per length and unit depth). It is the
-            traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of a
-            temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
-            :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+            Force per area (2D: per length and unit depth).
+
+        Raises:
+            ValueError: Not one of the problem's ties, or not solved yet; an unknown place.
         """
+        if on not in ("sigma", "side0", "side1"):
+            raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')
         multipliers = problem.multipliers(self)
         shape = self._spaces[0].value_shape
-        return fields.traction(self._domain, self.constraint, shape, multipliers)
+        if on == "sigma":
+            return fields.traction(self._domain, self.constraint, shape, multipliers)
+        return self._recovery.traction(int(on[-1]), shape, multipliers)
 
     def quadrature(self, degree: int) -> fields.GapQuadrature:
         """Gauss points on Σ with the measure dΓ_α dα, to integrate there.
