@@ -217,10 +217,8 @@ class Contact:
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
-        if self._surfaces[0].gdim == 2:
-            return PlaneOpening.between(self._comm, self._sides, u)
-        last = before if isinstance(before, Opening) else None
-        return Opening.between(self._comm, self._sides, u, last)
+        kind = PlaneOpening if self._surfaces[0].gdim == 2 else Opening
+        return kind.between(self._comm, self._sides, u)
 
     @property
     def swapped(self) -> bool:

@@ -196,11 +196,9 @@ class ContactSystem(NonlinearSystem):
                 rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
         for rows, last in zip(self._rows, before if ahead else (), strict=False):
             facets = rows.sides[1].reference.facets
-            if facets.shape[1] == 2:
-                force = rows.now.p * rows.m
-                rows.now.on = active.without_pull(last, rows.now.on, facets, force)
-            else:
-                rows.now.on = active.receding(last, rows.now.on, facets)
+            chain = facets.shape[1] == 2
+            without_pull = active.without_pull if chain else active.without_pull_on_surface
+            rows.now.on = without_pull(last, rows.now.on, facets, rows.now.p * rows.m)
         assert self._free is not None
         if self._free.num:
             holds = [self._holds(rows) for rows in self._rows]
