@@ -146,7 +146,9 @@ def test_units(E):
 def test_rigid_obstacle():
     """A body without a form, which the user moves."""
     rigid = Blocks(gap=0.0)
-    problem = ContactProblem([None, rigid.F[1]], rigid.u, bcs=rigid.bcs[2:], contacts=[rigid.contact])
+    problem = ContactProblem(
+        [None, rigid.F[1]], rigid.u, bcs=rigid.bcs[2:], contacts=[rigid.contact]
+    )
     rigid.u[0].interpolate(lambda x: np.stack((0 * x[0], 0 * x[0] + 0.02)))
     problem.solve()
     # In a column that is held below by a frictionless plane strain is uniform

@@ -24,8 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.opposite import Frames, dual_basis, reference_middle
+from hypergap_dolfinx.gap.opposite import Frames, cross, dual_basis, reference_middle
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
@@ -64,19 +63,14 @@ class Rays:
     """Second derivatives of Γ0 by ξ, ``(num, 3, 3)``: by ξ₁ twice, ξ₁ and ξ₂, ξ₂ twice. None for
     straight triangles."""
 
-    def __getitem__(self, some) -> "Rays":
-        pairs = ((self.facets[0][some], self.facets[1][some]), (self.x[0][some], self.x[1][some]))
-        bends = None if self.bends is None else self.bends[some]
-        return Rays(pairs[0], self.X[some], self.xi[some], pairs[1], self.q[some], bends)
-
     @property
     def normals(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """N₀, N₁ and M, ``(num, 3)`` each."""
         q = self.q
         return (
-            np.cross(q[:, Z1], q[:, Z2]),
-            np.cross(q[:, T1], q[:, T2]),
-            np.cross(q[:, C1], q[:, C2]),
+            cross(q[:, Z1], q[:, Z2]),
+            cross(q[:, T1], q[:, T2]),
+            cross(q[:, C1], q[:, C2]),
         )
 
     @property
@@ -91,9 +85,9 @@ class Rays:
         h, slope = (s / b)[:, None], (a / b)[:, None]
         result = np.zeros_like(q)
         result[:, R] = slope * n0
-        result[:, T1], result[:, T2] = h * np.cross(q[:, T2], m), h * np.cross(m, q[:, T1])
+        result[:, T1], result[:, T2] = h * cross(q[:, T2], m), h * cross(m, q[:, T1])
         by_m = h * (n1 - slope * n0)
-        result[:, C1], result[:, C2] = np.cross(q[:, C2], by_m), np.cross(by_m, q[:, C1])
+        result[:, C1], result[:, C2] = cross(q[:, C2], by_m), cross(by_m, q[:, C1])
         return result
 
     def towards(self, w) -> npt.NDArray[np.float64]:
@@ -109,8 +103,8 @@ class Rays:
         h, result = (s / b)[:, None], np.zeros_like(self.q)
         result[:, R] = w
         result[:, C1], result[:, C2] = (
-            -h * np.cross(self.q[:, C2], w),
-            -h * np.cross(w, self.q[:, C1]),
+            -h * cross(self.q[:, C2], w),
+            -h * cross(w, self.q[:, C1]),
         )
         return result
 
@@ -118,50 +112,50 @@ class Rays:
         """∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
         q, (n0, n1, m), (s, a, b) = self.q, self.normals, self.products
         num = len(q)
-        box, area, lean = (np.zeros((num, 7, 3, 7, 3)) for _ in range(3))
+        h, slope = s / b, a / b
+        H = np.zeros((num, 7, 3, 7, 3))
 
-        def put(matrix, i, j, block):
-            matrix[:, i, :, j] = block
-            matrix[:, j, :, i] = block.transpose(0, 2, 1)
+        def put(i, j, block):
+            H[:, i, :, j] += block
+            H[:, j, :, i] += block.transpose(0, 2, 1)
 
         times = {v: cross_matrix(q[:, v]) for v in range(7)}
-        put(box, R, Z1, -times[Z2])
-        put(box, R, Z2, times[Z1])
-        put(box, Z1, Z2, -times[R])
-        for matrix, (u, v), normal in ((area, (T1, T2), n1), (lean, (Z1, Z2), n0)):
-            put(matrix, u, v, -cross_matrix(m))
-            put(matrix, C1, C2, -cross_matrix(normal))
-            put(matrix, u, C1, -times[v] @ times[C2])
-            put(matrix, u, C2, times[v] @ times[C1])
-            put(matrix, v, C1, times[u] @ times[C2])
-            put(matrix, v, C2, -times[u] @ times[C1])
+        scaled = {v: slope[:, None, None] * times[v] for v in (Z1, Z2, R)}
+        put(R, Z1, -scaled[Z2])  # s = N₀ · r, times A / B
+        put(R, Z2, scaled[Z1])
+        put(Z1, Z2, -scaled[R])
+        put(C1, C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
+        for (u, v), factor in (((T1, T2), h), ((Z1, Z2), -h * slope)):  # of A, and of B
+            put(u, v, -cross_matrix(factor[:, None] * m))
+            of_u, of_v = (factor[:, None, None] * times[w] for w in (u, v))
+            put(u, C1, -of_v @ times[C2])
+            put(u, C2, of_v @ times[C1])
+            put(v, C1, of_u @ times[C2])
+            put(v, C2, -of_u @ times[C1])
         ds, da, db = (np.zeros_like(q) for _ in range(3))
         ds[:, R] = n0
-        ds[:, Z1], ds[:, Z2] = np.cross(q[:, Z2], q[:, R]), np.cross(q[:, R], q[:, Z1])
+        ds[:, Z1], ds[:, Z2] = cross(q[:, Z2], q[:, R]), cross(q[:, R], q[:, Z1])
         for by, (u, v), normal in ((da, (T1, T2), n1), (db, (Z1, Z2), n0)):
-            by[:, u], by[:, v] = np.cross(q[:, v], m), np.cross(m, q[:, u])
-            by[:, C1], by[:, C2] = np.cross(q[:, C2], normal), np.cross(normal, q[:, C1])
+            by[:, u], by[:, v] = cross(q[:, v], m), cross(m, q[:, u])
+            by[:, C1], by[:, C2] = cross(q[:, C2], normal), cross(normal, q[:, C1])
         ds, da, db = (part.reshape(num, 21) for part in (ds, da, db))
-
-        def outer(u, v):
-            product = u[:, :, None] * v[:, None]
-            return product + product.transpose(0, 2, 1)
-
-        def by(factor, matrix):
-            return factor[:, None, None] * matrix.reshape(num, 21, 21)
-
-        H = by(a / b, box) + by(s / b, area) - by(s * a / b**2, lean)
-        H += by(1 / b, outer(ds, da)) - by(a / b**2, outer(ds, db)) - by(s / b**2, outer(da, db))
-        H += by(s * a / b**3, outer(db, db))
+        # The derivatives of A / B, and of 1 / B: half of what both orders have
+        left = [ds - h[:, None] * db]
+        right = [(da - slope[:, None] * db) / b[:, None]]
         if self.bends is not None:
-            across = q[:, [Z1, Z2]]
-            dual = np.stack((np.cross(across[:, 1], m), np.cross(m, across[:, 0])), axis=1)
+            across = q[:, Z1], q[:, Z2]
+            dual = cross(across[1], m), cross(m, across[0])
             # The foot's motion is that against the ray, seen from Γ1: the other sign
-            moves = [self.towards(-dual[:, i] / b[:, None]).reshape(num, 21) for i in (0, 1)]
-            curve = -(a / b)[:, None] * np.einsum("pi,pki->pk", n0, self.bends)
-            for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):
-                H -= by((0.5 if i == j else 1.0) * curve[:, k], outer(moves[i], moves[j]))
-        return H
+            moves = [self.towards(-d / b[:, None]).reshape(num, 21) for d in dual]
+            curve = slope[:, None] * np.einsum("pi,pki->pk", n0, self.bends)
+            left += moves
+            right.append(0.5 * curve[:, :1] * moves[0] + curve[:, 1:2] * moves[1])
+            right.append(0.5 * curve[:, 2:] * moves[1])
+        result = H.reshape(num, 21, 21)
+        product = np.stack(left, axis=2) @ np.stack(right, axis=1)
+        result += product
+        result += product.transpose(0, 2, 1)
+        return result
 
 
 def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
@@ -182,7 +176,7 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
     for _ in range(1 if straight else NEWTON):
         at0 = _jets(below, f0, xi)
         rest = x1 - at0[0]
-        n0 = np.cross(at0[1], at0[2])
+        n0 = cross(at0[1], at0[2])
         rest -= (dot(n0, rest) / dot(n0, m))[:, None] * m  # along Γ0's tangents
         _, dual = dual_basis(np.stack(at0[1:3], axis=1))
         step = np.einsum("pki,pi->pk", dual, rest)
@@ -212,9 +206,9 @@ def _table(surface: Surface, X, order: int) -> npt.NDArray[np.float64]:
     return surface.geometry.tabulate(order, np.ascontiguousarray(X))[..., 0]
 
 
-def by_dofs(sides: tuple[MovingSurface, MovingSurface], surfaces, rays: Rays) -> npt.NDArray:
+def by_dofs(surfaces: tuple[Surface, Surface], rays: Rays) -> npt.NDArray:
     """∂q/∂u at the dofs of Γ0's facet, then those of Γ1's, ``(num, 7, num_dofs)``."""
-    below, above = surfaces
+    above = surfaces[1]
     to_dofs = [tabulate(s.element, s.geometry.points) for s in surfaces]  # (node, dof)
     on0, on1 = (
         _table(s, at, 1) @ table

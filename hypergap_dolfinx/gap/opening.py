@@ -29,6 +29,7 @@ from hypergap_dolfinx.gap.opposite import (
     INNER,
     Frames,
     Pieces,
+    cross,
     find_pieces,
     polygon_areas,
     reference_corners,
@@ -51,7 +52,6 @@ class _State:
     piece: npt.NDArray[np.intp]
     """The piece of each of them."""
     weights: npt.NDArray[np.float64]
-    edges: "_Edges"
 
     @property
     def areas(self) -> npt.NDArray[np.float64]:
@@ -82,12 +82,11 @@ class _Edges:
     @property
     def motion(self) -> npt.NDArray[np.float64]:
         """Derivatives of the edges' motions along the normals by q, ``(num, 7, 3)``."""
-        # Against the ray: dual to Γ1's tangents in the plane across M
-        _, _, m = self.rays.normals
-        t = self.rays.q[:, [heights.T1, heights.T2]]
-        volume = heights.dot(np.cross(t[:, 0], t[:, 1]), m)[:, None]
-        dual = np.stack((np.cross(t[:, 1], m), np.cross(m, t[:, 0])), axis=1) / volume[:, None]
-        return self.rays.towards(np.einsum("pk,pki->pi", self.normal, dual))
+        _, n1, m = self.rays.normals
+        t = self.rays.q[:, heights.T1], self.rays.q[:, heights.T2]
+        dual = cross(t[1], m), cross(m, t[0])  # in the plane across M
+        w = sum(self.normal[:, k, None] * dual[k] for k in (0, 1))
+        return self.rays.towards(w / heights.dot(n1, m)[:, None])
 
 
 @dataclass
@@ -146,18 +145,14 @@ class Opening:
         )
         first = state.rays.gradient() * state.weights[:, None, None]
         parts = [(state.rays, state.piece, first)]
-        edges = state.edges
-        rim = np.flatnonzero(edges.outline)
-        if len(rim):
-            ends = _Edges(
-                edges.rays[rim], edges.piece[rim], edges.weights[rim], edges.normal[rim], rim > -1
-            )
-            s, a, b = ends.rays.products
-            moved = (ends.weights * s * a / b)[:, None, None] * ends.motion
-            parts.append((ends.rays, ends.piece, moved))
+        rim = _edges(state, outline=True)
+        if len(rim.piece):
+            s, a, b = rim.rays.products
+            moved = (rim.weights * s * a / b)[:, None, None] * rim.motion
+            parts.append((rim.rays, rim.piece, moved))
         i, j, values = [], [], []
         for rays, piece, by_q in parts:
-            T = by_dofs(self.sides, state.surfaces, rays)
+            T = by_dofs(state.surfaces, rays)
             block = T.transpose(0, 2, 1) @ by_q  # (point, dof, component)
             dofs = self._dofs(rays)
             i.append(np.broadcast_to(state.vertex[piece, None], dofs.shape).ravel())
@@ -176,7 +171,7 @@ class Opening:
         i, j, values = [], [], []
 
         def add(rays, H):
-            T = by_dofs(self.sides, state.surfaces, rays)
+            T = by_dofs(state.surfaces, rays)
             num, _, nodes = T.shape
             # (point, vector and component, dof and component)
             full = np.einsum("pvn,ij->pvinj", T, np.eye(3)).reshape(num, 21, 3 * nodes)
@@ -188,20 +183,19 @@ class Opening:
             values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
 
         pressure = p[state.vertex]
-        on = np.flatnonzero(pressure[state.piece])
-        factor = (pressure[state.piece] * state.weights)[on]
-        rays = state.rays[on]
-        add(rays, factor[:, None, None] * rays.hessian())
-        edges = state.edges
-        on = np.flatnonzero(pressure[edges.piece])
-        some = _Edges(
-            edges.rays[on], edges.piece[on], edges.weights[on], edges.normal[on], edges.outline[on]
+        on = np.flatnonzero(pressure)
+        if not len(on):
+            return Sparse.empty()
+        rays, piece, weights = _cast(
+            state.surfaces, state.frames, state.pieces.some(on), exact=False
         )
-        add(some.rays, _kinks(some, pressure[some.piece] * some.weights))
+        add(rays, (pressure[on[piece]] * weights)[:, None, None] * rays.hessian())
+        edges = _edges(state, pressure != 0)
+        add(edges.rays, _kinks(edges, pressure[edges.piece] * edges.weights))
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Pressures for people, (SᵀDSp) / (SᵀD1): S means over facets of Γ1, D their areas.
+        """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.
 
         They have the force of p, and less of its scatter from node to node.
 
@@ -214,6 +208,7 @@ class Opening:
         num = len(state.surfaces[1].facets)
         force, size = (np.bincount(facet, w, num) for w in (area * p[state.vertex], area))
         mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)[facet]
+        mean = 0.5 * (mean + p[state.vertex])
         total, size = (
             np.bincount(state.vertex, w, self.num_multipliers) for w in (area * mean, area)
         )
@@ -270,12 +265,12 @@ def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
     slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
     motion = edges.motion.reshape(-1, 21)
     H = (-slope * factor)[:, None, None] * motion[:, :, None] * motion[:, None]
-    rim = np.flatnonzero(edges.outline)
-    if len(rim):
-        first = edges.rays[rim].gradient().reshape(-1, 21)
-        product = factor[rim, None, None] * first[:, :, None] * motion[rim, None]
-        H[rim] += product + product.transpose(0, 2, 1)
-        H[rim] += 2 * (slope * factor)[rim, None, None] * motion[rim, :, None] * motion[rim, None]
+    if edges.outline.any():
+        first = edges.outline[:, None] * edges.rays.gradient().reshape(-1, 21)
+        product = factor[:, None, None] * first[:, :, None] * motion[:, None]
+        H += product + product.transpose(0, 2, 1)
+        twice = 2 * edges.outline * slope * factor
+        H += twice[:, None, None] * motion[:, :, None] * motion[:, None]
     return H
 
 
@@ -319,25 +314,57 @@ def _place(sides: Sides, u: Displacements) -> _State:
             f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
             "along its normals; check the tags."
         )
-    degree = max(surface.geometry.degree for surface in surfaces)
-    linear = degree == 1 and below.geometry.dim == above.geometry.dim == 3
-    X, piece, weights = _rule(pieces, 1 if linear else 2 * degree)
-    rays = heights.cast(surfaces, frames, tuple(f[piece] for f in pieces.facets), X)
+    rays, piece, weights = _cast(surfaces, frames, pieces, exact=True)
     vertex = _stand_ins(above, pieces)[pieces.vertex]
-    edges = _edges(surfaces, frames, pieces)
     copy = u[0].copy(), u[1].copy()
-    return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights, edges)
+    return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights)
+
+
+def _cast(surfaces, frames: Frames, pieces: Pieces, *, exact: bool):
+    """Rays from the points of a rule on pieces, which piece each is on, and weights.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        frames: Of Γ1.
+        pieces: The pieces.
+        exact: Whether the rule has twice the facets' degree, not 2; what is linear on straight
+            triangles has enough with 1.
+    """
+    degree = max(surface.geometry.degree for surface in surfaces)
+    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
+    X, piece, weights = _rule(pieces, 1 if linear else 2 * degree if exact else 2)
+    facets = tuple(f[piece] for f in pieces.facets)
+    return heights.cast(surfaces, frames, facets, X), piece, weights
 
 
 def _rule(pieces: Pieces, degree: int):
-    """Points on pieces, which piece each is in, and weights; one on a piece for degree 1."""
+    """Points on pieces, which piece each is in, and weights.
+
+    One on each piece for degree 1, three for degree 2: they have its middle and its moments.
+    """
     first, steps = pieces.X[:, :1], pieces.X - pieces.X[:, :1]
     a, b = steps[:, 1:-1], steps[:, 2:]
     areas = 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-    if degree == 1:
-        total = areas.sum(axis=1)
-        middle = np.einsum("pt,pti->pi", areas, a + b) / (3 * total[:, None])
-        return first[:, 0] + middle, np.arange(len(total)), total
+    if degree <= 2:
+        total, piece = areas.sum(axis=1), np.arange(len(areas))
+        share = areas / total[:, None]
+        middle = np.einsum("pt,pti->pi", share, a + b) / 3
+        if degree == 1:
+            return first[:, 0] + middle, piece, total
+        # ∫ x xᵀ over a triangle with a corner at 0
+        square = sum(np.einsum("pt,pti,ptj->pij", share, end, end) for end in (a, b))
+        mixed = np.einsum("pt,pti,ptj->pij", share, a, b)
+        moments = (2 * square + mixed + mixed.swapaxes(1, 2)) / 12
+        moments -= middle[:, :, None] * middle[:, None]
+        # The square root's lower triangle
+        c = np.sqrt(np.maximum(moments[:, 0, 0], 1e-300))
+        d = moments[:, 0, 1] / c
+        e = np.sqrt(np.maximum(moments[:, 1, 1] - d**2, 0))
+        turns = 2 * np.pi / 3 * np.arange(3)
+        u, v = 2**0.5 * np.cos(turns), 2**0.5 * np.sin(turns)
+        away = np.stack((c[:, None] * u, d[:, None] * u + e[:, None] * v), axis=2)
+        X = first + middle[:, None] + away
+        return X.reshape(-1, 2), np.repeat(piece, 3), np.repeat(total / 3, 3)
     piece, triangle = np.nonzero(areas > 0)
     points, weights = basix.make_quadrature(basix.CellType.triangle, degree)
     a, b = a[piece, triangle], b[piece, triangle]
@@ -346,27 +373,32 @@ def _rule(pieces: Pieces, degree: int):
     return X.reshape(-1, 2), np.repeat(piece, len(points)), weights.ravel()
 
 
-def _edges(surfaces, frames: Frames, pieces: Pieces) -> _Edges:
-    """Points on the pieces' edges that are Γ0's."""
-    below, above = surfaces
+def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
+    """Points on the pieces' edges that are Γ0's.
+
+    Args:
+        state: Σ.
+        which: Pieces that are asked for, ``(num_pieces,)``.
+        outline: Whether only Γ0's outline is.
+    """
+    pieces = state.pieces
     there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != INNER)
+    at_end = _is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
+    there &= np.broadcast_to(which, len(there))[:, None]
+    if outline:
+        there &= at_end
     piece, k = np.nonzero(there)
     start, end = pieces.X[piece, k], pieces.X[piece, (k + 1) % pieces.num[piece]]
     step = end - start
     points, weights = basix.make_quadrature(basix.CellType.interval, 3)
-    X = start[:, None] + points * step[:, None]
-    num = len(points)
-    number = pieces.label[piece, k]
-    normal = np.repeat(np.column_stack((step[:, 1], -step[:, 0])), num, axis=0)
+    X, num = start[:, None] + points * step[:, None], len(points)
     facets = tuple(np.repeat(f[piece], num) for f in pieces.facets)
-    rays = heights.cast(surfaces, frames, facets, X.reshape(-1, 2))
-    outline = _is_outline(below)[pieces.facets[0][piece], number]
     return _Edges(
-        rays,
+        heights.cast(state.surfaces, state.frames, facets, X.reshape(-1, 2)),
         np.repeat(piece, num),
         np.tile(weights, len(piece)),
-        normal,
-        np.repeat(outline, num),
+        np.repeat(np.column_stack((step[:, 1], -step[:, 0])), num, axis=0),
+        np.repeat(at_end[piece, k], num),
     )
 
 

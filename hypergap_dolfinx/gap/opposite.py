@@ -59,17 +59,27 @@ class Frames:
         return np.einsum("fki,f...i->f...k", self.dual[facet], x - origin.reshape(shape))
 
 
+def cross(a, b) -> npt.NDArray[np.float64]:
+    """Of vectors, ``(num, 3)``: NumPy's own is slow for short ones."""
+    result = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return result
+
+
 def dual_basis(tangents) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Normals of pairs of tangents, ``(num, 2, 3)``, and the dual bases across these."""
-    normal = np.cross(tangents[:, 0], tangents[:, 1])
+    normal = cross(tangents[:, 0], tangents[:, 1])
     square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
-    pair = np.cross(tangents[:, 1], normal) / square, np.cross(normal, tangents[:, 0]) / square
+    pair = cross(tangents[:, 1], normal) / square, cross(normal, tangents[:, 0]) / square
     return normal, np.stack(pair, axis=1)
 
 
 def reference_corners(surface: Surface) -> npt.NDArray[np.float64]:
     """Vertices of the reference facet, one after the other around it."""
-    return basix.geometry(surface.geometry.cell_type)[around(np.arange(surface.facets.shape[1])[None])[0]]
+    return basix.geometry(surface.geometry.cell_type)[
+        around(np.arange(surface.facets.shape[1])[None])[0]
+    ]
 
 
 def reference_middle(surface: Surface) -> npt.NDArray[np.float64]:
@@ -93,7 +103,8 @@ class Pieces:
     label: npt.NDArray[np.intp]
     """Number of Γ0's facet's edge from each corner to the next, or :data:`INNER`."""
 
-    def __getitem__(self, some) -> "Pieces":
+    def some(self, some) -> "Pieces":
+        """A part of them: numbers, or which."""
         facets = self.facets[0][some], self.facets[1][some]
         return Pieces(facets, self.vertex[some], self.X[some], self.num[some], self.label[some])
 
@@ -273,4 +284,4 @@ def _nearest_sheet(surfaces, frames: Frames, pieces: Pieces) -> Pieces:
     first = np.full(len(above.facets), len(mean))
     nearest = np.flatnonzero(mean <= best[facet])
     np.minimum.at(first, facet[nearest], nearest)
-    return pieces[first[f1] == sheet]
+    return pieces.some(first[f1] == sheet)

@@ -59,7 +59,9 @@ def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]
         ``(num,)``.
     """
     num = len(before)
-    pairs = np.unique(np.repeat(facets, facets.shape[1], 1) * num + np.tile(facets, facets.shape[1]))
+    pairs = np.unique(
+        np.repeat(facets, facets.shape[1], 1) * num + np.tile(facets, facets.shape[1])
+    )
     i, j = np.divmod(pairs.astype(np.int64), num)
     lost, zone = before & ~now, ~before
     while True:  # from the edge of the last set: a hole in it is scatter
