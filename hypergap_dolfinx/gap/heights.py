@@ -20,6 +20,7 @@ tangents of Γ0 and of Γ1 each, and those of Γ1 in the facet's middle.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +29,12 @@ from hypergap_dolfinx.gap.opposite import Frames, cross, dual_basis, reference_m
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
-R, Z1, Z2, T1, T2, C1, C2 = range(7)
-"""Vectors of q."""
+
+
+class At(IntEnum):
+    """Vectors of q."""
+
+    R, Z1, Z2, T1, T2, C1, C2 = range(7)
 
 
 def cross_matrix(a) -> npt.NDArray[np.float64]:
@@ -68,26 +73,26 @@ class Rays:
         """N₀, N₁ and M, ``(num, 3)`` each."""
         q = self.q
         return (
-            cross(q[:, Z1], q[:, Z2]),
-            cross(q[:, T1], q[:, T2]),
-            cross(q[:, C1], q[:, C2]),
+            cross(q[:, At.Z1], q[:, At.Z2]),
+            cross(q[:, At.T1], q[:, At.T2]),
+            cross(q[:, At.C1], q[:, At.C2]),
         )
 
     @property
     def products(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """N₀ · r, N₁ · M and N₀ · M, ``(num,)`` each: f is s A / B."""
         n0, n1, m = self.normals
-        return dot(n0, self.q[:, R]), dot(n1, m), dot(n0, m)
+        return dot(n0, self.q[:, At.R]), dot(n1, m), dot(n0, m)
 
     def gradient(self) -> npt.NDArray[np.float64]:
         """∂f/∂q, ``(num, 7, 3)``; nothing by Γ0's tangents, along which r and M are one."""
         (s, a, b), (n0, n1, m), q = self.products, self.normals, self.q
         h, slope = (s / b)[:, None], (a / b)[:, None]
         result = np.zeros_like(q)
-        result[:, R] = slope * n0
-        result[:, T1], result[:, T2] = h * cross(q[:, T2], m), h * cross(m, q[:, T1])
+        result[:, At.R] = slope * n0
+        result[:, At.T1], result[:, At.T2] = h * cross(q[:, At.T2], m), h * cross(m, q[:, At.T1])
         by_m = h * (n1 - slope * n0)
-        result[:, C1], result[:, C2] = cross(q[:, C2], by_m), cross(by_m, q[:, C1])
+        result[:, At.C1], result[:, At.C2] = cross(q[:, At.C2], by_m), cross(by_m, q[:, At.C1])
         return result
 
     def towards(self, w) -> npt.NDArray[np.float64]:
@@ -101,10 +106,10 @@ class Rays:
         """
         s, _, b = self.products
         h, result = (s / b)[:, None], np.zeros_like(self.q)
-        result[:, R] = w
-        result[:, C1], result[:, C2] = (
-            -h * cross(self.q[:, C2], w),
-            -h * cross(w, self.q[:, C1]),
+        result[:, At.R] = w
+        result[:, At.C1], result[:, At.C2] = (
+            -h * cross(self.q[:, At.C2], w),
+            -h * cross(w, self.q[:, At.C1]),
         )
         return result
 
@@ -120,30 +125,30 @@ class Rays:
             H[:, j, :, i] += block.transpose(0, 2, 1)
 
         times = {v: cross_matrix(q[:, v]) for v in range(7)}
-        scaled = {v: slope[:, None, None] * times[v] for v in (Z1, Z2, R)}
-        put(R, Z1, -scaled[Z2])  # s = N₀ · r, times A / B
-        put(R, Z2, scaled[Z1])
-        put(Z1, Z2, -scaled[R])
-        put(C1, C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
-        for (u, v), factor in (((T1, T2), h), ((Z1, Z2), -h * slope)):  # of A, and of B
+        scaled = {v: slope[:, None, None] * times[v] for v in (At.Z1, At.Z2, At.R)}
+        put(At.R, At.Z1, -scaled[At.Z2])  # s = N₀ · r, times A / B
+        put(At.R, At.Z2, scaled[At.Z1])
+        put(At.Z1, At.Z2, -scaled[At.R])
+        put(At.C1, At.C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
+        for (u, v), factor in (((At.T1, At.T2), h), ((At.Z1, At.Z2), -h * slope)):  # of A, and of B
             put(u, v, -cross_matrix(factor[:, None] * m))
             of_u, of_v = (factor[:, None, None] * times[w] for w in (u, v))
-            put(u, C1, -of_v @ times[C2])
-            put(u, C2, of_v @ times[C1])
-            put(v, C1, of_u @ times[C2])
-            put(v, C2, -of_u @ times[C1])
+            put(u, At.C1, -of_v @ times[At.C2])
+            put(u, At.C2, of_v @ times[At.C1])
+            put(v, At.C1, of_u @ times[At.C2])
+            put(v, At.C2, -of_u @ times[At.C1])
         ds, da, db = (np.zeros_like(q) for _ in range(3))
-        ds[:, R] = n0
-        ds[:, Z1], ds[:, Z2] = cross(q[:, Z2], q[:, R]), cross(q[:, R], q[:, Z1])
-        for by, (u, v), normal in ((da, (T1, T2), n1), (db, (Z1, Z2), n0)):
+        ds[:, At.R] = n0
+        ds[:, At.Z1], ds[:, At.Z2] = cross(q[:, At.Z2], q[:, At.R]), cross(q[:, At.R], q[:, At.Z1])
+        for by, (u, v), normal in ((da, (At.T1, At.T2), n1), (db, (At.Z1, At.Z2), n0)):
             by[:, u], by[:, v] = cross(q[:, v], m), cross(m, q[:, u])
-            by[:, C1], by[:, C2] = cross(q[:, C2], normal), cross(normal, q[:, C1])
+            by[:, At.C1], by[:, At.C2] = cross(q[:, At.C2], normal), cross(normal, q[:, At.C1])
         ds, da, db = (part.reshape(num, 21) for part in (ds, da, db))
         # The derivatives of A / B, and of 1 / B: half of what both orders have
         left = [ds - h[:, None] * db]
         right = [(da - slope[:, None] * db) / b[:, None]]
         if self.bends is not None:
-            across = q[:, Z1], q[:, Z2]
+            across = q[:, At.Z1], q[:, At.Z2]
             dual = cross(across[1], m), cross(m, across[0])
             # The foot's motion is that against the ray, seen from Γ1: the other sign
             moves = [self.towards(-d / b[:, None]).reshape(num, 21) for d in dual]
@@ -217,7 +222,7 @@ def by_dofs(surfaces: tuple[Surface, Surface], rays: Rays) -> npt.NDArray:
     middle = _table(above, reference_middle(above)[None], 1)[1:, 0] @ to_dofs[1]
     num0 = on0.shape[2]
     T = np.zeros((len(rays.X), 7, num0 + on1.shape[2]))
-    T[:, R, :num0], T[:, Z1, :num0], T[:, Z2, :num0] = on0
-    T[:, R, num0:], T[:, T1, num0:], T[:, T2, num0:] = -on1[0], on1[1], on1[2]
-    T[:, C1, num0:], T[:, C2, num0:] = middle
+    T[:, At.R, :num0], T[:, At.Z1, :num0], T[:, At.Z2, :num0] = on0
+    T[:, At.R, num0:], T[:, At.T1, num0:], T[:, At.T2, num0:] = -on1[0], on1[1], on1[2]
+    T[:, At.C1, num0:], T[:, At.C2, num0:] = middle
     return T

@@ -26,8 +26,8 @@ from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
 from hypergap_dolfinx.gap.opposite import (
-    INNER,
     Frames,
+    Label,
     Pieces,
     cross,
     find_pieces,
@@ -83,7 +83,7 @@ class _Edges:
     def motion(self) -> npt.NDArray[np.float64]:
         """Derivatives of the edges' motions along the normals by q, ``(num, 7, 3)``."""
         _, n1, m = self.rays.normals
-        t = self.rays.q[:, heights.T1], self.rays.q[:, heights.T2]
+        t = self.rays.q[:, heights.At.T1], self.rays.q[:, heights.At.T2]
         dual = cross(t[1], m), cross(m, t[0])  # in the plane across M
         w = sum(self.normal[:, k, None] * dual[k] for k in (0, 1))
         return self.rays.towards(w / heights.dot(n1, m)[:, None])
@@ -260,7 +260,7 @@ def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
     """
     n0, _, _ = edges.rays.normals
     _, a, b = edges.rays.products
-    t = edges.rays.q[:, [heights.T1, heights.T2]]
+    t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
     slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
     slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
     motion = edges.motion.reshape(-1, 21)
@@ -382,7 +382,7 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
         outline: Whether only Γ0's outline is.
     """
     pieces = state.pieces
-    there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != INNER)
+    there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
     at_end = _is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
     there &= np.broadcast_to(which, len(there))[:, None]
     if outline:

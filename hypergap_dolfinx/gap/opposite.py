@@ -12,6 +12,7 @@ the other side are: as these pass, what changes is how a part is divided.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +27,12 @@ PAIRS = 1_000_000
 """Pairs of facets that are looked at in one go."""
 SLIVER = 1e-14
 """Area of a piece, over its facet's, that is none."""
-INNER = -1
-"""Label of a piece's edge that is none of Γ0's facet."""
+
+
+class Label(IntEnum):
+    """Of a piece's edge that is none of Γ0's facet."""
+
+    INNER = -1
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class Pieces:
     num: npt.NDArray[np.intp]
     """Numbers of corners, ``(num_pieces,)``."""
     label: npt.NDArray[np.intp]
-    """Number of Γ0's facet's edge from each corner to the next, or :data:`INNER`."""
+    """Number of Γ0's facet's edge from each corner to the next, or :data:`Label.INNER`."""
 
     def some(self, some) -> "Pieces":
         """A part of them: numbers, or which."""
@@ -152,7 +157,7 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
     f0, f1 = f0[pair], f1[pair]
     # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
     sides = corners.shape[1]
-    label = np.where(label == INNER, INNER, (sides - 2 - label) % sides)
+    label = np.where(label == Label.INNER, Label.INNER, (sides - 2 - label) % sides)
     if above.geometry.dim == 3:  # the map is affine
         X = reference_middle(above) + y
     else:
@@ -195,11 +200,11 @@ def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
 
     Returns:
         Corners, of which the last one is repeated; their numbers; which edge of the other one each
-        edge is on, or :data:`INNER`.
+        edge is on, or :data:`Label.INNER`.
     """
     y, num = polygons, len(polygons)
     count = np.full(num, y.shape[1])
-    label = np.full(y.shape[:2], INNER)
+    label = np.full(y.shape[:2], Label.INNER)
     for k in range(by.shape[1]):
         start, end = by[:, k], by[:, (k + 1) % by.shape[1]]
         t = end - start
