@@ -8,6 +8,7 @@
 import logging
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -81,6 +82,8 @@ class Contact:
         """
         if sliding not in ("finite", "small"):
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
+        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+            raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a contact is a pair: a function space and facets.")

@@ -172,10 +172,10 @@ def problem(
         tags = dolfinx.mesh.meshtags(body.mesh, 1, loaded, np.full(len(loaded), 1, dtype=np.int32))
         ds = ufl.Measure("ds", body.mesh, subdomain_data=tags)(1)
         normal = ufl.FacetNormal(body.mesh)
-        load = ufl.dot(ufl.dot(body.stress(ufl.as_vector(exact(x))), normal), v) * ds
+        load = ufl.inner(ufl.dot(body.stress(ufl.as_vector(exact(x))), normal), v) * ds
         zero = fem.Constant(body.mesh, default_scalar_type((0, 0)))
         a.append(body.a)
-        L.append(load + ufl.dot(zero, v) * ufl.dx)
+        L.append(load + ufl.inner(zero, v) * ufl.dx)
         for tag, components in ((tag, c) for b, tag, c in fixed if b == i):
             for c in components:
                 W, _ = body.V.sub(c).collapse()
@@ -223,7 +223,7 @@ def dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
     """All of a matrix, on every rank."""
     A = A.convert("aij", PETSc.Mat())  # not in place
     (start, end), (_, columns) = A.getOwnershipRange(), A.getSize()
-    rows = np.zeros((end - start, columns))
+    rows = np.zeros((end - start, columns), dtype=PETSc.ScalarType)
     indptr, j, values = A.getValuesCSR()
     rows[np.repeat(np.arange(end - start), np.diff(indptr)), j] = values
     A.destroy()
@@ -272,7 +272,7 @@ def is_regular(problem: TiedProblem) -> bool:
     if np.linalg.svd(B, compute_uv=False).min(initial=1) <= 1e-9:
         return False
     try:
-        return np.linalg.cholesky(K + B.T @ B).diagonal().min() ** 2 > 1e-9
+        return np.linalg.cholesky(K + B.T @ B).diagonal().real.min() ** 2 > 1e-9
     except np.linalg.LinAlgError:
         return False
 
@@ -335,14 +335,14 @@ def smooth_problem(
         x, v = ufl.SpatialCoordinate(body.mesh), ufl.TestFunction(body.V)
         sigma = body.stress(ufl.as_vector(smooth(x, ufl)))
         rule = {"quadrature_degree": 2 * body.V.ufl_element().degree + 2}
-        load = -ufl.dot(ufl.div(sigma), v) * ufl.dx(metadata=rule)
+        load = -ufl.inner(ufl.div(sigma), v) * ufl.dx(metadata=rule)
         facets = [body.facets(tag) for b, tag in tied if b == i]
         inner = np.unique(np.concatenate([*facets, np.empty(0, dtype=np.int32)])).astype(np.int32)
         if alone == "loaded":
             ones = np.full(len(inner), 1, dtype=np.int32)
             tags = dolfinx.mesh.meshtags(body.mesh, 1, inner, ones)
             ds = ufl.Measure("ds", body.mesh, subdomain_data=tags, metadata=rule)(1)
-            load += ufl.dot(ufl.dot(sigma, ufl.FacetNormal(body.mesh)), v) * ds
+            load += ufl.inner(ufl.dot(sigma, ufl.FacetNormal(body.mesh)), v) * ds
         rest = body.boundary if alone == "held" else np.setdiff1d(body.boundary, inner)
         value = fem.Function(body.V)
         value.interpolate(lambda x: np.array(smooth(x)))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers import thorough
 
+from dolfinx import default_scalar_type
 from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 
 comm = MPI.COMM_WORLD
@@ -40,6 +41,8 @@ class Demo:
     """Exit status."""
     script: str = ""
     """Its file, if not by its name."""
+    complex_numbers: bool = False
+    """Whether it needs complex scalars; then it runs with `make test-complex`."""
 
 
 DEMOS = {
@@ -106,6 +109,12 @@ DEMOS = {
         {"energy": 0.26857578, "energy_difference": 6.255e-4, "newton_steps.-1": 6},
         {"residuals.-1": 1e-11, "residuals.-2": 1e-6, "displacement_difference": 1e-5},
         pictures=("hyperelasticity",),
+    ),
+    "incompressible": Demo(
+        "--levels 2",
+        {"0.error": 2.8192e-4, "1.error": 3.536e-5, "1.stress": 1.571e-3, "1.pressure": 7.530e-4},
+        {"2.error": 1e-11},
+        pictures=("incompressible",),
     ),
     "ironing": Demo(
         "--flat --steps 4",
@@ -192,6 +201,19 @@ DEMOS = {
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
     ),
+    "thermal_resistance": Demo(
+        "--levels 2",
+        {"rows.0.error": 1.691e-5, "rows.4.error": 2.00e-6, "rows.6.error": 1.508e-6},
+        {"rows.*.flux": 2e-5},
+        accuracy=3e-3,
+        pictures=("thermal_resistance",),
+    ),
+    "wave": Demo(
+        "--degrees 1 2",
+        {"0.error": 0.31441, "1.error": 2.0665e-3, "1.reflected": 7.980e-5},
+        {"*.ratio": 1.05},
+        complex_numbers=True,
+    ),
     "write_files": Demo("FOLDER", {"force.1": -0.1}, accuracy=1e-10, pictures=("write_files",)),
 }
 
@@ -231,6 +253,8 @@ def is_drawn(file):
 )
 def test_demo(name, tmp_path, monkeypatch, capfd):
     demo = DEMOS[name]
+    if demo.complex_numbers and not np.issubdtype(default_scalar_type, np.complexfloating):
+        pytest.skip("needs complex scalars")
     for package in (*demo.needs, *["pyvista"] * bool(demo.pictures)):
         pytest.importorskip(package)
     arguments = [str(tmp_path) if a == "FOLDER" else a for a in demo.arguments.split()]

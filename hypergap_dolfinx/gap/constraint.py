@@ -218,7 +218,7 @@ def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:
 
 
 def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Global rows, global columns and values of this rank's rows."""
+    """Global rows, global columns and values of this rank's rows; real, as geometry is."""
     start, end = B.getOwnershipRange()
     indptr, columns, values = B.getValuesCSR()
-    return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values
+    return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values.real

@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.gap.compliance import Compliance
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
@@ -26,6 +28,10 @@ class Interface(Protocol):
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
+
+    @property
+    def components(self) -> tuple[Component, Component]:
+        """What these are among the dofs of their bodies."""
 
     @property
     def sigma(self) -> Mesh:
@@ -57,6 +63,16 @@ class Interface(Protocol):
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
+
+    @property
+    def compliance(self) -> Compliance | None:
+        """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
+
+    def offset(self) -> PETSc.Vec | None:
+        """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """A side, and u₁ − u₀ now at its dofs, this rank's owned rows; None if 0. Collective."""
 
 
 class Pieces(Protocol):

@@ -80,6 +80,16 @@ class Choice:
     lost: list[npt.NDArray[np.intp]]
     """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
 
+    def add(self, of: Sequence[int], other: "Choice"):
+        """Take in what was chosen for some of the ties, which have these numbers here."""
+        start = len(self.interfaces)
+        self.interfaces += [[of[t] for t in group] for group in other.interfaces]
+        self.columns += other.columns
+        for t, (row, group, column, value) in zip(of, other.entries, strict=True):
+            self.entries[t] = row, group + start, column, value
+        for t, complete, lost in zip(of, other.complete, other.lost, strict=True):
+            self.complete[t], self.lost[t] = complete, lost
+
 
 class _Smooth:
     """Smooth pieces of the bodies' surfaces that ties lie on, found when they are asked for."""
@@ -194,14 +204,25 @@ def choose(
 ) -> Choice:
     """Choose the multipliers. Collective.
 
+    A body with several fields counts as several bodies here: ties of different fields don't meet.
+
     Args:
         ties: The ties.
         bodies: Numbers of the bodies on both sides of each tie.
         prescribed: Which owned dofs of each body are prescribed, ``(num_dofs * block_size,)``.
     """
+    sizes = [tie.block_size for tie in ties]
+    none, num = np.empty(0, dtype=np.intp), len(ties)
+    chosen = Choice([], [], [(none, none, none, none)] * num, [True] * num, [none] * num)
+    for size in dict.fromkeys(sizes):
+        of = [t for t, other in enumerate(sizes) if other == size]
+        chosen.add(of, _choose([ties[t] for t in of], [bodies[t] for t in of], prescribed))
+    return chosen
+
+
+def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Choice:
+    """The same for ties with as many components. Collective."""
     groups = interfaces(ties, bodies)
-    if not ties:
-        return Choice([], [], [], [], [])
     every = Every(ties, bodies)
     users = every.users()
     label = _merge(every, users)
