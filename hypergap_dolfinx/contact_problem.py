@@ -17,7 +17,13 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import progress
 from hypergap_dolfinx.contact import ALIKE, Contact
-from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, raise_on_all
+from hypergap_dolfinx.errors import (
+    InterfaceError,
+    InvertedCellError,
+    SolveError,
+    raise_on_all,
+    spot,
+)
 from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
@@ -242,7 +248,7 @@ class ContactProblem(ContactSystem):
                     self._path.stop(done)
                     if done or self._solved:
                         for rows in self._rows:
-                            rows.look(False)
+                            rows.look()
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}"
                     ) from error
@@ -276,7 +282,7 @@ class ContactProblem(ContactSystem):
         """Say which surfaces have nothing opposite."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             if comm.rank == 0 and not (rows.m > 0).any():
-                x0, x1 = (surface.x.mean(axis=0) for surface in contact.surfaces)
+                x0, x1 = (spot(surface.x) for surface in contact.surfaces)
                 LOG.warning(
                     f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
                     "are these the right facets?"

@@ -186,6 +186,7 @@ class TiedProblem(TiedSystem):
         failure = self._solver.failure()
         if failure:
             raise SolveError(failure)
+        self._check_constants()
         self._assign(self._x)
         self._solved = True
         return self._u

@@ -79,6 +79,56 @@ class Body:
         return self.ft.indices[np.isin(self.ft.values, tags)]
 
 
+def lame_constants(E: float = E, nu: float = NU) -> tuple[float, float]:
+    """Of Young's modulus and Poisson's ratio."""
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+@dataclass
+class Elastic:
+    """An elastic body's displacement and virtual work.
+
+    Whatever varies is a constant of the form, so that all scenes with one element share kernels.
+    """
+
+    u: fem.Function
+    F: ufl.Form
+    load: fem.Constant
+    """Traction downwards where the body is loaded."""
+    weight: fem.Constant
+    """The same in all of it."""
+
+    @classmethod
+    def on(cls, V, constants=None, *, large=False, loaded=()) -> "Elastic":
+        """A body.
+
+        Args:
+            V: Its space.
+            constants: Lamé's, μ and λ.
+            large: Whether it is neo-Hookean; else strain is small.
+            loaded: Facets with the traction.
+        """
+        mesh, degree = V.mesh, V.ufl_element().degree
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        mu, lame, neo, load, weight = (
+            fem.Constant(mesh, default_scalar_type(value))
+            for value in (*(constants or lame_constants()), float(large), 0, 0)
+        )
+        G, eps = ufl.Identity(len(u)) + ufl.grad(u), ufl.sym(ufl.grad(u))
+        log = ufl.ln(ufl.det(G))
+        W = ufl.conditional(
+            ufl.gt(neo, 0.5),
+            mu / 2 * (ufl.inner(G, G) - len(u) - 2 * log) + lame / 2 * log**2,
+            mu * ufl.inner(eps, eps) + lame / 2 * ufl.tr(eps) ** 2,
+        )
+        facets = np.sort(np.asarray(loaded, dtype=np.int32))
+        tags = dolfinx.mesh.meshtags(mesh, len(u) - 1, facets, np.ones_like(facets))
+        ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
+        F = ufl.derivative(W * dx, u) + weight * v[len(u) - 1] * dx + load * v[len(u) - 1] * ds
+        return cls(u, F, load, weight)
+
+
 def rectangle(n, low, high, *, cell="quadrilateral", degree=1, E=E, nu=NU, mapping=None, **options):
     """A block from one corner to the other."""
     low, high = np.asarray(low), np.asarray(high)

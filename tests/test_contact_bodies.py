@@ -9,11 +9,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from assembly import Body, rectangle
+from assembly import Body, Elastic, lame_constants, rectangle
 
 import dolfinx
 import meshes
-import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import CellType, GhostMode
 from hypergap_dolfinx import Contact, ContactProblem, Tie
@@ -28,11 +27,19 @@ class Assembly:
 
     def __init__(self, bodies):
         self.bodies, self.bcs, self.sides = bodies, [], []
-        self.u = [fem.Function(body.V) for body in bodies]
-        self.F = [
-            ufl.inner(body.stress(u), ufl.sym(ufl.grad(ufl.TestFunction(body.V)))) * ufl.dx
-            for body, u in zip(bodies, self.u, strict=True)
-        ]
+        self._elastic = [self._loaded(body, ()) for body in bodies]
+
+    @staticmethod
+    def _loaded(body, facets):
+        return Elastic.on(body.V, lame_constants(body.E, body.nu), loaded=facets)
+
+    @property
+    def u(self):
+        return [elastic.u for elastic in self._elastic]
+
+    @property
+    def F(self):
+        return [elastic.F for elastic in self._elastic]
 
     def hold(self, i, component, *tags):
         """Returns the value, for the user to change."""
@@ -53,12 +60,10 @@ class Assembly:
             fem.dirichletbc(fem.Function(V.sub(component).collapse()[0]), dofs, V.sub(component))
         )
 
-    def load(self, i, tag, component=1):
-        body = self.bodies[i]
-        value = fem.Constant(body.mesh, default_scalar_type(0))
-        v, ds = ufl.TestFunction(body.V), ufl.Measure("ds", body.mesh, subdomain_data=body.ft)
-        self.F[i] += value * v[component] * ds(tag)
-        return value
+    def load(self, i, tag):
+        """Returns the traction downwards, for the user to change."""
+        self._elastic[i] = self._loaded(self.bodies[i], self.bodies[i].facets(tag))
+        return self._elastic[i].load
 
     def side(self, i, tag):
         return self.bodies[i].V, self.bodies[i].facets(tag)

@@ -289,6 +289,19 @@ def test_what_can_still_move():
     bcs = [prescribed(left.V, left.facets(BOTTOM, TOP, LEFT, RIGHT), linear)]
     with raises(SolveError, r"singular: 1 rigid motion of .* \(a pressure at a node, where"):
         TiedProblem([left.a], [None], bcs=bcs).solve()
+    bcs = [
+        prescribed(part.V, part.facets(BOTTOM, TOP, tag), linear)
+        for part, tag in ((left, LEFT), (right, RIGHT))
+    ]
+    with raises(SolveError, "singular: a pressure .* is known up to a constant only; hold it at a"):
+        TiedProblem([left.a, right.a], [None, None], bcs=bcs, ties=[tie]).solve()
+    Q = left.W.sub(1)
+    corner = fem.locate_dofs_geometrical(
+        (Q, Q.collapse()[0]), lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 0)
+    )
+    bcs.append(fem.dirichletbc(fem.Function(Q.collapse()[0]), corner, Q))
+    ws = TiedProblem([left.a, right.a], [None, None], bcs=bcs, ties=[tie]).solve()
+    assert error([w.sub(1) for w in ws], lambda x: 0 * x[0]) <= 1e-11
 
 
 @pytest.mark.ranks(2)

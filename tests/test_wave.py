@@ -60,6 +60,23 @@ def test_damped_bodies(solver):
 
 @needs_complex
 @pytest.mark.ranks(2)
+def test_three_damped_bodies():
+    """They meet in a point: rows of B are compared there, to choose multipliers."""
+    corners = ((0, 0), (2, 1)), ((0, 1), (1, 2)), ((1, 1), (2, 2))
+    bodies = [
+        rectangle((n, n), low, high, degree=2, E=DAMPED)
+        for n, (low, high) in zip((5, 2, 1), corners, strict=True)
+    ]
+    pairs = [((0, TOP), (1, BOTTOM)), ((0, TOP), (2, BOTTOM)), ((1, RIGHT), (2, LEFT))]
+    ties = [tie(bodies, *pair) for pair in pairs]
+    held = [(0, LEFT, (0, 1)), (2, TOP, (0, 1))]  # the last tie is left with one multiplier
+    p = problem(bodies, ties, [side for pair in pairs for side in pair], held, turned)
+    p.solve()
+    assert displacement_error(p, turned) <= SOLVED
+
+
+@needs_complex
+@pytest.mark.ranks(2)
 def test_damped_bodies_that_are_free():
     """One that nothing holds is found, or held by the other."""
     bodies = blocks()

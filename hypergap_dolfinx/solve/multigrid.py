@@ -40,8 +40,8 @@ class Multigrid(IterativeSolver):
         **prefixed("interface_", LU),
     }
     ADVICE = (
-        '; solver="iterative" is for stiffness that is symmetric (of complex numbers: Hermitian) '
-        'and positive definite, and for cells of good shape: take solver="direct"'
+        '; solver="iterative" is for stiffness that is symmetric and positive definite '
+        '(complex: Hermitian), and for cells of good shape: take solver="direct"'
     )
 
     @classmethod

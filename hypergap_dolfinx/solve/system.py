@@ -20,6 +20,7 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve import checks, saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.constants import undetermined
 from hypergap_dolfinx.solve.interface import Interface, Pieces
 from hypergap_dolfinx.solve.motions import free_motions
 from hypergap_dolfinx.solve.solver import Solver, System
@@ -56,7 +57,7 @@ class TiedSystem(disposal.Owner):
         self._a, self._u, self._pieces = list(a), list(u), pieces
         ties = pieces.ties
         self._solved = False
-        self._motions_known = False
+        self._motions_known = self._constants_known = False
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
@@ -109,6 +110,17 @@ class TiedSystem(disposal.Owner):
                 f"{PRESSURES if any(map(is_mixed, self._system.spaces)) else ''}."
             )
         self._motions_known = True
+
+    def _check_constants(self):
+        """Raise if a pressure is known up to a constant only. Once, after a solve; collective."""
+        if self._constants_known:
+            return
+        if undetermined(self._system, self._solver, self._b):
+            raise SolveError(
+                "the matrix is singular: a pressure (or another scalar of a mixed space) is known "
+                "up to a constant only; hold it at a node."
+            )
+        self._constants_known = True
 
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
