@@ -142,9 +142,15 @@ DEMOS = {
     ),
     "own_system": Demo("--levels 2", {"0.l2": 5.402e-5, "1.l2": 6.759e-6}, {"1.iterations": 180}),
     "partial_overlap": Demo(
+        "--degree 1 --cell mixed --scene rotated crossing",
+        {"*.ok": True},
+    ),
+    "partial_overlap_mixed": Demo(
         "--degree 1 --cell mixed",
         {"*.ok": True},
         {"*.l2": 5e-3},
+        script="partial_overlap",
+        slow=True,
     ),
     "partial_overlap_tetrahedra": Demo(
         "--cell tetrahedron",
