@@ -5,9 +5,12 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Facing pieces that overlap in part, cut to what both have in common."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.gap.courses import upright
 from hypergap_dolfinx.gap.cut import Cut
 from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
@@ -51,7 +54,15 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     number = np.full(len(mine), -1)
     number[mine] = np.arange(len(cells))
     behind = np.where(behind >= 0, number[behind], -1)
-    return sorted_out(side, x, cells, behind, origin, weights)
+    kept = sorted_out(side, x, cells, behind, origin, weights)
+    if cut.courses:
+        f, k = np.nonzero(left[mine])
+        bends = np.zeros((len(cells), 3, cut.courses.degree - 1, 2))
+        ends = weights[f[:, None], np.column_stack((k, (k + 1) % 3)), 1:]
+        pairs = np.column_stack((cells[f, k], cells[f, (k + 1) % 3]))
+        bends[f, k] = cut.courses.bends(pairs, origin[f], ends)
+        kept = replace(kept, bends=upright(kept.X, bends))
+    return kept
 
 
 def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
@@ -101,8 +112,9 @@ def parts(side: Side) -> list[Side]:
         mine = part == p
         vertices, triangles = np.unique(side.triangles[mine], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
+        bends = None if side.bends is None else side.bends[mine]
         found.append(
-            Side(side.surface, side.x[vertices], triangles, side.facets[mine], side.X[mine])
+            Side(side.surface, side.x[vertices], triangles, side.facets[mine], side.X[mine], bends)
         )
     return found
 

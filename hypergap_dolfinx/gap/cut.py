@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap.courses import Arcs, Courses, Edge
 from hypergap_dolfinx.gap.cutting import Cutting
 from hypergap_dolfinx.gap.outlines import Edges, locate
 from hypergap_dolfinx.gap.pieces import Side
@@ -45,6 +46,7 @@ class Cut:
         self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
         self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
         self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
+        self.courses: Courses | None = None  # of it, if it is curved
         corner = side.triangles.ravel()
         self._fans = np.argsort(corner, kind="stable") // 3
         self._starts = np.searchsorted(np.sort(corner), np.arange(self.num_vertices + 1))
@@ -149,6 +151,10 @@ class Cut:
         a, b = sorted(edge)
         return (a, b) if self.around(a, b) else None
 
+    def parameter(self, node: int) -> float:
+        """Where a new node is on its edge."""
+        return self.at[node - self.num_vertices][2]
+
     def between(self, a: int, b: int) -> list[int]:
         """The nodes on an edge from one of its vertices to the other, both included."""
         if a > b:
@@ -183,8 +189,13 @@ class Cut:
 
     # The other's outline
 
-    def draw(self, u: int, v: int):
-        """Put a segment between two nodes into the triangles that it crosses."""
+    def draw(self, u: int, v: int) -> list[tuple[int, float]]:
+        """Put a segment between two nodes into the triangles that it crosses.
+
+        Returns:
+            The nodes along it, and where they are on it, from 0 to 1.
+        """
+        passed = [(u, 0.0)]
         start, target = self.flat(u), self.flat(v)
         along = target - start
         square = float(along @ along)
@@ -197,7 +208,7 @@ class Cut:
             common = set(near).intersection(self.triangles_at(v))
             if common:
                 self._join(u, v, min(common))
-                return
+                return [*passed, (v, 1.0)]
             best = None
             for triangle in near:
                 for progress, step in self._exits(u, triangle, start, along / square, across):
@@ -209,6 +220,7 @@ class Cut:
             w = self.on_edge(*step) if len(step) == 3 else step[0]
             if w != u:
                 self._join(u, w, triangle)
+                passed.append((w, done))
             u = w
         raise InterfaceError(
             f"the outline of the other side can't be drawn on {self.side.surface.name} from "
@@ -275,9 +287,49 @@ class Cut:
         nodes = dict(twins)
         for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
             nodes[node] = self.in_triangle(t, w)
-        for u, v in crossing:
-            if nodes[u] != nodes[v]:
-                self.draw(nodes[u], nodes[v])
+        drawn = [
+            (other.part(u, v), self.draw(nodes[u], nodes[v]))
+            for u, v in crossing
+            if nodes[u] != nodes[v]
+        ]
+        if any(cut.side.surface.curved.any() for cut in (self, other)):
+            self._settle(Courses(self.side, other.side), drawn, set(nodes.values()))
+
+    def part(self, u: int, v: int) -> tuple[Edge, float, float]:
+        """The edge that two nodes of the own outline lie on, and their parameters."""
+        edge = self.edge_of((u, v))
+        assert edge
+        s = [float(n == edge[1]) if n < self.num_vertices else self.parameter(n) for n in (u, v)]
+        return (self.around(*edge)[0], *edge), s[0], s[1]
+
+    def _settle(self, courses: Courses, drawn, located: set[int]):
+        """Move nodes to where the other's outline crosses edges; where it doesn't, they stay.
+
+        Args:
+            courses: Of the outline.
+            drawn: Its parts, and the nodes along each.
+            located: Nodes at ends of parts.
+        """
+        for (edge, r0, r1), passed in drawn:
+            courses.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
+        inner = [node for node in courses.between_ends() if node not in located]
+        inner = [n for n in inner if n >= self.num_vertices and len(self.at[n - self.num_vertices]) == 3]
+        at = [self.at[node - self.num_vertices] for node in inner]
+        arcs = Arcs.between(
+            self.side, [self.around(a, b)[0] for a, b, _ in at], [(a, b) for a, b, _ in at]
+        )
+        new = courses.settled(inner, arcs, [s for _, _, s in at])
+        settled = set(located)
+        for edge in dict.fromkeys(at[i][:2] for i, node in enumerate(inner) if node in new):
+            on = [(new.get(node, s), node) for s, node in self.on[edge]]
+            near = self.snap / float(np.linalg.norm(self.side.x[edge[1]] - self.side.x[edge[0]]))
+            if np.diff([0.0, *(s for s, _ in on), 1.0]).min() > near:
+                self.on[edge] = on
+                for s, node in on:
+                    self.at[node - self.num_vertices] = (*edge, s)
+                settled.update(node for _, node in on if node in new)
+        courses.close(settled)
+        self.courses = courses
 
     # The triangles
 
@@ -348,10 +400,15 @@ class Cut:
             ends = [float(n == edge[1]) for n in (u, v)]
             for i, n in enumerate((u, v)):
                 if n >= self.num_vertices:
-                    ends[i] = self.at[n - self.num_vertices][2]
+                    ends[i] = self.parameter(n)
             self.on_edge(*edge, (1 - s) * ends[0] + s * ends[1])
             return set(self.around(*edge))
+        r = np.nan
+        if self.courses:
+            weights, r = self.courses.foot(u, v, s, triangle, weights)
         node = self.in_triangle(triangle, weights)
+        if self.courses:
+            self.courses.split(u, v, node, r)
         for segments in (self.segments[triangle], self.path):
             for i, pair in enumerate(segments):
                 if set(pair) == {u, v}:
