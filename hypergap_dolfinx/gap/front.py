@@ -17,6 +17,7 @@ from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.metric import FLAT
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.rim import through
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
@@ -274,6 +275,8 @@ class Filling:
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges through the gap in walls, if the surfaces are curved, ``(num_edges, 2)``."""
 
     @property
     def cells(self) -> npt.NDArray[np.integer]:
@@ -306,7 +309,7 @@ class _Workshop:
         made = cavity.fill(filling.with_cells(filling.cells[~gone]).mesh, self.outer, self.place)
         if made is None or not cavity.is_whole(made[0].cells, self.outer):
             return None
-        return Filling(made[0], filling.hosts + made[1])
+        return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])
 
     def swapped(self, filling: Filling) -> Filling:
         """Other cells where some are turned over."""
@@ -372,11 +375,13 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
+        walls = through(front.walls, problem.n0) if margins else NONE
+        filling = Filling(mesh, [], walls=walls)
         if not front.is_valid:
-            fronts.append((front, Filling(mesh, [])))
+            fronts.append((front, filling))
             continue
         shop = workshop(front)
-        filling = shop.swapped(Filling(mesh, []))
+        filling = shop.swapped(filling)
         found.append((shop.num_bad(filling), filling, shop))
         if not found[-1][0]:
             return filling

@@ -79,7 +79,8 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
     f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
     X0, X1 = (np.array([h[2][i] for h in filling.hosts]).reshape(1, -1, 2) for i in (0, 1))
-    return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)), filling.straight)
+    hosts = Hosts(alpha, (f0, f1), (X0, X1))
+    return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
 
 
 def curved_margins(slab: Slab) -> npt.NDArray[np.float64]:
@@ -132,7 +133,8 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     hosts: list[Hosts] = []
 
     def keys(filling: front.Filling) -> list[bytes]:
-        marks = marked(filling.cells, filling.straight) @ (1 << np.arange(6))
+        edges = [marked(filling.cells, some) for some in (filling.straight, filling.walls)]
+        marks = np.hstack(edges) @ (1 << np.arange(12))
         data = np.column_stack((filling.cells, marks)).astype(np.int64).tobytes()
         return [data[i : i + 40] for i in range(0, len(data), 40)]
 
@@ -295,7 +297,7 @@ def share(
             slabs = make()
             arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
             result = [
-                (*part, slab.cells, slab.inner, slab.straight)
+                (*part, slab.cells, slab.inner, slab.straight, slab.walls)
                 for part, slab in zip(arrays, slabs, strict=True)
             ]
         except (InterfaceError, RuntimeError) as e:
