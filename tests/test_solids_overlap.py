@@ -46,8 +46,9 @@ def free_load(tie, i, V, stress_at=lambda x: linear_stress()):
     points, weights = basix.make_quadrature(basix.CellType.triangle, 6)
     load = np.zeros((V.dofmap.index_map.size_local, 3))
     for part, sign in parts:
-        edges = part.X[:, 1:] - part.X[:, :1]
-        at = (part.X[:, :1] + points @ edges).reshape(-1, 2)
+        each, at = np.repeat(np.arange(len(part.X)), len(points)), np.tile(points, (len(part.X), 1))
+        edges = part.slopes(each, at)
+        at = part.in_facets(each, at)
         shape = (len(part.X), len(points), -1)
         phi = surface.element.tabulate(0, at)[0, :, :, 0].reshape(shape)
         x, d, e = (
@@ -56,7 +57,7 @@ def free_load(tie, i, V, stress_at=lambda x: linear_stress()):
         )
         N = np.cross(d, e)  # the area with its normal, as to its length
         N *= np.copysign(1.0, np.einsum("tqi,ti->tq", N, part.normals))[..., None]
-        dA = sign * np.abs(np.linalg.det(edges))[:, None] * weights
+        dA = sign * np.abs(np.linalg.det(edges)).reshape(N.shape[:2]) * weights
         traction = (stress_at(x) @ N[..., None])[..., 0]
         values = np.einsum("tq,tqa,tqi->tai", dA, phi, traction)
         np.add.at(load, surface.dofs[part.facets], values)
