@@ -100,7 +100,7 @@ class Courses:
         self._ends: dict[tuple[int, int], tuple[Edge, float, float]] = {}
 
     def add(self, edge: Edge, nodes: list[int], r: list[float]):
-        """A part that is drawn: nodes along it, and parameters on the edge that they should have."""
+        """A part that is drawn: nodes along it, and what parameters they should have."""
         self._tracks.append((edge, nodes, r))
 
     def between_ends(self) -> list[int]:
@@ -118,6 +118,8 @@ class Courses:
         Returns:
             New parameters of the nodes at which it does.
         """
+        if not nodes:
+            return {}
         at: dict[int, tuple[int, int]] = {}
         for i, (_, along, _) in enumerate(self._tracks):
             for k, node in enumerate(along[1:-1], 1):
@@ -125,9 +127,9 @@ class Courses:
         places = [at[node] for node in nodes]
         others = self._arcs([self._tracks[i][0] for i, _ in places])
         r = np.array([self._tracks[i][2][k] for i, k in places])
-        s, r, good = crossings(arcs, others, np.asarray(s), r)
+        s, r, good = crossings(arcs, others, s, r)
         new = dict(zip(nodes, zip(s.tolist(), r.tolist(), good.tolist(), strict=True), strict=True))
-        found = {}
+        found: dict[int, float] = {}
         for i, (edge, along, before) in enumerate(self._tracks):
             own = [node for node in along[1:-1] if at[node][0] == i and node in new]
             after = [new[n][1] if n in own else b for n, b in zip(along, before, strict=True)]
@@ -195,8 +197,8 @@ class Courses:
         some = np.array([i for i, part in enumerate(parts) if part], dtype=np.intp)
         if not len(some) or not num:
             return found
-        edges, r0, r1 = zip(*(part for part in parts if part), strict=True)
-        arcs, r0, r1 = self._arcs(edges), np.array(r0), np.array(r1)
+        arcs = self._arcs([part[0] for part in parts if part])
+        r0, r1 = (np.array([part[i] for part in parts if part]) for i in (1, 2))
         own, t = triangle[some], np.arange(1, num + 1) / (num + 1)
         off = np.empty((len(some), num, 2))
         for j in range(num):

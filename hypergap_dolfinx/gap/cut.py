@@ -15,6 +15,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.errors import InterfaceError, spot
 from hypergap_dolfinx.gap.courses import Arcs, Courses, Edge
 from hypergap_dolfinx.gap.cutting import Cutting
+from hypergap_dolfinx.gap.nodes import Nodes
 from hypergap_dolfinx.gap.outlines import Edges, locate
 from hypergap_dolfinx.gap.pieces import Side
 
@@ -26,140 +27,22 @@ ROUNDS = 5
 """Times that angles are looked at: feet make others blunt where edges are almost parallel."""
 
 
-class Cut:
-    """A piece with nodes and edges put into it; its own triangles stay until the end.
-
-    Nodes are the piece's vertices, and new ones on its edges or in its triangles. Where they lie is
-    told by weights of vertices, in the triangulation of straight triangles.
-    """
+class Cut(Nodes):
+    """A piece with nodes and edges put into it; its own triangles stay until the end."""
 
     def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
         """A piece whose outline (loops of vertices) has nodes where it is curved."""
-        self.side, self.snap = side, snap
-        self.num_vertices = len(side.x)
+        super().__init__(side, snap)
         self.loops = [loop.tolist() for loop in outline]
-        self.at: list[
-            tuple
-        ] = []  # of each new node: an edge and a parameter, or a triangle's weights
-        self.on: dict[tuple[int, int], list[tuple[float, int]]] = {}  # nodes on each edge
-        self.inside: dict[int, list[int]] = defaultdict(list)  # nodes in each triangle
         self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
         self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
         self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
         self.courses: Courses | None = None  # of it, if it is curved
-        corner = side.triangles.ravel()
-        self._fans = np.argsort(corner, kind="stable") // 3
-        self._starts = np.searchsorted(np.sort(corner), np.arange(self.num_vertices + 1))
         degree = side.surface.geometry.degree
         for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
             if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
                 for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
                     self.on_edge(a, b, s)
-
-    # Nodes
-
-    def around(self, a: int, b: int | None = None) -> list[int]:
-        """The triangles at a vertex, or at an edge."""
-        fan = self._fans[self._starts[a] : self._starts[a + 1]]
-        if b is not None:
-            fan = fan[(self.side.triangles[fan] == b).any(axis=1)]
-        return fan.tolist()
-
-    def on_edge(self, a: int, b: int, s: float) -> int:
-        """The node at a parameter on an edge: a new one unless there is one beside it."""
-        if a > b:
-            a, b, s = b, a, 1 - s
-        near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
-        for r, node in [(0.0, a), (1.0, b), *self.on.get((a, b), [])]:
-            if abs(s - r) <= near:
-                return node
-        return self._new(a, b, s)
-
-    def _new(self, a: int, b: int, s: float) -> int:
-        node = self.num_vertices + len(self.at)
-        self.at.append((a, b, s))
-        self.on[a, b] = sorted([*self.on.get((a, b), []), (s, node)])
-        return node
-
-    def in_triangle(self, triangle: int, weights) -> int:
-        """The node at a place in a triangle; on its edge or its vertex if it is beside it."""
-        v = self.side.triangles[triangle].tolist()
-        x = self.side.x[v]
-        twice = float(np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])))
-        for k in range(3):
-            a, b = v[k], v[(k + 1) % 3]
-            length = float(np.linalg.norm(x[(k + 1) % 3] - x[k]))
-            if weights[(k + 2) % 3] * twice <= self.snap * length:
-                wa, wb = max(weights[k], 0.0), max(weights[(k + 1) % 3], 0.0)
-                return self.on_edge(a, b, wb / (wa + wb))
-        node = self.num_vertices + len(self.at)
-        self.at.append((triangle, np.asarray(weights)))
-        self.inside[triangle].append(node)
-        return node
-
-    def host(self, node: int) -> tuple[int, npt.NDArray[np.float64]]:
-        """A triangle that a node lies in, and the weights of its vertices."""
-        weights = np.zeros(3)
-        if node >= self.num_vertices and len(at := self.at[node - self.num_vertices]) == 2:
-            return at
-        a, b, s = (
-            (node, None, 0.0) if node < self.num_vertices else self.at[node - self.num_vertices]
-        )
-        triangle = self.around(a, b)[0]
-        v = self.side.triangles[triangle].tolist()
-        weights[v.index(a)] = 1 - s
-        if b is not None:
-            weights[v.index(b)] = s
-        return triangle, weights
-
-    def places(self, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Where nodes are on the (curved) surface, and its normals there."""
-        hosts = [self.host(node) for node in nodes]
-        triangle = np.array([t for t, _ in hosts], dtype=np.intp)
-        weights = np.array([w for _, w in hosts]).reshape(-1, 3)
-        x = self.side.points(triangle, weights[:, 1:])
-        n = self.side.vertex_normals[self.side.triangles[triangle]]
-        return x, np.einsum("pv,pvi->pi", weights, n)
-
-    def flat(self, node: int) -> npt.NDArray[np.float64]:
-        """Where a node is in the triangulation of straight triangles."""
-        if node < self.num_vertices:
-            return self.side.x[node]
-        triangle, weights = self.host(node)
-        return weights @ self.side.x[self.side.triangles[triangle]]
-
-    def triangles_at(self, node: int) -> list[int]:
-        """The triangles that a node lies in or at."""
-        if node < self.num_vertices:
-            return self.around(node)
-        at = self.at[node - self.num_vertices]
-        return [at[0]] if len(at) == 2 else self.around(at[0], at[1])
-
-    def edge_of(self, nodes) -> tuple[int, int] | None:
-        """The edge that two nodes both lie on."""
-        ends: list[set[int]] = []
-        for node in nodes:
-            if node < self.num_vertices:
-                ends.append({node})
-            elif len(at := self.at[node - self.num_vertices]) == 3:
-                ends.append({at[0], at[1]})
-            else:
-                return None
-        edge = ends[0] | ends[1]
-        if len(edge) > 2:
-            return None
-        a, b = sorted(edge)
-        return (a, b) if self.around(a, b) else None
-
-    def parameter(self, node: int) -> float:
-        """Where a new node is on its edge."""
-        return self.at[node - self.num_vertices][2]
-
-    def between(self, a: int, b: int) -> list[int]:
-        """The nodes on an edge from one of its vertices to the other, both included."""
-        if a > b:
-            return self.between(b, a)[::-1]
-        return [a, *(node for _, node in self.on.get((a, b), [])), b]
 
     # Its own outline
 
@@ -302,6 +185,10 @@ class Cut:
         s = [float(n == edge[1]) if n < self.num_vertices else self.parameter(n) for n in (u, v)]
         return (self.around(*edge)[0], *edge), s[0], s[1]
 
+    def arcs(self, edges: list[tuple[int, int]]) -> Arcs:
+        """Edges by their vertices."""
+        return Arcs.between(self.side, [self.around(*edge)[0] for edge in edges], edges)
+
     def _settle(self, courses: Courses, drawn, located: set[int]):
         """Move nodes to where the other's outline crosses edges; where it doesn't, they stay.
 
@@ -312,22 +199,18 @@ class Cut:
         """
         for (edge, r0, r1), passed in drawn:
             courses.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
-        inner = [node for node in courses.between_ends() if node not in located]
-        inner = [n for n in inner if n >= self.num_vertices and len(self.at[n - self.num_vertices]) == 3]
-        at = [self.at[node - self.num_vertices] for node in inner]
-        arcs = Arcs.between(
-            self.side, [self.around(a, b)[0] for a, b, _ in at], [(a, b) for a, b, _ in at]
-        )
-        new = courses.settled(inner, arcs, [s for _, _, s in at])
+        at = {
+            node: self.at[node - self.num_vertices]
+            for node in courses.between_ends()
+            if node >= self.num_vertices and node not in located
+        }
+        at = {node: place for node, place in at.items() if len(place) == 3}  # on edges
+        arcs = self.arcs([place[:2] for place in at.values()])
+        new = courses.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
         settled = set(located)
-        for edge in dict.fromkeys(at[i][:2] for i, node in enumerate(inner) if node in new):
-            on = [(new.get(node, s), node) for s, node in self.on[edge]]
-            near = self.snap / float(np.linalg.norm(self.side.x[edge[1]] - self.side.x[edge[0]]))
-            if np.diff([0.0, *(s for s, _ in on), 1.0]).min() > near:
-                self.on[edge] = on
-                for s, node in on:
-                    self.at[node - self.num_vertices] = (*edge, s)
-                settled.update(node for _, node in on if node in new)
+        for edge in dict.fromkeys(at[node][:2] for node in new):
+            if self.slide(edge, new):
+                settled.update(node for _, node in self.on[edge] if node in new)
         courses.close(settled)
         self.courses = courses
 

@@ -255,7 +255,7 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     order = np.lexsort((t, np.maximum(-ROUND_OFF - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]
     p, f, at = p[first], f[first], at[first]
-    if curved:
+    if curved and len(p):
         f, xi = side.project(points[p], f)
         at = np.column_stack((1 - xi.sum(axis=1), xi))
         inside = at.min(axis=1, initial=np.inf) >= -CONVERGED

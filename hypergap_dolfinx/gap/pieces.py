@@ -100,7 +100,7 @@ class Side:
         return degree if quarters.all() else 2 * degree
 
     @property
-    def arrays(self) -> tuple[npt.NDArray, ...]:
+    def arrays(self) -> tuple[npt.NDArray | None, ...]:
         """All but the surface."""
         return self.x, self.triangles, self.facets, self.X, self.bends
 
