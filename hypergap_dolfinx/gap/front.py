@@ -35,6 +35,9 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
+PARALLEL = 1e-2
+"""The same where edges would have to be straight: a cell between two edges that are parallel but
+for what they are curved is turned over, and a cone in its place is not."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -356,6 +359,9 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
     """
     for flat in (THIN, FLAT):
         filling = _construct(problem, place, margins, flat)
+        if filling and len(filling.straight):
+            other = _construct(problem, place, margins, PARALLEL)
+            filling = filling if other is None or len(other.straight) else other
         if filling:
             return filling
     return None
