@@ -58,6 +58,8 @@ class Problem:
     """Unit normals of the vertices, from Γ0 to Γ1."""
     rims: list[Rim]
     """Boundaries that face each other; none of closed surfaces."""
+    curved: bool = False
+    """Whether a side is."""
 
     @classmethod
     def between(cls, side0: Side, side1: Side) -> "Problem":
@@ -77,7 +79,8 @@ class Problem:
                 edges.append(np.column_stack((*three, np.full(len(loop), -1))))
         normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
         x = np.vstack((side0.x, side1.x))
-        return cls(x, n0, facets, np.vstack(edges), normals, pairs)
+        curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
+        return cls(x, n0, facets, np.vstack(edges), normals, pairs, curved)
 
     @cached_property
     def size(self) -> float:
@@ -381,8 +384,10 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
-        walls = through(front.walls, problem.n0) if margins else NONE
-        filling = Filling(mesh, [], walls=walls)
+        filling = Filling(mesh, [])
+        if problem.curved:
+            walls = through(front.walls, problem.x, problem.n0, problem.rims)
+            filling = replace(filling, walls=walls)
         if not front.is_valid:
             fronts.append((front, filling))
             continue

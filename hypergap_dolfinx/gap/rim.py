@@ -9,28 +9,48 @@ An edge through the gap between nodes of both outlines is a chord of these. What
 ends belongs on the outlines, or Σ is as much smaller or larger as chords are off.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.outlines import CORNER
 from hypergap_dolfinx.gap.pieces import CORNERS, Side
 from hypergap_dolfinx.gap.surface import lengths
+from hypergap_dolfinx.gap.walls import Rim
 
 NEWTON = 8  # steps to the nearest point of a curved edge
+WITHIN = 0.95  # of an edge's length along the outline, where a corner is not at its end
 FURTHER = 100  # edges that a point may be away along an outline
 
 
-def through(walls: npt.NDArray[np.integer], n0: int) -> npt.NDArray[np.integer]:
-    """Edges of walls that go from one side to the other.
+def through(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
+    """Edges of walls that go from one side to the other, and don't cut off a corner.
 
     Args:
         walls: Triangles, ``(num_triangles, 3)``.
+        x: Vertex coordinates of both sides.
         n0: Number of vertices of Γ0, which come first.
+        rims: The loops that walls are between.
 
     Returns:
         ``(num_edges, 2)``, of Γ0's vertex and Γ1's.
     """
     edges = np.sort(walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
-    return np.unique(edges[(edges[:, 0] < n0) & (edges[:, 1] >= n0)], axis=0)
+    edges = np.unique(edges[(edges[:, 0] < n0) & (edges[:, 1] >= n0)], axis=0)
+    keep = np.ones(len(edges), dtype=bool)
+    for rim in rims:
+        s = np.full(len(x), np.nan)
+        s[rim.nodes[0]], s[n0 + rim.nodes[1]] = rim.s[0][:-1], rim.s[1][:-1]
+        t = np.roll(x[rim.nodes[0]], -1, axis=0) - x[rim.nodes[0]]
+        t /= np.maximum(lengths(t), 1e-300)[:, None]
+        corners = rim.s[0][:-1][np.einsum("ei,ei->e", t, np.roll(t, 1, axis=0)) < np.cos(CORNER)]
+        middle, half = s[edges].mean(axis=1), np.ptp(s[edges], axis=1) / 2
+        far = half > 0.25  # the other way round
+        middle, half = (np.where(far, 0.5 + y, z) for y, z in ((middle, middle), (-half, half)))
+        apart = (corners[:, None] - middle + 0.5) % 1 - 0.5
+        keep &= ~(np.abs(apart) < WITHIN * half).any(axis=0)
+    return edges[keep]
 
 
 class Outline:
