@@ -6,6 +6,8 @@
 
 VENV := .venv
 BIN := $(CURDIR)/$(VENV)/bin
+COMPLEX := .venv-complex
+COMPLEX_BIN := $(CURDIR)/$(COMPLEX)/bin
 MPIRUN ?= $(BIN)/mpirun
 PYTEST_ARGS ?=
 DEMO_ARGS ?=
@@ -27,32 +29,47 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 .PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
-	test-mpi-4 test-blas clean
+	test-mpi-4 test-blas env-complex test-complex clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
 	@echo "make test      set up, check style and types, run all tests but the slow ones on"
 	@echo "               1, 2 and 3 ranks (PYTEST_ARGS=...)"
-	@echo "make test-all  the same with the slow ones, and the serial ones with BLAS for other processors"
+	@echo "make test-all  the same with the slow ones, the serial ones with BLAS for other processors,"
+	@echo "               and some with complex scalars"
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
 	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4;"
-	@echo "of test-all: test-blas."
+	@echo "of test-all: test-blas, test-complex (sets up $(COMPLEX), which holds DOLFINx's complex build)."
 	@echo "PYTHON=... names the Python (>= 3.12) to set up with, MPIRUN=... the mpirun to test with."
 
 env: $(VENV)/installed
 
-# DOLFINx compiles forms at run time, with the C compiler that Python was made with unless CC is set
-$(VENV)/installed: pyproject.toml
-	@$(BIN)/python -c '' 2>/dev/null || { \
-		python=$$(.ci/find_python) && echo "Setting up $(VENV) with $$python" && \
-		$$python -m venv --clear $(VENV); }
-	@cc=$${CC:-$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_config_var("CC"))')}; \
+# An empty environment. DOLFINx compiles forms at run time, with the C compiler that Python was made
+# with unless CC is set
+define set_up
+	@$(1)/bin/python -c '' 2>/dev/null || { \
+		python=$$(.ci/find_python) && echo "Setting up $(1) with $$python" && \
+		$$python -m venv --clear $(1); }
+	@cc=$${CC:-$$($(1)/bin/python -c 'import sysconfig; print(sysconfig.get_config_var("CC"))')}; \
 		echo '#include <stdlib.h>' | $$cc -x c -fsyntax-only - 2>/dev/null || \
 		{ echo "No C compiler ($$cc): apt-get install gcc libc6-dev (or set CC)" >&2; exit 1; }
+endef
+
+$(VENV)/installed: pyproject.toml
+	$(call set_up,$(VENV))
 	@echo "Installing what pyproject.toml names (some minutes, 2 GB)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@.ci/system_libraries $(BIN)/python
+	@touch $@
+
+env-complex: $(COMPLEX)/installed
+
+$(COMPLEX)/installed: pyproject.toml
+	$(call set_up,$(COMPLEX))
+	@echo "Installing DOLFINx with complex scalars (340 MB)"
+	@$(COMPLEX_BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
+		--editable '.[dev-complex]'
 	@touch $@
 
 demo: env
@@ -72,7 +89,7 @@ test: forget $(parts)
 	$(tell)
 
 test-all: PYTEST_ARGS += -m ''
-test-all: forget $(parts) test-blas
+test-all: forget $(parts) test-blas test-complex
 	$(tell)
 
 forget:
@@ -87,7 +104,7 @@ types: env
 	$(BIN)/mypy
 
 # One thread a rank: the meshes are small, and ranks times threads would be more than the cores
-test-serial test-mpi-2 test-mpi-3 test-mpi-4 test-blas: export OMP_NUM_THREADS := 1
+test-serial test-mpi-2 test-mpi-3 test-mpi-4 test-blas test-complex: export OMP_NUM_THREADS := 1
 
 # A worker a core; more than four would wait for one another's kernels
 workers = $(if $(shell $(BIN)/python -c 'import xdist; print(1)' 2>/dev/null), \
@@ -107,6 +124,16 @@ test-mpi-4: env
 	$(MPIRUN) $(mpi_options) -n 4 $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
 		tests/test_ranks.py
 
+# With complex scalars what computes with them: some files serial, fewer on two ranks. It has programs
+# and libraries of its own
+complex_tests := $(addprefix tests/test_,wave.py problem.py constraint.py adjust.py)
+test-complex: export PATH := $(COMPLEX_BIN):$(PATH)
+test-complex: env-complex
+	$(COMPLEX_BIN)/python -m pytest -W error::numpy.exceptions.ComplexWarning $(PYTEST_ARGS) \
+		$(complex_tests) 'tests/test_demos.py::test_demo[wave]'
+	$(COMPLEX_BIN)/mpirun -n 2 $(COMPLEX_BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
+		tests/test_wave.py tests/test_problem.py
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

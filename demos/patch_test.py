@@ -111,7 +111,7 @@ def displacements(comm, elements, shape, ratio, swap, exact):
         traction = t * x[1] if exact is bending else fem.Constant(mesh, default_scalar_type(t))
         V.append(W)
         forms.append(ufl.inner(sigma(u), ufl.sym(ufl.grad(v))) * ufl.dx)
-        loads.append(traction * v[0] * ds(meshes.RIGHT if tag != meshes.RIGHT else 99))
+        loads.append(ufl.inner(traction, v[0]) * ds(meshes.RIGHT if tag != meshes.RIGHT else 99))
         if tag != meshes.LEFT:
             dofs = fem.locate_dofs_topological(W.sub(0), 1, ft.find(meshes.LEFT))
             bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, W.sub(0)))
@@ -138,7 +138,7 @@ def relative_errors(us, exact):
         dx = ufl.dx(metadata={"quadrature_degree": 6})
         for i, (f, g) in enumerate(((u, u_exact), (sigma(u), sigma(u_exact)))):
             for j, e in enumerate((f - g, g)):
-                totals[2 * i + j] += fem.assemble_scalar(fem.form(ufl.inner(e, e) * dx))
+                totals[2 * i + j] += np.real(fem.assemble_scalar(fem.form(ufl.inner(e, e) * dx)))
     error_u, norm_u, error_s, norm_s = us[0].function_space.mesh.comm.allreduce(totals)
     return float(np.sqrt(error_u / norm_u)), float(np.sqrt(error_s / norm_s))
 

@@ -148,6 +148,20 @@ def traction_error(problem, tie, swap):
     return np.sqrt(q.integrate((error**2).sum(-1)) / q.integrate((exact**2).sum(-1)))
 
 
+def surface_traction_errors(problem, tie, swap):
+    """The same of the tractions on Γ0 and Γ1, recovered from the forces of λ."""
+    errors = []
+    for side in (0, 1):
+        t = tie.traction(problem, on=f"side{side}")
+        mesh = t.function_space.mesh  # of the surface
+        x, dx = ufl.SpatialCoordinate(mesh), ufl.dx(metadata={"quadrature_degree": 6})
+        outwards = 1 if (side == 0) != swap else -1  # the body's normal
+        exact = (A - 2 * B / c**3) * outwards * x / ufl.sqrt(ufl.dot(x, x))
+        squares = [fem.assemble_scalar(fem.form(ufl.dot(f, f) * dx)) for f in (t - exact, exact)]
+        errors.append(np.sqrt(np.divide(*mesh.comm.allreduce(np.array(squares)))))
+    return errors
+
+
 @contextmanager
 def stopwatch(seconds, name):
     """Seconds of a block, into a dictionary."""
@@ -174,6 +188,7 @@ def run(comm, h, degree, swap, refinements=0, adjust=True, cell="tetrahedron"):
         "l2": float(l2),
         "stress": float(stress),
         "traction": float(traction_error(problem, tie, swap)),
+        "surface_traction": [float(e) for e in surface_traction_errors(problem, tie, swap)],
         "seconds": seconds,
     }
     return row, problem, tie
@@ -214,13 +229,15 @@ def print_table(rows):
         f"\ndegree {row['degree']}, Γ1 is the {'inner' if row['swap'] else 'outer'} shell, "
         f"{'uniformly refined' if rows[-1]['refinements'] else 'regenerated'} meshes\n"
         "    h       dofs    L² displ.  rate    L² stress  rate    L² traction rate   "
-        "seconds (Σ + gap)" + ("   fused: dofs, L² displ., stress" if fused else "")
+        "on Γ0, on Γ1         seconds (Σ + gap)"
+        + ("   fused: dofs, L² displ., stress" if fused else "")
     )
     for i, row in enumerate(rows):
         text = f"{row['h']:6.3f} {row['dofs']:>9d}"
         for name in ("l2", "stress", "traction"):
             rate = np.log2(rows[i - 1][name] / row[name]) if i else np.nan
             text += f"   {row[name]:.3e}  {rate:4.2f}" if i else f"   {row[name]:.3e}      "
+        text += "   {:.2e}, {:.2e}".format(*row["surface_traction"])
         s = row["seconds"]
         text += f"   {sum(s.values()):7.2f}  ({s['sigma'] + s['gap']:.3f})"
         if fused:

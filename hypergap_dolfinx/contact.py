@@ -8,6 +8,7 @@
 import logging
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,6 @@ from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.strip import turns
 from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
-from hypergap_dolfinx.solve.interface import Gaps
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -38,9 +38,10 @@ Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 class Contact:
     """Two surfaces that can touch, part and slide without friction.
 
-    Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a
-    weight w_a = ∂ψ_a/∂α on it, a weighted gap g_a = ∫ w_a det X dξ, which is a volume, and a
-    pressure p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
+    Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a part
+    of it: in the plane by the weights w_a = ∂ψ_a/∂α of Σ's cells, in space what stands on its part
+    of Γ1's facets, along their normals. Its volume is the weighted gap g_a, and there is a pressure
+    p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
 
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
@@ -81,6 +82,8 @@ class Contact:
         """
         if sliding not in ("finite", "small"):
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
+        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+            raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a contact is a pair: a function space and facets.")
@@ -206,21 +209,18 @@ class Contact:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
         return self._depth
 
-    def gaps(self, u: Displacements, before: Gaps | None = None) -> Opening | PlaneOpening:
-        """Mesh Σ where the bodies are. Collective.
+    def gaps(self, u: Displacements) -> Opening | PlaneOpening:
+        """Find Σ where the bodies are. Collective.
 
         Args:
             u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
                 on every rank.
-            before: What was there before.
 
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
-        if self._surfaces[0].gdim == 2:
-            return PlaneOpening.between(self._comm, self._sides, u)
-        last = before if isinstance(before, Opening) else None
-        return Opening.between(self._comm, self._sides, u, last)
+        kind = PlaneOpening if self._surfaces[0].gdim == 2 else Opening
+        return kind.between(self._comm, self._sides, u)
 
     @property
     def swapped(self) -> bool:
@@ -293,7 +293,7 @@ class Contact:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
         on_body = self._on_body(on)
         rows = ContactRows(Touching(self, (u0, u1), (None, None)), [])
-        rows.look(True)
+        rows.look()
         opening = self._opening(rows)
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)

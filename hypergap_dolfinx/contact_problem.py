@@ -17,7 +17,14 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import progress
 from hypergap_dolfinx.contact import ALIKE, Contact
-from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, raise_on_all
+from hypergap_dolfinx.errors import (
+    InterfaceError,
+    InvertedCellError,
+    SolveError,
+    raise_on_all,
+    spot,
+)
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
@@ -108,6 +115,12 @@ class ContactProblem(ContactSystem):
             raise ValueError(
                 f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
             )
+        mixed = next((i for i, f in enumerate(u) if is_mixed(f.function_space)), None)
+        if mixed is not None:
+            raise ValueError(
+                f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
+                "and nothing else."
+            )
         _check_apart(contacts, ties)
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
@@ -142,7 +155,9 @@ class ContactProblem(ContactSystem):
         for contact, rows in zip(self._contacts, self._rows, strict=True):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        self._path = LoadPath(forms, self._u, bcs, moved)
+        laws = [law for tie in ties for law in (tie.jump, tie.compliance) if law]
+        arrays = [array for law in laws for array in law.arrays]
+        self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
@@ -233,7 +248,7 @@ class ContactProblem(ContactSystem):
                     self._path.stop(done)
                     if done or self._solved:
                         for rows in self._rows:
-                            rows.look(False)
+                            rows.look()
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}"
                     ) from error
@@ -267,7 +282,7 @@ class ContactProblem(ContactSystem):
         """Say which surfaces have nothing opposite."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             if comm.rank == 0 and not (rows.m > 0).any():
-                x0, x1 = (surface.x.mean(axis=0) for surface in contact.surfaces)
+                x0, x1 = (spot(surface.x) for surface in contact.surfaces)
                 LOG.warning(
                     f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
                     "are these the right facets?"

@@ -9,7 +9,8 @@
 all of :func:`on_sigma`'s, all of :func:`interpolated`'s, displacements as they are. ``XDMFFile``
 takes continuous functions of the mesh's own degree and constants on cells, and nothing else:
 :func:`interpolated`'s of degree 0, and displacements of a higher degree than the mesh's after
-``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s.
+``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s. None of them takes
+functions on mixed spaces: give them ``w.sub(0).collapse()``.
 """
 
 import ufl
@@ -56,7 +57,10 @@ def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
         Functions on ``tie.sigma`` with one element, discontinuous: for ``VTXWriter`` and
         ``VTKFile``.
     """
-    u0, u1 = (next(u for u in problem.u if u.function_space == V) for V in tie.spaces)
+    u0, u1 = (
+        next(u for u in problem.u if u.function_space.contains(part.given))
+        for part in tie.components
+    )
     gap, slip = tie.gap(u0, u1)
     alpha = fem.Function(gap.function_space, name="alpha")
     alpha.interpolate(tie.alpha)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.multipliers import Multipliers, smooth_pieces
 from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT, Surface
 from hypergap_dolfinx.graph import PartsOf, components
@@ -106,9 +107,13 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     """Ties that go on in each other: between the same bodies, on one smooth piece of Γ1."""
     alike = defaultdict(list)
     for t, tie in enumerate(ties):
-        V0, V1 = tie.spaces
+        # The first tie on the same spaces: each has collapsed a component by itself
+        first = next(s for s, other in enumerate(ties) if _on_the_same(tie, other))
         if not tie.free_interior:
-            alike[id(V0), id(V1), tie.closes_gap, tie.adjusts].append(t)
+            jump = tie.jump and tie.jump.key
+            motion = tie.motion and tie.motion.key
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion
+            alike[first, law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
         if len(same) < 2:
@@ -131,6 +136,11 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     label = components(len(ties), i, j)
     return [np.flatnonzero(label == k).tolist() for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _on_the_same(tie: Tie, other: Tie) -> bool:
+    """Whether two ties are between the same spaces."""
+    return all(map(Component.same, tie.components, other.components))
 
 
 def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:
@@ -159,10 +169,18 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
     sides = []
     for i in (0, 1):
         facets = np.unique(np.concatenate([tie.facets[i] for tie in ties])).astype(np.int32)
-        sides.append((ties[0].spaces[i], facets))
+        sides.append((ties[0].components[i].given, facets))
     adjusts = all(tie.adjusts for tie in ties)
     try:
-        whole = _Whole(*sides, close_gap=ties[0].closes_gap, adjust=adjusts)
+        first = ties[0]
+        whole = _Whole(
+            *sides,
+            close_gap=first.closes_gap,
+            adjust=adjusts,
+            jump=first.jump,
+            motion=first.motion,
+            compliance=first._compliance,
+        )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []
     every = Multipliers.of(whole.constraint, whole.domain)

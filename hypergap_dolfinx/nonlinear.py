@@ -133,6 +133,8 @@ class NonlinearTiedProblem(NonlinearSystem):
         with self._solver.options.in_use():
             self._snes.solve(None, self._x)
         self._check_solved()
+        if self._snes.getIterationNumber():
+            self._check_constants()
         self._assign(self._x)
         self._solved = True
         return self._u

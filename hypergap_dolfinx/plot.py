@@ -5,7 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Pictures of tied bodies with PyVista: Σ pulled apart, deformed shapes, tractions.
 
-Nothing else in the package imports this module. All functions are collective; rank 0 draws.
+Nothing else in the package imports this module. All functions are collective; rank 0 draws. Of
+complex values the real part is drawn.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +26,7 @@ from hypergap_dolfinx import display
 from hypergap_dolfinx.compat import geometry_dofmap
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.surface import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE = "#e8e4da", "#555555"
@@ -89,7 +90,7 @@ def deformed(
     """The bodies before (2D: black) and after deformation, coloured by the displacement's length.
 
     Args:
-        us: Displacement of each body.
+        us: Displacement of each body; of mixed elements ``w.sub(0)``.
         filename: Where to save the picture.
         factor: What displacements are drawn times; if not given, the largest is drawn as a tenth
             of the assembly.
@@ -220,7 +221,7 @@ def traction(
         if plotter and body is not None:
             _add(plotter, body, color=_BODY)
     q = tie.quadrature(1)
-    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0], q.normal[:, 0]))
+    parts = comm.gather((q.x[:, 0], q.evaluate(traction)[:, 0].real, q.normal[:, 0]))
     if plotter and parts is not None:
         x, t = (np.vstack([part[i] for part in parts]) for i in (0, 1))
         points = pyvista.PolyData(_padded(x))
@@ -235,7 +236,7 @@ def traction(
             points.points[inwards] -= scale * points["traction"][inwards]
             arrows = points.glyph(orient="traction", scale="length", factor=scale)
         plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
-    mean = _mean_normal(tie.surfaces[0])
+    mean = _mean_normal(tie.domain.surfaces[0])
     return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
 
 
@@ -319,6 +320,9 @@ def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def _with_values(u: fem.Function, name: str) -> pyvista.UnstructuredGrid | None:
     """A grid with the values of a vector function at its points; on rank 0. Collective."""
+    if is_mixed(u.function_space):
+        raise ValueError("fields of a mixed space are drawn one by one: u.sub(0) for example.")
+    u = u.collapse() if u.function_space.component() else u
     V, comm = u.function_space, u.function_space.mesh.comm
     owned = np.arange(V.mesh.topology.index_map(V.mesh.topology.dim).size_local)
     cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]
@@ -355,7 +359,7 @@ def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
             places[meshes[0][0]] = (np.zeros(3), np.zeros(3), 1.0)
             continue
         tie, (i0, i1) = todo.pop(at), meshes[at]
-        step, centre, scale = _separation(tie.surfaces, distance)
+        step, centre, scale = _separation(tie.domain.surfaces, distance)
         if i0 in places and i1 not in places:
             shift, _, s = places[i0]
             places[i1] = (shift + step, centre, s * scale)
@@ -443,7 +447,7 @@ def _sigma(
     alpha[nodes[cells]] = domain.alpha_vertices @ weights.T
     values = alpha
     if f is not None:
-        components = f.x.array.reshape(-1, f.function_space.dofmap.index_map_bs)
+        components = f.x.array.real.reshape(-1, f.function_space.dofmap.index_map_bs)
         scalar = components.shape[1] == 1
         values = components[:, 0] if scalar else np.linalg.norm(components, axis=1)
     parts = mesh.comm.gather((*drawn, alpha, values))

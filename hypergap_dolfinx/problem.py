@@ -31,7 +31,9 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
     v = a.arguments()[0]
     V = v.ufl_function_space()
     if L is None:
-        return ufl.inner(fem.Constant(V.mesh, np.zeros(V.value_shape)), v) * ufl.dx
+        return (
+            ufl.inner(fem.Constant(V.mesh, np.zeros(V.value_shape, PETSc.ScalarType)), v) * ufl.dx
+        )
     if [argument.ufl_function_space() for argument in L.arguments()] != [V]:
         raise ValueError(f"a[{i}] and L[{i}] are on different function spaces; same order in both?")
     return L
@@ -40,8 +42,8 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
 class TiedProblem(TiedSystem):
     """Linear problem a_i(u_i, v_i) = L_i(v_i) on several bodies, tied to each other.
 
-    Solves the saddle system [K Bᵀ; B 0] [u; λ] = [f; 0] with K and f from the forms and B from
-    the ties.
+    Solves the saddle system [K Bᵀ; B −C] [u; λ] = [f; g] with K and f from the forms and B from
+    the ties; g is 0 but for jumps and prescribed displacements, C but for compliances.
 
     Example:
         Temperatures 0 at y = 0 and 2 at y = 2, around the tie of :class:`Tie`'s example:
@@ -122,6 +124,7 @@ class TiedProblem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
+        checks.check_scalars((*a, *loads), u or ())
         self._L = fem.form(loads, **options)
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
@@ -183,6 +186,7 @@ class TiedProblem(TiedSystem):
         failure = self._solver.failure()
         if failure:
             raise SolveError(failure)
+        self._check_constants()
         self._assign(self._x)
         self._solved = True
         return self._u

@@ -6,6 +6,7 @@
 """The tie between two surfaces: the user's door to Σ and the constraint."""
 
 import logging
+from collections.abc import Hashable
 from functools import cached_property
 
 from mpi4py import MPI
@@ -18,10 +19,15 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap import fields, quality
+from hypergap_dolfinx.gap import carried, fields, quality
+from hypergap_dolfinx.gap import compliance as soft
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
+from hypergap_dolfinx.gap.carried import Motion
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
+from hypergap_dolfinx.gap.recovery import Recovery
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -71,13 +77,20 @@ class Tie(disposal.Owner):
         interior: str = "interpolated",
         adjust: bool = False,
         close_gap: bool = False,
+        jump: Given | Jump | None = None,
+        motion: Motion | None = None,
+        compliance: soft.Given | None = None,
     ):
         """Mesh Σ between two surfaces. Collective.
 
         Args:
             side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them.
-            side1: Γ1: the same; the mesh may be the same one too.
+                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. Of a mixed
+                space, a component of that kind: ``(W.sub(0), facets)`` ties the displacements of
+                Taylor–Hood elements; their pressures may jump, and need no tie. ``V.sub(1)`` or
+                ``W.sub(0).sub(1)`` ties one displacement of several.
+            side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
+                and any other space with the same values on the other side.
             interior: What nodes between the surfaces do (0 < α < 1; the middles of cross edges for
                 k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
                 a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
@@ -92,15 +105,29 @@ class Tie(disposal.Owner):
                 on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
                 or overlaps is pulled together, as in an interference fit. Needs displacements.
+            jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
+                ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
+                ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
+                What it is then is read for each right-hand side, so that it may change without
+                factorising again. Of pieces of one interface that have different jumps, let both
+                surfaces end at one place; there their mean holds, weighted with the multipliers.
+            motion: What carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
+            compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
+                thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
+                gives way, however little; a body that nothing else holds is held by it. One value,
+                or a pair: along Σ's normal and across it (0 ties across). Each is ≥ 0: a number, a
+                ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
+                of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
+                loop that sets it and solves again.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
+            ValueError: A jump or a compliance that doesn't fit the spaces, that isn't finite, or a
+                negative compliance.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
-        if np.issubdtype(PETSc.ScalarType, np.complexfloating):
-            raise RuntimeError("PETSc's scalars are complex here; use a PETSc with real ones.")
         for side in (side0, side1):
             if isinstance(side, fem.FunctionSpace) or len(side) != 2:
                 raise ValueError("each side of a tie is a pair: a function space and facets.")
@@ -130,17 +157,28 @@ class Tie(disposal.Owner):
                 f"close_gap needs displacements, with {V1.mesh.geometry.dim} components; the value "
                 f"shape is {V1.value_shape}."
             )
+        if motion is not None and (adjust or close_gap):
+            raise InterfaceError("a periodic tie neither adjusts surfaces nor closes gaps.")
+        self._motion = motion
+        self._turn = motion.of_components(V1.value_shape) if motion else None
         self._interior = interior
         self._close_gap = close_gap
         self._swapped = False
-        self._spaces = (V0, V1)
+        self._components = Component.of(V0), Component.of(V1)
+        self._spaces = self._components[0].space, self._components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
-        surfaces = create_surface(V0, facets0, "Γ0"), create_surface(V1, facets1, "Γ1")
+        surfaces = (
+            create_surface(self._spaces[0], facets0, "Γ0"),
+            create_surface(self._spaces[1], facets1, "Γ1"),
+        )
         shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
+        self._surfaces = surfaces
+        if motion is not None:
+            surfaces = carried.surface(surfaces[0], motion, surfaces[1]), surfaces[1]
         known = with_surfaces(before, surfaces) if adjust else None
         self._domain = known or create_gap_domain(comm, *surfaces)
         self._adjusts = adjust
@@ -150,6 +188,10 @@ class Tie(disposal.Owner):
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
+        self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
+        self.nodal_jump()
+        self._compliance = compliance
+        _ = self.compliance  # what is wrong with it is told here
 
     @classmethod
     def between(
@@ -172,14 +214,14 @@ class Tie(disposal.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor.
+            options: Of the constructor; a jump is that of b over a, u_b − u_a.
 
         Returns:
             The tie.
         """
         size, thin = [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
-            surface = create_surface(*side, name)
+            surface = create_surface(Component.of(side[0]).space, side[1], name)
             size.append(float(np.median(surface.size)) / surface.element.degree)
             thin.append(thinness(*side) < THIN)
         ratio = size[0] / size[1]
@@ -190,12 +232,79 @@ class Tie(disposal.Owner):
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:
             swapped, why = ratio > 1, "coarser"
+        if swapped and options.get("jump") is not None:
+            options["jump"] = Jump(options["jump"]).reversed()
         tie = cls(*((b, a) if swapped else (a, b)), **options)
         tie._swapped = swapped
         if tie.sigma.comm.rank == 0:
             reason = "" if why == "second" else f", the {why} one"
             LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
         return tie
+
+    @classmethod
+    def periodic(
+        cls,
+        side0: tuple[fem.FunctionSpace, npt.ArrayLike],
+        side1: tuple[fem.FunctionSpace, npt.ArrayLike],
+        *,
+        translation: npt.ArrayLike | None = None,
+        rotation: npt.ArrayLike | None = None,
+        centre: npt.ArrayLike | None = None,
+        axis: npt.ArrayLike | None = None,
+        **options,
+    ) -> "Tie":
+        """A tie across a distance: opposite faces of a periodic cell or of a sector. Collective.
+
+        A motion carries Γ0 to Γ1, and there they are tied: u₁ = u₀, or u₁ = u₀ + g with a jump g.
+        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may be of one
+        mesh or of several, with any meshes; but their outlines are to fit. Make one tie for each
+        pair of faces. Where faces meet, at edges and corners, constraints that would be given twice
+        are left out.
+
+        The cell can still move as a whole: hold a node, or its mean. (A sector can only turn and
+        slide about its axis.)
+
+        Args:
+            side0: Γ0: a space and facets, as for the constructor.
+            side1: Γ1, which carries the multipliers: the side with the larger cells.
+            translation: From Γ0 to Γ1.
+            rotation: From Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R.
+            centre: A point on the rotation's axis; the origin if not given.
+            axis: In space, direction of the axis of an angle; z if not given.
+            options: Of the constructor, but ``adjust`` and ``close_gap``.
+
+        Returns:
+            The tie. Its Σ is where Γ1 is, and so are λ, gap, slip and both sides' tractions: Γ0's
+            body feels Rᵀλ.
+
+        Raises:
+            ValueError: Both a translation and a rotation, none, or one that is none.
+            InterfaceError: Γ0 is not carried to Γ1; the message says how far it is off.
+
+        Example:
+            A square under a mean strain ε: opposite faces move apart by ε times their distance.
+            The strain is read at each solve, so one factorisation serves all load cases.
+
+            >>> from mpi4py import MPI  # before dolfinx
+            >>> import numpy as np
+            >>> from dolfinx import fem, mesh
+            >>> from hypergap_dolfinx import Tie
+            >>> cell = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 1)], (4, 4))
+            >>> V = fem.functionspace(cell, ("Lagrange", 1, (2,)))
+            >>> strain, ties = np.zeros((2, 2)), []
+            >>> for axis, t in enumerate(np.eye(2)):
+            ...     faces = [
+            ...         mesh.locate_entities_boundary(cell, 1, lambda x: np.isclose(x[axis], end))
+            ...         for end in (0, 1)
+            ...     ]
+            ...     sides = [(V, facets) for facets in faces]
+            ...     jump = lambda x, t=t: strain @ t
+            ...     ties.append(Tie.periodic(*sides, translation=t, jump=jump))
+            >>> strain[0, 0] = 0.01  # then solve, change it, and solve again
+        """
+        n = side1[0].mesh.geometry.dim
+        motion = carried.motion(n, translation, rotation, centre, axis)
+        return cls(side0, side1, motion=motion, **options)
 
     @property
     def swapped(self) -> bool:
@@ -204,14 +313,21 @@ class Tie(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""
-        objects = [*getattr(self, "_blocks", ()), self.__dict__.pop("constraint", None)]
+        names = ("_recovery", "compliance", "constraint")
+        own = [self.__dict__.pop(name, None) for name in names]
+        objects = [*getattr(self, "_blocks", ()), *own]
         self._blocks = ()
         return [obj for obj in objects if obj is not None]
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
-        """V₀ and V₁."""
+        """V₀ and V₁; of a component, its own (collapsed) space."""
         return self._spaces
+
+    @property
+    def components(self) -> tuple[Component, Component]:
+        """What V₀ and V₁ are among the dofs of their bodies."""
+        return self._components
 
     @property
     def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
@@ -225,8 +341,8 @@ class Tie(disposal.Owner):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1, gathered on every rank."""
-        return self._domain.surfaces
+        """Γ0 and Γ1, gathered on every rank, where they are on the bodies."""
+        return self._surfaces
 
     @property
     def domain(self) -> GapDomain:
@@ -258,22 +374,88 @@ class Tie(disposal.Owner):
         """Whether the constraint is on positions."""
         return self._close_gap
 
+    @property
+    def motion(self) -> Motion | None:
+        """What carries Γ0 to Γ1, of a tie across a distance."""
+        return self._motion
+
+    @property
+    def turn(self) -> npt.NDArray | None:
+        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+        return self._turn
+
+    @property
+    def jump(self) -> Jump | None:
+        """The prescribed jump, if there is one."""
+        return self._jump
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """The jump as it is now, at the dofs of one side. Collective.
+
+        Returns:
+            The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
+        """
+        if self._jump is None:
+            return None
+        return self._jump.nodal(self._components, self.surfaces)
+
     @cached_property
     def constraint(self) -> Constraint:
         """The constraint on one component, assembled when it is first asked for."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
-    def blocks(self) -> tuple[PETSc.Mat, ...]:
-        """The matrices of Σ_i B_i u_i = 0, for systems of your own.
+    @cached_property
+    def _recovery(self) -> Recovery:
+        """What recovers tractions on the bodies' surfaces."""
+        return Recovery(self._domain, self.constraint)
+
+    @property
+    def gives_way(self) -> Hashable:
+        """Equal for ties with the same compliance; None without."""
+        return None if self._compliance is None else soft.key(self._compliance)
+
+    @cached_property
+    def compliance(self) -> soft.Compliance | None:
+        """The matrix C of Σ_i B_i u_i − C λ = c, if there is a compliance."""
+        if self._compliance is None:
+            return None
+        given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
+        return soft.Compliance(*given)
+
+    @cached_property
+    def _gaping(self) -> npt.NDArray:
+        """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
+        return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
+
+    def offset(self) -> PETSc.Vec | None:
+        """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
 
         Returns:
-            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs; with
-            ``interior="free"`` also B_Σ for the displacements of Σ's interior nodes. A row for
-            each dof of Γ1 in reach of Γ0 (and each free interior one); prescribed displacements
-            are not taken into account. The tie owns them.
+            A new vector; None if it is 0, without a jump and without ``close_gap``.
+        """
+        jump = self.nodal_jump()
+        if jump is None and not self._close_gap:
+            return None
+        return right_side(
+            self.blocks(), self._components, jump, self._gaping if self._close_gap else None
+        )
+
+    def blocks(self) -> tuple[PETSc.Mat, ...]:
+        """The matrices of Σ_i B_i u_i = c, for systems of your own; c is :meth:`offset`.
+
+        Returns:
+            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
+            component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
+            of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
+            one); prescribed displacements are not taken into account. The tie owns them.
         """
         if not self._blocks:
-            self._blocks = tuple(expand(B, self.block_size) for B in self.constraint.B)
+            B0, B1, *interior = self.constraint.B
+            B0, B1 = (
+                part.columns_of_body(expand(B, self.block_size, turn))
+                for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
+            )
+            self._blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
         return self._blocks
 
     def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
@@ -281,7 +463,8 @@ class Tie(disposal.Owner):
 
         Args:
             u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
-                bodies.
+                bodies. Where a component is tied, the body's function with all components, or
+                ``u.sub(0)``.
             u1: Displacement of Γ1's body.
 
         Returns:
@@ -292,26 +475,45 @@ class Tie(disposal.Owner):
         Raises:
             ValueError: A displacement that is not on its side's space.
         """
-        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
-            if u.function_space != V:
+        us = []
+        for i, (u, part) in enumerate(zip((u0, u1), self._components, strict=True)):
+            own = part.own_function(u)
+            if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
-        return fields.gap(self._domain, self.constraint, u0, u1)
+            us.append(own)
+        return fields.gap(self._domain, self.constraint, us[0], us[1], self._turn)
 
-    def traction(self, problem) -> fem.Function:
-        """The multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), of a solved problem.
+    def traction(self, problem, *, on: str = "sigma") -> fem.Function:
+        """The traction between the bodies, of a solved problem. Collective.
 
         Args:
             problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
+            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous. It
+                is the traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels
+                −λ. (Of a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it
+                use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+
+                ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
+                the forces of λ at both sides' nodes: of an order more than λ, and smooth. It is a
+                Lagrange function on a mesh of its own, the part of Γᵢ that is tied, so
+                ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
+                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files have it. At kinks it
+                has a value on each side. Both sides' are opposite to each other; where fields
+                change within a few facets, λ is as good.
 
         Returns:
-            λ on Σ, discontinuous; force per area (2D: per length and unit depth). It is the
-            traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of a
-            temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
-            :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+            Force per area (2D: per length and unit depth).
+
+        Raises:
+            ValueError: Not one of the problem's ties, or not solved yet; an unknown place.
         """
+        if on not in ("sigma", "side0", "side1"):
+            raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')
         multipliers = problem.multipliers(self)
         shape = self._spaces[0].value_shape
-        return fields.traction(self._domain, self.constraint, shape, multipliers)
+        if on == "sigma":
+            return fields.traction(self._domain, self.constraint, shape, multipliers)
+        return self._recovery.traction(int(on[-1]), shape, multipliers)
 
     def quadrature(self, degree: int) -> fields.GapQuadrature:
         """Gauss points on Σ with the measure dΓ_α dα, to integrate there.

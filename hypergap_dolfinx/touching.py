@@ -18,6 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
 from hypergap_dolfinx import compat, graph
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.surface import lagrange_element, unit_normals
 from hypergap_dolfinx.intersection import axes_across, common_part
 
@@ -104,8 +105,8 @@ def find_touching(
     common don't. Each connected part of a mesh is a body; a body isn't compared with itself.
 
     Args:
-        spaces: A Lagrange space on each mesh; all meshes in 2D, or all in 3D, of triangles,
-            quadrilaterals, tetrahedra or hexahedra.
+        spaces: A Lagrange space on each mesh, or a component of a mixed one, ``W.sub(0)``; all
+            meshes in 2D, or all in 3D, of triangles, quadrilaterals, tetrahedra or hexahedra.
         distance: How far apart facets that touch may be (or how deep in each other). If not given,
             flat facets may be 1e-3 of the smaller one's size apart; where surfaces are curved, flat
             facets that stand for one of them are up to h²/8R apart (edges h on a radius R), and
@@ -145,7 +146,7 @@ def find_touching(
         return []
     here, bodies, starts = [], [], []
     for i, V in enumerate(spaces):
-        facets = _exterior_facets(V, f"spaces[{i}]")
+        facets = _exterior_facets(Component.of(V).space, f"spaces[{i}]")
         here.append(facets.index)
         starts.append(sum(comm.allgather(len(facets.index))[: comm.rank]))
         every = comm.gather(facets)
@@ -193,7 +194,7 @@ def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
                 f"spaces[{same}] and spaces[{i}] are on one mesh; give each mesh once (its parts "
                 "are told apart)."
             )
-        _, reason = lagrange_element(V)
+        _, reason = lagrange_element(Component.of(V).space)
         raise_on_all(first.comm, reason and f"the space spaces[{i}] {reason}.")
     return first.comm
 

@@ -79,6 +79,56 @@ class Body:
         return self.ft.indices[np.isin(self.ft.values, tags)]
 
 
+def lame_constants(E: float = E, nu: float = NU) -> tuple[float, float]:
+    """Of Young's modulus and Poisson's ratio."""
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+@dataclass
+class Elastic:
+    """An elastic body's displacement and virtual work.
+
+    Whatever varies is a constant of the form, so that all scenes with one element share kernels.
+    """
+
+    u: fem.Function
+    F: ufl.Form
+    load: fem.Constant
+    """Traction downwards where the body is loaded."""
+    weight: fem.Constant
+    """The same in all of it."""
+
+    @classmethod
+    def on(cls, V, constants=None, *, large=False, loaded=()) -> "Elastic":
+        """A body.
+
+        Args:
+            V: Its space.
+            constants: Lamé's, μ and λ.
+            large: Whether it is neo-Hookean; else strain is small.
+            loaded: Facets with the traction.
+        """
+        mesh, degree = V.mesh, V.ufl_element().degree
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        mu, lame, neo, load, weight = (
+            fem.Constant(mesh, default_scalar_type(value))
+            for value in (*(constants or lame_constants()), float(large), 0, 0)
+        )
+        G, eps = ufl.Identity(len(u)) + ufl.grad(u), ufl.sym(ufl.grad(u))
+        log = ufl.ln(ufl.det(G))
+        W = ufl.conditional(
+            ufl.gt(neo, 0.5),
+            mu / 2 * (ufl.inner(G, G) - len(u) - 2 * log) + lame / 2 * log**2,
+            mu * ufl.inner(eps, eps) + lame / 2 * ufl.tr(eps) ** 2,
+        )
+        facets = np.sort(np.asarray(loaded, dtype=np.int32))
+        tags = dolfinx.mesh.meshtags(mesh, len(u) - 1, facets, np.ones_like(facets))
+        ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
+        F = ufl.derivative(W * dx, u) + weight * v[len(u) - 1] * dx + load * v[len(u) - 1] * ds
+        return cls(u, F, load, weight)
+
+
 def rectangle(n, low, high, *, cell="quadrilateral", degree=1, E=E, nu=NU, mapping=None, **options):
     """A block from one corner to the other."""
     low, high = np.asarray(low), np.asarray(high)
@@ -122,10 +172,10 @@ def problem(
         tags = dolfinx.mesh.meshtags(body.mesh, 1, loaded, np.full(len(loaded), 1, dtype=np.int32))
         ds = ufl.Measure("ds", body.mesh, subdomain_data=tags)(1)
         normal = ufl.FacetNormal(body.mesh)
-        load = ufl.dot(ufl.dot(body.stress(ufl.as_vector(exact(x))), normal), v) * ds
+        load = ufl.inner(ufl.dot(body.stress(ufl.as_vector(exact(x))), normal), v) * ds
         zero = fem.Constant(body.mesh, default_scalar_type((0, 0)))
         a.append(body.a)
-        L.append(load + ufl.dot(zero, v) * ufl.dx)
+        L.append(load + ufl.inner(zero, v) * ufl.dx)
         for tag, components in ((tag, c) for b, tag, c in fixed if b == i):
             for c in components:
                 W, _ = body.V.sub(c).collapse()
@@ -173,7 +223,7 @@ def dense(A: PETSc.Mat) -> npt.NDArray[np.float64]:
     """All of a matrix, on every rank."""
     A = A.convert("aij", PETSc.Mat())  # not in place
     (start, end), (_, columns) = A.getOwnershipRange(), A.getSize()
-    rows = np.zeros((end - start, columns))
+    rows = np.zeros((end - start, columns), dtype=PETSc.ScalarType)
     indptr, j, values = A.getValuesCSR()
     rows[np.repeat(np.arange(end - start), np.diff(indptr)), j] = values
     A.destroy()
@@ -222,7 +272,7 @@ def is_regular(problem: TiedProblem) -> bool:
     if np.linalg.svd(B, compute_uv=False).min(initial=1) <= 1e-9:
         return False
     try:
-        return np.linalg.cholesky(K + B.T @ B).diagonal().min() ** 2 > 1e-9
+        return np.linalg.cholesky(K + B.T @ B).diagonal().real.min() ** 2 > 1e-9
     except np.linalg.LinAlgError:
         return False
 
@@ -285,14 +335,14 @@ def smooth_problem(
         x, v = ufl.SpatialCoordinate(body.mesh), ufl.TestFunction(body.V)
         sigma = body.stress(ufl.as_vector(smooth(x, ufl)))
         rule = {"quadrature_degree": 2 * body.V.ufl_element().degree + 2}
-        load = -ufl.dot(ufl.div(sigma), v) * ufl.dx(metadata=rule)
+        load = -ufl.inner(ufl.div(sigma), v) * ufl.dx(metadata=rule)
         facets = [body.facets(tag) for b, tag in tied if b == i]
         inner = np.unique(np.concatenate([*facets, np.empty(0, dtype=np.int32)])).astype(np.int32)
         if alone == "loaded":
             ones = np.full(len(inner), 1, dtype=np.int32)
             tags = dolfinx.mesh.meshtags(body.mesh, 1, inner, ones)
             ds = ufl.Measure("ds", body.mesh, subdomain_data=tags, metadata=rule)(1)
-            load += ufl.dot(ufl.dot(sigma, ufl.FacetNormal(body.mesh)), v) * ds
+            load += ufl.inner(ufl.dot(sigma, ufl.FacetNormal(body.mesh)), v) * ds
         rest = body.boundary if alone == "held" else np.setdiff1d(body.boundary, inner)
         value = fem.Function(body.V)
         value.interpolate(lambda x: np.array(smooth(x)))

@@ -38,7 +38,7 @@ def close(actual, desired, tolerance=2e-13):
 
     The tolerance is for sums of some hundred terms, in any order.
     """
-    desired = np.asarray(desired, dtype=float)
+    desired = 1.0 * np.asarray(desired)
     scale = np.abs(desired).max(initial=0)
     np.testing.assert_allclose(actual, desired, rtol=0, atol=tolerance * scale)
 
@@ -62,7 +62,7 @@ def raises(error: type[Exception], match: str):
 def dense(A):
     """All of a PETSc matrix on every rank. Collective."""
     start, end = A.getOwnershipRange()
-    rows = np.zeros((end - start, A.getSize()[1]))
+    rows = np.zeros((end - start, A.getSize()[1]), dtype=default_scalar_type)
     indptr, j, values = A.getValuesCSR()
     rows[np.repeat(np.arange(end - start), np.diff(indptr)), j] = values
     return np.concatenate(comm.allgather(rows))

@@ -14,7 +14,6 @@ from assembly import comm, linear, problem, rectangle, tie
 from helpers import two_ranks
 
 import basix
-import hypergap_dolfinx.tie
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
@@ -239,16 +238,6 @@ def test_inside_out():
 def test_far_apart():
     bodies = [rectangle((2, 1), (0, y), (1, y + 1)) for y in (0, 50)]
     raises(InterfaceError, "don't face each other: no part of Γ1", lambda: tie(bodies, *TIED))
-
-
-@pytest.mark.ranks(2)
-def test_complex_numbers(monkeypatch):
-    class Complex:
-        ScalarType = np.complex128
-
-    bodies = blocks()
-    monkeypatch.setattr(hypergap_dolfinx.tie, "PETSc", Complex)
-    raises(RuntimeError, "PETSc's scalars are complex", lambda: tie(bodies, *TIED))
 
 
 @pytest.mark.ranks(2, kind=["DG"])

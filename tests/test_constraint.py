@@ -97,7 +97,7 @@ def loads(V, facets, t):
     )
     ds = ufl.Measure("ds", V.mesh, subdomain_data=tags, metadata={"quadrature_degree": 8})
     x = ufl.SpatialCoordinate(V.mesh)
-    b = fem.assemble_vector(fem.form(t(x) * ufl.TestFunction(V) * ds(1)))
+    b = fem.assemble_vector(fem.form(ufl.inner(t(x), ufl.TestFunction(V)) * ds(1)))
     b.scatter_reverse(dolfinx.la.InsertMode.add)
     return b.array[: V.dofmap.index_map.size_local]
 

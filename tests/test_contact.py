@@ -11,10 +11,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from assembly import Elastic
 from helpers import raises
 
 import meshes
-import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
 
@@ -38,15 +38,9 @@ class Blocks:
 
             mesh, ft = meshes.block(comm, (n[i], 2), place, cell="quadrilateral")
             V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-            u, v = fem.Function(V), ufl.TestFunction(V)
-            modulus = fem.Constant(mesh, default_scalar_type(E))
-            eps = ufl.sym(ufl.grad(u))
-            sigma = modulus * (2 * eps + ufl.tr(eps) * ufl.Identity(2))
-            form = ufl.inner(sigma, ufl.grad(v)) * ufl.dx
-            ds = ufl.Measure("ds", mesh, subdomain_data=ft)
+            body = Elastic.on(V, (E, E), loaded=ft.find(meshes.TOP) if i else ())
             if i == 1:
-                self.load = fem.Constant(mesh, default_scalar_type(0))
-                form += self.load * v[1] * ds(meshes.TOP)
+                self.load = body.load
                 self.top = fem.Constant(mesh, default_scalar_type(0))
             if i == 0 or held:
                 tag = (meshes.BOTTOM, meshes.TOP)[i]
@@ -57,10 +51,11 @@ class Blocks:
             facets = np.concatenate([ft.find(tag) for tag in held_across])
             dofs = fem.locate_dofs_topological(V.sub(0), 1, facets)
             self.bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(0)))
-            self.u.append(u)
-            F.append(form)
+            self.u.append(body.u)
+            F.append(body.F)
             sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
         self.contact = Contact(*(sides[::-1] if swap else sides), **options)
+        self.F = F
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
 
@@ -151,9 +146,9 @@ def test_units(E):
 def test_rigid_obstacle():
     """A body without a form, which the user moves."""
     rigid = Blocks(gap=0.0)
-    u, v = rigid.u[1], ufl.TestFunction(rigid.u[1].function_space)
-    form = ufl.inner(2 * ufl.sym(ufl.grad(u)) + ufl.div(u) * ufl.Identity(2), ufl.grad(v)) * ufl.dx
-    problem = ContactProblem([None, form], rigid.u, bcs=rigid.bcs[2:], contacts=[rigid.contact])
+    problem = ContactProblem(
+        [None, rigid.F[1]], rigid.u, bcs=rigid.bcs[2:], contacts=[rigid.contact]
+    )
     rigid.u[0].interpolate(lambda x: np.stack((0 * x[0], 0 * x[0] + 0.02)))
     problem.solve()
     # In a column that is held below by a frictionless plane strain is uniform
@@ -188,6 +183,5 @@ def test_bad_input():
     with raises(ValueError, "contacts has a str"):
         ContactProblem([], [], contacts=["contact"])
     with raises(ValueError, "is on a space of no body"):
-        u = blocks.u[0]
-        form = ufl.inner(ufl.grad(u), ufl.grad(ufl.TestFunction(V0))) * ufl.dx
-        ContactProblem([form], [u], contacts=[blocks.contact])
+        other = Elastic.on(fem.functionspace(V0.mesh, V0.ufl_element()))
+        ContactProblem([other.F], [other.u], contacts=[blocks.contact])

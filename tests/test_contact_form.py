@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 from helpers import close, skew, two_blocks
 
-import basix
-from hypergap_dolfinx.gap.kernel import GapElement
 from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.gap.weighted import second_derivatives, vertex_weights, weigh
 from hypergap_dolfinx.solve import active
 
 comm = MPI.COMM_WORLD
@@ -73,20 +70,6 @@ def test_derivatives(options):
     close(H, H.T, 1e-13)
 
 
-def test_second_derivatives():
-    """Of single cells in space."""
-    element = basix.create_element(basix.ElementFamily.P, basix.CellType.tetrahedron, 2)
-    table = GapElement.with_quadrature(element, element, 4)
-    rng = np.random.default_rng(3)
-    x, alpha = rng.standard_normal((3, element.dim, 3)), rng.random((3, 4))
-    d = rng.standard_normal(x.shape)
-    w = vertex_weights(table, x, alpha)
-    p = rng.random(4)
-    f = [np.einsum("b,cbmi->cmi", p, weigh(table, x + t * d, alpha, w).dg) for t in (-1e-5, 1e-5)]
-    H = second_derivatives(table, x, w @ p)
-    close((f[1] - f[0]) / 2e-5, np.einsum("cmiqk,cqk->cmi", H, d), DIFFERENCE)
-
-
 @pytest.mark.parametrize("options", SCENES)
 @pytest.mark.parametrize("gap", (0.1, -0.05))
 def test_balance(options, gap):
@@ -139,15 +122,23 @@ def test_cut_ends():
     assert m[x.argmin()] == 0 and abs(m.sum() - 1.8) <= 1e-12
 
 
-def test_receding():
-    """Three vertices lost at an edge take two more with them; new ones stay."""
-    facets = np.column_stack((np.arange(12), np.arange(1, 13)))
-    before, now = np.zeros(13, dtype=bool), np.zeros(13, dtype=bool)
-    before[:10], now[:7] = True, True
-    now[11] = True
-    result = active.receding(before, now, facets)
-    assert np.flatnonzero(result).tolist() == [0, 1, 2, 3, 4, 11]
-    assert (active.receding(before, before, facets) == before).all()
+def test_without_pull_on_surface():
+    """A ring that pulls takes with it what balances it, and no more; holes and new ones stay."""
+    n = 9
+    number = np.arange(n * n).reshape(n, n)
+    corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
+    facets = np.stack([part.ravel() for part in corners], axis=1)
+    ring = np.minimum.reduce((*np.indices((n, n)), *(n - 1 - np.indices((n, n))))).ravel()
+    force = np.array((0.0, -1.0, 0.5, 8.0, 5.0))[ring]
+    before, now = ring > 0, force > 0
+    now[0] = True
+    result = active.without_pull_on_surface(before, now, facets, force)
+    assert result[0] and not result[ring == 2].any() and result[ring > 2].all()
+    now[number[4, 4]] = False  # a hole
+    force[number[4, 4]] = -100
+    hole = active.without_pull_on_surface(before, now, facets, force)
+    assert (hole == (result & now)).all()
+    assert (active.without_pull_on_surface(before, before, facets, force) == before).all()
 
 
 def test_without_pull():

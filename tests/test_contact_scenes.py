@@ -9,27 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from assembly import Elastic, lame_constants
 from helpers import sweep
 
 import meshes
-import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem
 
 comm = MPI.COMM_WORLD
-
-
-def linear(u, E=1.0, nu=0.3):
-    eps = ufl.sym(ufl.grad(u))
-    return E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(2))
-
-
-def internal(u, E=1.0):
-    """Virtual work of a compressible neo-Hookean body."""
-    mu, lame, F = E / 2.6, E * 0.3 / 0.52, ufl.Identity(2) + ufl.grad(u)
-    J = ufl.det(F)
-    W = mu / 2 * (ufl.inner(F, F) - 2 - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
-    return ufl.derivative(W * ufl.dx, u)
 
 
 def held(V, component, where, value=0.0):
@@ -62,8 +49,9 @@ def test_shrink_fit(angle, swap):
         n = (24, 32)[i] * around
         mesh, ft = meshes.ring_sector(comm, n, 4, r0, r1, angle=angle, degree=2)
         V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
-        u.append(fem.Function(V))
-        F.append(ufl.inner(linear(u[-1]), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
         for c in (0, 1):
             bcs.append(held(V, c, lambda x, c=c: np.isclose(x[c], 0, atol=1e-8)))
         sides.append((V, ft.find((meshes.OUTER, meshes.INNER)[i])))
@@ -83,14 +71,13 @@ def test_ball_in_socket(swap):
     for i, (r0, r1, n) in enumerate(((0.3, 1 - gap, 48), (1.0, 1.5, 36))):
         mesh, ft = meshes.ring_sector(comm, n, 5 - 2 * i, r0, r1, angle=2 * np.pi)
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        u.append(fem.Function(V))
-        F.append(internal(u[-1]))
+        body = Elastic.on(V, large=True)
+        u.append(body.u)
+        F.append(body.F)
         if i == 0:
-            weight = fem.Constant(mesh, default_scalar_type(load))
-            F[0] += weight * ufl.TestFunction(V)[1] * ufl.dx
-            area = comm.allreduce(
-                fem.assemble_scalar(fem.form(fem.Constant(mesh, default_scalar_type(1)) * ufl.dx))
-            )
+            body.weight.value = load
+            area = n * r1**2 / 2 * np.sin(2 * np.pi / n)  # of the polygon
+            area -= n * r0**2 / 2 * np.sin(2 * np.pi / n)
             bcs.append(held(V, 0, lambda x: np.isclose(x[0], 0)))
         else:
             bcs += [held(V, c, ft.find(meshes.OUTER)) for c in (0, 1)]
@@ -117,8 +104,9 @@ def test_flat_punch(cut, wide):
 
         mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        u.append(fem.Function(V))
-        F.append(ufl.inner(linear(u[-1], E), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        body = Elastic.on(V, lame_constants(E))
+        u.append(body.u)
+        F.append(body.F)
         away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
         bcs += [held(V, 0, away), held(V, 1, away, -1e-3 * i)]
         sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
@@ -140,8 +128,9 @@ def test_stiff_and_fine_on_soft_and_coarse(caplog):
     for i, n in enumerate(((40, 20), (120, 30))):
         mesh, ft = meshes.block(comm, n, lambda s, i=i: place(i, s), cell="quadrilateral")
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        u.append(fem.Function(V))
-        F.append(ufl.inner(linear(u[-1], stiff[i]), ufl.grad(ufl.TestFunction(V))) * ufl.dx)
+        body = Elastic.on(V, lame_constants(stiff[i]))
+        u.append(body.u)
+        F.append(body.F)
         away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
         bcs += [held(V, 0, away), held(V, 1, away, -0.02 * i)]
         sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
@@ -166,14 +155,12 @@ def test_beam_of_two_layers():
                 comm, n, lambda x, i=i: x * (10, 1) + (0, i - 1), cell="quadrilateral"
             )
             V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-            u.append(fem.Function(V))
-            F.append(internal(u[-1]))
+            body = Elastic.on(V, large=True, loaded=ft.find(meshes.TOP) if i else ())
+            u.append(body.u)
+            F.append(body.F)
             bcs.append(held(V, 0, ft.find(meshes.LEFT)))
             sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
-        ds = ufl.Measure("ds", mesh, subdomain_data=ft)
-        F[1] += (
-            fem.Constant(mesh, default_scalar_type(1e-4)) * ufl.TestFunction(V)[1] * ds(meshes.TOP)
-        )
+        body.load.value = 1e-4
         corner = held(sides[0][0], 1, lambda x: np.isclose(x[0], 10) & np.isclose(x[1], -1))
         _, problem = solve(F, u, [*bcs, corner], sides, swap)
         assert problem.iterations <= 9
@@ -200,8 +187,9 @@ def test_same_in_any_units(size, E, angle, move):
 
             mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
             V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-            u.append(fem.Function(V))
-            F.append(internal(u[-1], fem.Constant(mesh, default_scalar_type(E))))
+            body = Elastic.on(V, lame_constants(E), large=True)
+            u.append(body.u)
+            F.append(body.F)
             dofs = fem.locate_dofs_topological(V, 1, ft.find((meshes.BOTTOM, meshes.TOP)[i]))
             goal = size * turn @ np.array((0.13, -0.1)) * i
             bcs.append(fem.dirichletbc(default_scalar_type(goal), dofs, V))

@@ -204,6 +204,9 @@ def test_traction_of_a_patch_test(k, swap, mode):
     values = q.evaluate(tie.traction(problem))
     np.testing.assert_allclose(values, np.broadcast_to(exact, values.shape), atol=1e-11)
     close(q.integrate(values), 2 * exact, 1e-11)
+    for side, sign in ((0, 1), (1, -1)):
+        t = tie.traction(problem, on=f"side{side}").x.array.reshape(-1, 2)
+        np.testing.assert_allclose(t, np.broadcast_to(sign * exact, t.shape), atol=1e-11)
     # The same solution has no gap
     assert max(largest(q.evaluate(f)) for f in tie.gap(*u)) <= 1e-11
     if mode == "interpolated":

@@ -178,6 +178,41 @@ def test_matching(noise):
     assert prisms.twins(x, t, y, t[:, ::-1], 0.1) is None
 
 
+def quarters(x, t):
+    """Triangles cut into four, with new points where their edges' middles are."""
+    edges, which = np.unique(
+        np.sort(t[:, [(1, 2), (2, 0), (0, 1)]].reshape(-1, 2), axis=1), axis=0, return_inverse=True
+    )
+    (a, b, c), (bc, ca, ab) = t.T, len(x) + which.reshape(-1, 3).T
+    parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab))
+    return np.vstack((x, x[edges].mean(axis=1))), np.vstack([np.column_stack(p) for p in parts])
+
+
+@pytest.mark.parametrize("swap", (False, True))
+def test_quartered(monkeypatch, swap):
+    """Where no front gets through, facets and their quarters have cells between them."""
+    coarse = grid(4, graph(lambda u, v: 3 * u), turned="random", jitter=0.3)
+    fine = quarters(*coarse)
+    monkeypatch.setattr(front, "VARIANTS", ())
+    made = filled(*((fine, coarse) if swap else (coarse, fine)))
+    assert len(made.cells) == 7 * len(coarse[1])
+    closed = ball(30)
+    made = filled(*((quarters(*closed), closed) if swap else (closed, quarters(*closed))))
+    assert len(made.cells) == 7 * len(closed[1])
+
+
+def test_not_quartered():
+    """Other triangulations with four times as many facets, and no others with their middles."""
+    x, t = grid(4, lambda u, v: np.column_stack((u, v, 0 * u)))
+    for other in (grid(8, lambda u, v: np.column_stack((u, v, 0 * u)), turned="left"),
+                  (np.roll(x, 1, axis=0), np.vstack((t, t, t, t)))):  # fmt: skip
+        assert prisms.middles(x, t, *other, 0.125) is None
+    y, s = quarters(x, t)
+    assert prisms.middles(x, t, y, s, 0.125) is not None
+    assert prisms.middles(x, t, y, s[:, ::-1], 0.125) is None
+    assert prisms.middles(x, t, y + 0.1, s, 0.125) is None
+
+
 def test_swaps():
     """A sliver in a pile of cells goes; cells that are wanted stay."""
     made = filled(ball(200), ball(150, seed=1))

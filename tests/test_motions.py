@@ -14,7 +14,7 @@ from helpers import two_ranks
 
 import meshes
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.solve.motions import free_motions
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
@@ -27,7 +27,7 @@ AROUND = ((LEFT, RIGHT), (BOTTOM, TOP))
 def corner(V):
     """The node at the origin, held."""
     dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[:2], 0).all(axis=0))
-    return fem.dirichletbc(np.zeros(2), dofs, V)
+    return fem.dirichletbc(np.zeros(2, default_scalar_type), dofs, V)
 
 
 def shearing(x):

@@ -72,17 +72,24 @@ def test_between_a_thin_layer_and_a_block(cell, thin, caplog):
 # the interference δ up to O(δ/c)
 
 A, C, B, YOUNG, NU = 1.0, 2.0, 3.0, 1000.0, 0.3
+PRESSURE = YOUNG / (1 - NU**2) * (C**2 - A**2) * (B**2 - C**2) / (2 * C**3 * (B**2 - A**2))
+EXACT = np.array([-0.290178571429, 0.709821428571, PRESSURE])
 
 
-def press(delta, degree, swap, n=8):
-    """Radial displacements at the interface and the pressure there, over δ."""
-    bodies = []
-    for n_hoop, radii in ((2 * n, (A, C + delta / 2)), (3 * n, (C - delta / 2, B))):
+def press(delta, degree, swap, n=8, *, jump=False, **options):
+    """Radial displacements at the interface and the pressure there, over δ.
+
+    The rings overlap by δ, or fit and have a jump of δ.
+    """
+    bodies, overlap = [], 0 if jump else delta / 2
+    for n_hoop, radii in ((2 * n, (A, C + overlap)), (3 * n, (C - overlap, B))):
         mesh, ft = meshes.ring_sector(comm, n_hoop, n, *radii, degree=degree)
         V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
         bodies.append(Body(mesh, ft, V, YOUNG, NU))
     sides = [(bodies[0].V, bodies[0].facets(OUTER)), (bodies[1].V, bodies[1].facets(INNER))]
-    tie = Tie(*(sides[::-1] if swap else sides), close_gap=True)
+    outward = -delta if swap else delta
+    how = {"jump": lambda x: outward * x[:2] / np.hypot(*x[:2])} if jump else {"close_gap": True}
+    tie = Tie(*(sides[::-1] if swap else sides), **how, **options)
     L, bcs = [], []
     for body in bodies:
         zero = fem.Constant(body.mesh, default_scalar_type((0, 0)))
@@ -111,17 +118,28 @@ def press(delta, degree, swap, n=8):
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_interference_fit(degree, swap):
-    q = YOUNG / (1 - NU**2) * (C**2 - A**2) * (B**2 - C**2) / (2 * C**3 * (B**2 - A**2))
-    exact = np.array([-0.290178571429, 0.709821428571, q])
-    assert abs(q * 0.01 - 1.28777472527) < 1e-9
+    assert abs(PRESSURE * 0.01 - 1.28777472527) < 1e-9
     if degree == 1:  # the gap between two polygons is closed too: h² / (8 c) of δ
-        assert np.abs(press(0.08, degree, swap, 16) / exact - 1).max() < 0.05
+        assert np.abs(press(0.08, degree, swap, 16) / EXACT - 1).max() < 0.05
         return
-    errors = [np.abs(press(d, degree, swap) / exact - 1).max() for d in (0.08, 0.04, 0.02, 0.01)]
+    errors = [np.abs(press(d, degree, swap) / EXACT - 1).max() for d in (0.08, 0.04, 0.02, 0.01)]
     print(errors)
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert errors[-1] < 1.0 * 0.01 / C
     assert np.abs(rates - 1).max() < 0.05
+
+
+@pytest.mark.ranks(2, swap=[True])
+@pytest.mark.parametrize("swap, bed", ((False, 0), (True, 0), (False, 5e-3), (True, 5e-3)))
+def test_interference_as_a_jump(swap, bed):
+    """First order in δ without a limit, also on a bed of springs: what is left is the meshes'."""
+    pressure = 1 / (1 / PRESSURE + bed)
+    exact = EXACT * pressure / PRESSURE
+    options = {"jump": True, "compliance": (bed, 0) if bed else None}
+    errors = [np.abs(press(0.01, 2, swap, n, **options) / exact - 1).max() for n in (4, 8)]
+    print(errors)
+    assert errors[1] < 1.6e-6
+    assert np.log2(errors[0] / errors[1]) > 3.7
 
 
 @pytest.mark.ranks

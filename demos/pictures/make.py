@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Makes the thumbnails beside it from the demos' pictures: ``python make.py``."""
+"""Makes the thumbnails beside it from the demos' pictures: ``python make.py``.
+
+With complex scalars those of the demos that need them: ``python make.py complex``.
+"""
 
 import subprocess
 import sys
@@ -19,13 +22,16 @@ PICTURES = {
     "contact_patch": ("contact_patch", "--quick"),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),
+    "incompressible": ("incompressible",),
     "modal_analysis": ("mode_3",),
     "partial_overlap": ("gap_domain", "--cell", "mixed", "--degree", "1"),
     "patch_test": ("patch_test",),
     "patch_test_3d": ("patch_test_3d",),
+    "periodic_cell": ("periodic_cell", "--fibres"),
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
     "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
     "read_meshes": ("read_meshes",),
+    "thermal_resistance": ("thermal_resistance", "--levels", "2"),
     "write_files": ("write_files",),
 }
 CHARTS = {
@@ -33,6 +39,7 @@ CHARTS = {
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
     "stability": ("stability",),
 }
+COMPLEX = {"wave": ("wave", "--degrees", "2")}
 FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5")}
 
 
@@ -70,7 +77,8 @@ def _save(image, file: Path):
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
-        for name, (picture, *arguments) in (PICTURES | CHARTS | FILMS).items():
+        wanted = COMPLEX if sys.argv[1:] == ["complex"] else PICTURES | CHARTS | FILMS
+        for name, (picture, *arguments) in wanted.items():
             script = FOLDER.parent / f"{name}.py"
             command = [sys.executable, script, *arguments, "--plot", temporary]
             subprocess.run(command, check=True, cwd=temporary)

@@ -112,7 +112,7 @@ def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
     for axis in range(x.shape[1]):
         f.x.array[: len(x)] = x[:, axis]
         f.x.scatter_forward()
-        mesh.geometry.x[compat.geometry_dofmap(mesh), axis] = f.x.array[W.dofmap.list]
+        mesh.geometry.x[compat.geometry_dofmap(mesh), axis] = f.x.array[W.dofmap.list].real
 
 
 def _without(constraint: Constraint, domain, drop: npt.NDArray[np.bool_]) -> PETSc.Mat:
@@ -163,7 +163,7 @@ def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:
                 B[0].mult(x0, residual)
                 B[1].multAdd(x1, residual, residual)
                 solver.solve(residual, step)
-                moved[free - start, axis] -= step.array_r
+                moved[free - start, axis] -= step.array_r.real
         for obj in (solver, residual, step, x0, x1):
             obj.destroy()
     for obj in (*B, B_free, rows, columns, *([E] if E else [])):

@@ -102,7 +102,7 @@ class GapDomain:
         Raises:
             InvertedCellError: A cell is turned over.
         """
-        k, g, nodes = self.element.degree, self.geometry.degree, self.element.dim
+        k, nodes = self.element.degree, self.element.dim
         G = np.empty((len(self.x), nodes, nodes))
         straight, curved = ~self.curved, self.curved
         error = None
@@ -117,7 +117,7 @@ class GapDomain:
                 )
             if curved.any():
                 G[curved] = kernel.curved_gap_matrices(
-                    self.quadrature(kernel.curved_rule(self.x.shape[2], k, g)),
+                    self.quadrature(self.curved_rule),
                     self.x[curved],
                     self.alpha_vertices[curved],
                     self.normal[curved],
@@ -133,18 +133,25 @@ class GapDomain:
         _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
         return np.flatnonzero((np.abs(v) > NARROW).any(axis=(1, 2)))
 
-    def gap_factors(self, cells: npt.NDArray[np.intp]) -> tuple[npt.NDArray, npt.NDArray]:
+    @property
+    def curved_rule(self) -> int:
+        """Degree of the Gauss rule for curved cells."""
+        return kernel.curved_rule(self.x.shape[2], self.element.degree, self.geometry.degree)
+
+    def gap_factors(
+        self, cells: npt.NDArray[np.intp], rule: int | None = None
+    ) -> tuple[npt.NDArray, npt.NDArray]:
         """Factors of the element matrices: G_ab = Σ_p w_p D_pa D_pb.
 
         Args:
             cells: Some of the cells, ``(num,)``.
+            rule: Degree of the Gauss rule, :attr:`curved_rule` if not given.
 
         Returns:
             D, ``(num, num_points, num_nodes)``, and w_p = ±1 (a Gauss rule's weight may be
             negative), ``(num_points,)``.
         """
-        rule = kernel.curved_rule(self.x.shape[2], self.element.degree, self.geometry.degree)
-        element = self.quadrature(rule)
+        element = self.quadrature(self.curved_rule if rule is None else rule)
         N, v = kernel.geometry_at_points(element, self.x[cells], self.alpha_vertices[cells])
         size = np.sqrt(np.abs(element.weights) * np.linalg.norm(N, axis=2))
         D = size[..., None] * kernel.alpha_derivatives(element, v)

@@ -36,7 +36,7 @@ class GapQuadrature:
     weights: npt.NDArray[np.float64]
     """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``."""
 
-    def evaluate(self, f: fem.Function) -> npt.NDArray[np.float64]:
+    def evaluate(self, f: fem.Function) -> npt.NDArray:
         """Values of a function on Σ, ``(num_cells, num_points, block_size)``.
 
         Raises:
@@ -48,7 +48,7 @@ class GapQuadrature:
         nodal = f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list]
         return np.einsum("pa,cai->cpi", tabulate(V.ufl_element().basix_element, self.X), nodal)
 
-    def integrate(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
+    def integrate(self, values: npt.NDArray) -> npt.NDArray:
         """∫∫ f dΓ_α dα of values at the points, ``(num_cells, num_points, ...)``. Collective."""
         local = np.einsum("cp,cp...->...", self.weights, values)
         return self.mesh.comm.allreduce(local)
@@ -64,7 +64,7 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
     return GapQuadrature(domain.mesh, points, x, N / length[..., None], element.weights * length)
 
 
-def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray[np.float64]:
+def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray:
     """R applied to each component, at the nodes of this rank's cells. Collective.
 
     Args:
@@ -78,7 +78,7 @@ def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.ND
     x, y = R.createVecs()
     f = fem.Function(domain.space)
     dofs, owned = domain.space.dofmap.list, domain.space.dofmap.index_map.size_local
-    nodal = np.empty((*dofs.shape, values.shape[1]))
+    nodal = np.empty((*dofs.shape, values.shape[1]), dtype=f.dtype)
     for component in range(values.shape[1]):
         x.array[:] = values[:, component]
         R.mult(x, y)
@@ -144,7 +144,11 @@ def traction(
 
 
 def gap(
-    domain: GapDomain, constraint: Constraint, u0: fem.Function, u1: fem.Function
+    domain: GapDomain,
+    constraint: Constraint,
+    u0: fem.Function,
+    u1: fem.Function,
+    turn: npt.NDArray | None = None,
 ) -> tuple[fem.Function, fem.Function | None]:
     """Normal gap and tangential slip (eq. 17) on Σ. Collective.
 
@@ -153,9 +157,13 @@ def gap(
         constraint: The constraint on it.
         u0: Displacement of Γ0's body.
         u1: Displacement of Γ1's body.
+        turn: R where R u₀ is what u₁ is compared with.
     """
     shape = u0.function_space.value_shape
-    nodal = sum(nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1)))
+    nodal, other = (
+        nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1))
+    )
+    nodal = other + (nodal if turn is None else nodal @ turn.T)
     normal_gap = _discontinuous(domain, (), "gap")
     dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
     if shape == ():
@@ -168,7 +176,7 @@ def gap(
     return normal_gap, slip
 
 
-def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
+def owned_values(u: fem.Function) -> npt.NDArray:
     """This rank's owned values, ``(num_dofs, block_size)``."""
     dofmap = u.function_space.dofmap
     return u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]

@@ -7,7 +7,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -251,18 +251,20 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
     return int(wrong[0]), int(wrong[1])
 
 
-def twinned(problem: Problem) -> Front | None:
-    """Prisms between surfaces that match or nearly do: there a front would have to guess.
+def ready(problem: Problem, make: Callable) -> Front | None:
+    """Cells between surfaces whose triangulations tell them: where a front would have to guess.
+
+    Args:
+        problem: The surfaces.
+        make: ``prisms.between_twins`` or ``prisms.between_quarters``.
 
     Returns:
-        None if they don't match.
+        None if they don't tell.
     """
-    facets0, facets1 = problem.facets
-    x, n0 = problem.x, problem.n0
-    twin = prisms.twins(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
-    if twin is None:
+    (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
+    cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    if cells is None:
         return None
-    cells = prisms.prisms(facets0, twin, n0)
     walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
     vertices = np.zeros((len(x), 10))
     vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
@@ -379,8 +381,11 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         return _Workshop(outer, place, margins)
 
-    for variant in (None, *VARIANTS):
-        front = advance(problem, *variant, flat) if variant else twinned(problem)
+    tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
+    tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
+    tries.append(partial(ready, problem, prisms.between_quarters))
+    for attempt in tries:
+        front = attempt()
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)

@@ -3,147 +3,130 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Contact's Σ in space, as plain arrays, and the weighted gap on the dofs of both sides."""
+r"""Contact's Σ in space: the weighted gap of columns on the dofs of both sides.
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+A column stands on a piece of a facet of Γ1, along the facet's normal, up to the facet of Γ0 there.
+The vertex of Γ1 that is next to it has it as a whole: :math:`g_a = \int f\,dX` over its pieces. So
+weights are never negative, and nothing jumps as nodes pass nodes. Where the surfaces touch, columns
+fill what is between them. Pieces' edges move with Γ0; as f is continuous across them only those at
+Γ0's outline are in ∂g/∂u, and in ∂²g/∂u² the jumps of f's derivatives.
+"""
+
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.gap import weighted
-from hypergap_dolfinx.gap.cells import GapCells, Hosts, interpolate_geometry
-from hypergap_dolfinx.gap.chart import axis_between, mesh_chart
-from hypergap_dolfinx.gap.constraint import coo_matrix, expand
-from hypergap_dolfinx.gap.domain import interpolation_weights
-from hypergap_dolfinx.gap.kernel import GapElement
+from hypergap_dolfinx.errors import NotFacingError, spot
+from hypergap_dolfinx.gap import heights
+from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
-from hypergap_dolfinx.gap.slab import mesh_slab
-from hypergap_dolfinx.gap.surface import Surface, tabulate
+from hypergap_dolfinx.gap.opposite import (
+    Frames,
+    Label,
+    Pieces,
+    cross,
+    find_pieces,
+    polygon_areas,
+    reference_corners,
+)
+from hypergap_dolfinx.gap.surface import Surface, lengths
 
-ON_VERTEX = 1e-9
-"""Distance from a facet's corner, in its reference coordinates, of a node of Σ that is there."""
+
+@dataclass
+class _State:
+    """Σ at displacements."""
+
+    u: Displacements
+    surfaces: tuple[Surface, Surface]
+    frames: Frames
+    pieces: Pieces
+    vertex: npt.NDArray[np.intp]
+    """Vertex of Γ1 that has each piece, ``(num_pieces,)``."""
+    rays: Rays
+    """At the points of a rule on the pieces."""
+    piece: npt.NDArray[np.intp]
+    """The piece of each of them."""
+    weights: npt.NDArray[np.float64]
+
+    @property
+    def areas(self) -> npt.NDArray[np.float64]:
+        """As seen along the rays, ``(num_pieces,)``."""
+        _, a, _ = self.rays.products
+        size = a / lengths(self.frames.normal)[self.rays.facets[1]]
+        return np.bincount(self.piece, self.weights * size, len(self.vertex))
+
+    @property
+    def volumes(self) -> npt.NDArray[np.float64]:
+        """Of the columns, ``(num_pieces,)``."""
+        s, a, b = self.rays.products
+        return np.bincount(self.piece, self.weights * s * a / b, len(self.vertex))
 
 
 @dataclass(frozen=True)
+class _Edges:
+    """Points of a rule on those edges of pieces that are Γ0's, and how they move on Γ1."""
+
+    rays: Rays
+    piece: npt.NDArray[np.intp]
+    weights: npt.NDArray[np.float64]
+    normal: npt.NDArray[np.float64]
+    """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
+    outline: npt.NDArray[np.bool_]
+    """Whether Γ0 ends there."""
+
+    @property
+    def motion(self) -> npt.NDArray[np.float64]:
+        """Derivatives of the edges' motions along the normals by q, ``(num, 7, 3)``."""
+        _, n1, m = self.rays.normals
+        t = self.rays.q[:, heights.At.T1], self.rays.q[:, heights.At.T2]
+        dual = cross(t[1], m), cross(m, t[0])  # in the plane across M
+        w = sum(self.normal[:, k, None] * dual[k] for k in (0, 1))
+        return self.rays.towards(w / heights.dot(n1, m)[:, None])
+
+
+@dataclass
 class Opening:
-    """Σ between two surfaces in space, with weights w_a for each vertex of Γ1.
+    """Σ between two surfaces in space, with weights for each vertex of Γ1.
 
-    The same on every rank.
-
-    Which cells there are, where their nodes are hosted and how they are weighted was found at one
-    place of the bodies; where they are now is an argument.
+    It is found anew wherever the bodies are: g is continuous, and its derivatives are those of
+    everything that moves. The same on every rank.
     """
 
     sides: Sides
-    hosts: Hosts
-    """Hosts of the cells' geometry nodes."""
-    alpha: npt.NDArray[np.float64]
-    """α at the vertices, ``(num_cells, n + 1)``."""
-    element: basix.finite_element.FiniteElement
-    """Of the cells' geometry."""
-    table: GapElement
-    """Gauss points."""
-    points: npt.NDArray[np.float64]
-    """Where they are in the reference cell, ``(num_points, n)``."""
-    vertices: npt.NDArray[np.intp]
-    """Vertices of Γ1 that each of a cell's vertices stands for: those of a facet,
-    ``(num_cells, n + 1, num_facet_vertices)``."""
-    shares: npt.NDArray[np.float64]
-    """By what part, ``(num_cells, n + 1, num_facet_vertices)``."""
-    x: npt.NDArray[np.float64]
-    """Where the cells' nodes are without displacements, ``(num_cells, num_geometry_nodes, n)``."""
-    w: npt.NDArray[np.float64]
-    """Weights of the cells' vertices at the points, ``(num_cells, num_points, n + 1)``."""
-    rank: npt.NDArray[np.int32]
-    """Rank of a body's cell beside each cell, ``(num_cells,)``."""
-    axis: npt.NDArray[np.float64] | None = None
-    """Along what the surfaces were seen; None if they surround each other."""
+    _last: _State | None = field(default=None, repr=False)
 
     @classmethod
-    def between(
-        cls, comm: MPI.Comm, sides: Sides, u: Displacements, before: "Opening | None" = None
-    ) -> "Opening":
-        """Mesh Σ where the bodies are. Collective.
+    def between(cls, comm: MPI.Comm, sides: Sides, u: Displacements) -> "Opening":
+        """Σ where the bodies are.
 
         Args:
             comm: Communicator.
             sides: Γ0 and Γ1.
             u: Their displacements.
-            before: What was between them before.
 
         Raises:
-            InterfaceError: They don't face each other.
+            NotFacingError: Nothing of Γ1 lies opposite Γ0.
         """
-        surfaces = displaced(sides, u)
-        axis = axis_between(surfaces, before.axis if before else None)
-        if axis is None:
-            gap: GapCells = mesh_slab(comm, *surfaces)
-        else:
-            gap = mesh_chart(comm, surfaces, axis)
-        k = max(gap.degree, *(surface.geometry.degree for surface in surfaces))
-        cell = basix.CellType.tetrahedron
-        element = basix.create_element(
-            basix.ElementFamily.P, cell, k, basix.LagrangeVariant.equispaced
-        )
-        every = np.arange(len(gap.cells))
-        points, weights = basix.make_quadrature(cell, max(min(6 * (k - 1), 6), 3 * (k - 1)))
-        vertices, shares = _multipliers(surfaces[1], gap)
-        hosts = gap.hosts(element.points, every)
-        alpha = gap.alpha[gap.cells]
-        table = GapElement.at(element, element, points, weights)
-        rest = tuple(side.reference for side in sides)
-        x = interpolate_geometry(rest, hosts)
-        opening = cls(
-            sides, hosts, alpha, element, table, points, vertices, shares, x, x, gap.rank, axis
-        )
-        w = weighted.vertex_weights(table, opening.positions(u), alpha)
-        weighed = replace(opening, w=w)
-        weighed.__dict__["_R"] = opening._R  # which doesn't depend on them
-        return weighed
-
-    def positions(self, u: Displacements) -> npt.NDArray[np.float64]:
-        """Geometry nodes of the cells, ``(num_cells, num_geometry_nodes, n)``."""
-        moved = self._R.createVecLeft()
-        at_dofs = self._R.createVecRight()
-        at_dofs.array[:] = np.concatenate([part.ravel() for part in u])
-        self._R.mult(at_dofs, moved)
-        x = self.x + moved.array_r.reshape(self.x.shape)
-        moved.destroy()
-        at_dofs.destroy()
-        return x
-
-    @cached_property
-    def _R(self) -> PETSc.Mat:
-        """Positions of the cells' nodes from those of both surfaces' dofs, all components."""
-        entries = []
-        offset = 0
-        alpha = self.hosts.alpha.ravel()
-        for side_number, side in enumerate(self.sides):
-            weight = alpha if side_number else 1 - alpha
-            use = np.flatnonzero(weight != 0)
-            X = self.hosts.X[side_number].reshape(len(alpha), -1)[use]
-            facets = self.hosts.facets[side_number].ravel()[use]
-            point, dof, value = interpolation_weights(
-                side.reference, facets, X, weight[use], self.element
-            )
-            entries.append((use[point], np.searchsorted(side.dofs, dof) + offset, value))
-            offset += len(side.dofs)
-        i, j, value = (np.concatenate(part) for part in zip(*entries, strict=True))
-        R = coo_matrix(MPI.COMM_SELF, (len(alpha), offset), i, j, value)
-        expanded = expand(R, self.sides[0].reference.gdim)
-        R.destroy()
-        return expanded
+        opening = cls(sides)
+        opening._at(u)
+        return opening
 
     @property
     def num_multipliers(self) -> int:
         """One for each vertex of Γ1, in reach of Γ0 or not."""
         return len(self.sides[1].reference.x)
+
+    def _at(self, u: Displacements) -> _State:
+        """Σ where the bodies are, the last one if they haven't moved."""
+        last = self._last
+        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
+            self._last = last = _place(self.sides, u)
+        return last
 
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap.
@@ -153,22 +136,29 @@ class Opening:
 
         Returns:
             g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
-            ``(num_multipliers, n (num_dofs0 + num_dofs1))``.
+            ``(num_multipliers, 3 (num_dofs0 + num_dofs1))``.
         """
-        cells = weighted.weigh(self.table, self.positions(u), self.alpha, self.w)
-        g, m = (self._sum(part) for part in (cells.g, cells.m))
-        num_cells, _, num_nodes, n = cells.dg.shape
-        # (cell, vertex, share, node, component)
-        values = self.shares[..., None, None] * cells.dg[:, :, None]
-        rows = np.broadcast_to(self.vertices[..., None, None], values.shape)
-        columns = np.arange(num_cells * num_nodes * n).reshape(num_cells, 1, 1, num_nodes, n)
-        columns = np.broadcast_to(columns, values.shape)
-        use = values != 0
-        sizes = self.num_multipliers, num_cells * num_nodes * n
-        C = coo_matrix(MPI.COMM_SELF, sizes, rows[use], columns[use], values[use])
-        product = C.matMult(self._R)
-        C.destroy()
-        return g, m, Sparse.of(product)
+        state = self._at(u)
+        g, m = (
+            np.bincount(state.vertex, part, self.num_multipliers)
+            for part in (state.volumes, state.areas)
+        )
+        first = state.rays.gradient() * state.weights[:, None, None]
+        parts = [(state.rays, state.piece, first)]
+        rim = _edges(state, outline=True)
+        if len(rim.piece):
+            s, a, b = rim.rays.products
+            moved = (rim.weights * s * a / b)[:, None, None] * rim.motion
+            parts.append((rim.rays, rim.piece, moved))
+        i, j, values = [], [], []
+        for rays, piece, by_q in parts:
+            T = by_dofs(state.surfaces, rays)
+            block = T.transpose(0, 2, 1) @ by_q  # (point, dof, component)
+            dofs = self._dofs(rays)
+            i.append(np.broadcast_to(state.vertex[piece, None], dofs.shape).ravel())
+            j.append(dofs.ravel())
+            values.append(block.reshape(-1, 3))
+        return g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
         """H = Σ_a p_a ∂²g_a/∂u², of the size of u.
@@ -177,23 +167,35 @@ class Opening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        pressure = np.einsum("cpb,cb->cp", self.w, self._at_cells(p))
-        on = np.flatnonzero(pressure.any(axis=1))
-        x = self.positions(u)[on]
-        h = weighted.second_derivatives(self.table, x, pressure[on])
-        size = x.shape[1] * x.shape[2]
-        h = h.reshape(-1, size, size)
-        at = on[:, None] * size + np.arange(size)
-        rows = np.broadcast_to(at[:, :, None], h.shape)
-        columns = np.broadcast_to(at[:, None, :], h.shape)
-        num = len(self.alpha) * size
-        H = coo_matrix(MPI.COMM_SELF, (num, num), rows, columns, h)
-        product = H.ptap(self._R)
-        H.destroy()
-        return Sparse.of(product)
+        state = self._at(u)
+        i, j, values = [], [], []
+
+        def add(rays, H):
+            T = by_dofs(state.surfaces, rays)
+            num, _, nodes = T.shape
+            # (point, vector and component, dof and component)
+            full = np.einsum("pvn,ij->pvinj", T, np.eye(3)).reshape(num, 21, 3 * nodes)
+            block = (full.transpose(0, 2, 1) @ H @ full).reshape(num, nodes, 3, nodes, 3)
+            dofs = self._dofs(rays)
+            shape = num, nodes, nodes
+            i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
+            j.append(np.broadcast_to(dofs[:, None], shape).ravel())
+            values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
+
+        pressure = p[state.vertex]
+        on = np.flatnonzero(pressure)
+        if not len(on):
+            return Sparse.empty()
+        rays, piece, weights = _cast(
+            state.surfaces, state.frames, state.pieces.some(on), exact=False
+        )
+        add(rays, (pressure[on[piece]] * weights)[:, None, None] * rays.hessian())
+        edges = _edges(state, pressure != 0)
+        add(edges.rays, _kinks(edges, pressure[edges.piece] * edges.weights))
+        return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Pressures for people, (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas.
+        """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.
 
         They have the force of p, and less of its scatter from node to node.
 
@@ -201,73 +203,231 @@ class Opening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        S = self._means
-        _, area = self._volume_and_area(u)
-        mean = np.einsum("cb,cb->c", S, self._at_cells(p)) * area
-        total, size = self._sum(S * mean[:, None]), self._sum(S * area[:, None])
+        state = self._at(u)
+        facet, area = state.pieces.facets[1], state.areas
+        num = len(state.surfaces[1].facets)
+        force, size = (np.bincount(facet, w, num) for w in (area * p[state.vertex], area))
+        mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)[facet]
+        mean = 0.5 * (mean + p[state.vertex])
+        total, size = (
+            np.bincount(state.vertex, w, self.num_multipliers) for w in (area * mean, area)
+        )
         return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
 
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        """The cells where the bodies are, to look at.
+        """The columns where the bodies are, each as tetrahedra, to look at.
 
         Args:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        volume, area = self._volume_and_area(u)
+        state = self._at(u)
+        pieces = state.pieces
+        piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
+        ends = [
+            heights.cast(
+                state.surfaces,
+                state.frames,
+                tuple(facet[piece] for facet in pieces.facets),
+                pieces.X[piece, at],
+            ).x
+            for at in (0 * corner, corner + 1, corner + 2)
+        ]
+        prism = np.stack([x for side in (1, 0) for x in (end[side] for end in ends)], axis=1)
+        x = prism[:, [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]].reshape(-1, 4, 3)
+        area, cell = state.areas, np.repeat(piece, 3)
         return OpenCells(
-            x=self.positions(u)[:, : self.alpha.shape[1]],
-            rank=self.rank,
-            gap=np.divide(volume, area, out=np.zeros_like(area), where=area > 0),
-            pressure=np.einsum("cb,cb->c", self._means, self._at_cells(p)),
+            x=x,
+            rank=state.surfaces[1].owner[pieces.facets[1][cell]],
+            gap=(state.volumes / area)[cell],
+            pressure=p[state.vertex][cell],
         )
 
     @property
-    def _means(self) -> npt.NDArray[np.float64]:
-        """Mean weights of the cells' vertices, ``(num_cells, n + 1)``."""
-        return np.einsum("p,cpb->cb", self.table.weights, self.w) / self.table.weights.sum()
+    def _num_dofs(self) -> int:
+        return sum(len(side.dofs) for side in self.sides)
 
-    def _volume_and_area(self, u: Displacements):
-        """Of each cell, ``(num_cells,)`` each."""
-        ones = np.ones((*self.w.shape[:2], 1))
-        cells = weighted.weigh(self.table, self.positions(u), self.alpha, ones)
-        return cells.g[:, 0], cells.m[:, 0]
-
-    def _at_cells(self, p) -> npt.NDArray[np.float64]:
-        """Values at the cells' vertices, ``(num_cells, n + 1)``."""
-        return (self.shares * p[self.vertices]).sum(axis=2)
-
-    def _sum(self, values) -> npt.NDArray[np.float64]:
-        """Sums over the cells of values at their vertices, ``(num_multipliers,)``."""
-        values = self.shares * values[..., None]
-        return np.bincount(self.vertices.ravel(), values.ravel(), self.num_multipliers)
+    def _dofs(self, rays: Rays) -> npt.NDArray[np.intp]:
+        """Dofs of both facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
+        below, above = (side.at_facets[f] for side, f in zip(self.sides, rays.facets, strict=True))
+        return np.hstack((below, len(self.sides[0].dofs) + above))
 
 
-def _multipliers(
-    surface: Surface, gap: GapCells
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-    """The vertices of Γ1 that the cells' vertices stand for, and their shares.
+def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
+    """What moving edges add to ∂²∫f/∂q²: jumps of f's derivatives; ``(num, 21, 21)``.
 
-    A vertex of Γ1 of which no facet is covered by more than :data:`COVERED` has no multiplier: what
-    it would have goes to the nearest vertex that has one.
+    At Γ0's outline f is taken for zero, as it is in contact.
     """
-    n = surface.gdim
-    corners = np.vstack((np.zeros(n), np.eye(n)))
-    hosts = gap.hosts(corners, np.arange(len(gap.cells)))
-    corners_of = basix.create_element(basix.ElementFamily.P, surface.geometry.cell_type, 1)
-    shares = tabulate(corners_of, hosts.X[1].reshape(-1, n - 1))
-    shares = shares.reshape(*hosts.alpha.shape, -1)  # (cell, vertex, facet vertex)
-    shares[(np.abs(shares) < ON_VERTEX) | (hosts.alpha < ON_VERTEX)[..., None]] = 0
-    vertices = surface.facets[hosts.facets[1]].astype(np.intp)
+    n0, _, _ = edges.rays.normals
+    _, a, b = edges.rays.products
+    t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
+    slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
+    slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
+    motion = edges.motion.reshape(-1, 21)
+    H = (-slope * factor)[:, None, None] * motion[:, :, None] * motion[:, None]
+    if edges.outline.any():
+        first = edges.outline[:, None] * edges.rays.gradient().reshape(-1, 21)
+        product = factor[:, None, None] * first[:, :, None] * motion[:, None]
+        H += product + product.transpose(0, 2, 1)
+        twice = 2 * edges.outline * slope * factor
+        H += twice[:, None, None] * motion[:, :, None] * motion[:, None]
+    return H
+
+
+def _summed(i, j, values, shape, num: int) -> Sparse:
+    """A sparse matrix of blocks, of which equal ones are added up.
+
+    Args:
+        i: Rows of blocks.
+        j: Columns of blocks.
+        values: ``(num_blocks, rows * columns)``.
+        shape: Rows and columns of a block.
+        num: Columns of the matrix.
+    """
+    rows, columns = shape
+    key = np.concatenate(i) * num + np.concatenate(j)
+    blocks, where = np.unique(key, return_inverse=True)
+    every = np.concatenate(values)
+    total = [np.bincount(where, part, len(blocks)) for part in every.T]
+    at, column = np.divmod(blocks, num)
+    r, c = np.divmod(np.arange(rows * columns), columns)
+    shape = len(r), len(at)
+    return Sparse(
+        np.broadcast_to(rows * at + r[:, None], shape).ravel(),
+        np.broadcast_to(columns * column + c[:, None], shape).ravel(),
+        np.array(total).ravel(),
+    )
+
+
+def _place(sides: Sides, u: Displacements) -> _State:
+    """Find Σ at displacements.
+
+    Raises:
+        NotFacingError: There is none.
+    """
+    surfaces = displaced(sides, u)
+    below, above = surfaces
+    frames = Frames.of(above)
+    pieces = find_pieces(surfaces, frames)
+    if not len(pieces.num):
+        raise NotFacingError(
+            f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
+            "along its normals; check the tags."
+        )
+    rays, piece, weights = _cast(surfaces, frames, pieces, exact=True)
+    vertex = _stand_ins(above, pieces)[pieces.vertex]
+    copy = u[0].copy(), u[1].copy()
+    return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights)
+
+
+def _cast(surfaces, frames: Frames, pieces: Pieces, *, exact: bool):
+    """Rays from the points of a rule on pieces, which piece each is on, and weights.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        frames: Of Γ1.
+        pieces: The pieces.
+        exact: Whether the rule has twice the facets' degree, not 2; what is linear on straight
+            triangles has enough with 1.
+    """
+    degree = max(surface.geometry.degree for surface in surfaces)
+    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
+    X, piece, weights = _rule(pieces, 1 if linear else 2 * degree if exact else 2)
+    facets = tuple(f[piece] for f in pieces.facets)
+    return heights.cast(surfaces, frames, facets, X), piece, weights
+
+
+def _rule(pieces: Pieces, degree: int):
+    """Points on pieces, which piece each is in, and weights.
+
+    One on each piece for degree 1, three for degree 2: they have its middle and its moments.
+    """
+    first, steps = pieces.X[:, :1], pieces.X - pieces.X[:, :1]
+    a, b = steps[:, 1:-1], steps[:, 2:]
+    areas = 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    if degree <= 2:
+        total, piece = areas.sum(axis=1), np.arange(len(areas))
+        share = areas / total[:, None]
+        middle = np.einsum("pt,pti->pi", share, a + b) / 3
+        if degree == 1:
+            return first[:, 0] + middle, piece, total
+        # ∫ x xᵀ over a triangle with a corner at 0
+        square = sum(np.einsum("pt,pti,ptj->pij", share, end, end) for end in (a, b))
+        mixed = np.einsum("pt,pti,ptj->pij", share, a, b)
+        moments = (2 * square + mixed + mixed.swapaxes(1, 2)) / 12
+        moments -= middle[:, :, None] * middle[:, None]
+        # The square root's lower triangle
+        c = np.sqrt(np.maximum(moments[:, 0, 0], 1e-300))
+        d = moments[:, 0, 1] / c
+        e = np.sqrt(np.maximum(moments[:, 1, 1] - d**2, 0))
+        turns = 2 * np.pi / 3 * np.arange(3)
+        u, v = 2**0.5 * np.cos(turns), 2**0.5 * np.sin(turns)
+        away = np.stack((c[:, None] * u, d[:, None] * u + e[:, None] * v), axis=2)
+        X = first + middle[:, None] + away
+        return X.reshape(-1, 2), np.repeat(piece, 3), np.repeat(total / 3, 3)
+    piece, triangle = np.nonzero(areas > 0)
+    points, weights = basix.make_quadrature(basix.CellType.triangle, degree)
+    a, b = a[piece, triangle], b[piece, triangle]
+    X = first[piece] + a[:, None] * points[:, :1] + b[:, None] * points[:, 1:]
+    weights = 2 * areas[piece, triangle, None] * weights
+    return X.reshape(-1, 2), np.repeat(piece, len(points)), weights.ravel()
+
+
+def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
+    """Points on the pieces' edges that are Γ0's.
+
+    Args:
+        state: Σ.
+        which: Pieces that are asked for, ``(num_pieces,)``.
+        outline: Whether only Γ0's outline is.
+    """
+    pieces = state.pieces
+    there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
+    at_end = _is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
+    there &= np.broadcast_to(which, len(there))[:, None]
+    if outline:
+        there &= at_end
+    piece, k = np.nonzero(there)
+    start, end = pieces.X[piece, k], pieces.X[piece, (k + 1) % pieces.num[piece]]
+    step = end - start
+    points, weights = basix.make_quadrature(basix.CellType.interval, 3)
+    X, num = start[:, None] + points * step[:, None], len(points)
+    facets = tuple(np.repeat(f[piece], num) for f in pieces.facets)
+    return _Edges(
+        heights.cast(state.surfaces, state.frames, facets, X.reshape(-1, 2)),
+        np.repeat(piece, num),
+        np.tile(weights, len(piece)),
+        np.repeat(np.column_stack((step[:, 1], -step[:, 0])), num, axis=0),
+        np.repeat(at_end[piece, k], num),
+    )
+
+
+def _is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
+    """Which edges of facets no other facet has, ``(num_facets, num_edges)``."""
+    start = surface.polygons.astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    key = np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
+    _, where, count = np.unique(key, return_inverse=True, return_counts=True)
+    return (count[where] == 1).reshape(key.shape)
+
+
+def _stand_ins(surface: Surface, pieces: Pieces) -> npt.NDArray[np.intp]:
+    """The vertex of Γ1 that has what is next to each one, ``(num_vertices,)``.
+
+    A vertex of which no facet is covered by more than :data:`COVERED` has no multiplier: what it
+    would have goes to the nearest vertex that has one.
+    """
+    whole = polygon_areas(reference_corners(surface)[None])[0]
+    covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
     has = np.zeros(len(surface.x), dtype=bool)
-    has[surface.facets[gap.covered > COVERED]] = True
+    has[surface.facets[covered > COVERED]] = True
     stand_in = np.arange(len(surface.x))
-    for v in np.setdiff1d(vertices[shares != 0], np.flatnonzero(has)).tolist():
+    for v in np.setdiff1d(pieces.vertex, np.flatnonzero(has)).tolist():
         facets = (surface.facets == v).any(axis=1)
         near = np.setdiff1d(surface.facets[facets][has[surface.facets[facets]]], v)
         if not len(near):
             near = np.flatnonzero(has)
         if not len(near):  # nothing but a part of one facet
             near, has[v] = np.array([v]), True
-        stand_in[v] = near[np.linalg.norm(surface.x[near] - surface.x[v], axis=1).argmin()]
-    return stand_in[vertices], shares
+        stand_in[v] = near[lengths(surface.x[near] - surface.x[v]).argmin()]
+    return stand_in

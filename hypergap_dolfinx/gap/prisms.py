@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Surfaces that match, or nearly do: each facet and its twin make three tetrahedra."""
+"""Surfaces that match or nearly do, and such of which one is the other with quartered facets.
+
+Each facet and its twin make three tetrahedra; each facet and its four quarters make seven.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +31,18 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """
     if len(x0) != len(x1) or len(facets0) != len(facets1):
         return None
+    twin = _nearest(x0, x1, NEAR * size)
+    if twin is None:
+        return None
+    return twin if np.array_equal(_sorted(twin[facets0]), _sorted(facets1)) else None
+
+
+def _nearest(x0, x1, reach: float) -> npt.NDArray[np.intp] | None:
+    """The vertex of Γ1 nearest to each of Γ0's, each another one; None if they are further away."""
     order = np.argsort(x1 @ DIRECTION, kind="stable")
     place = (x1 @ DIRECTION)[order]
-    low = np.searchsorted(place, x0 @ DIRECTION - NEAR * size)
-    count = np.searchsorted(place, x0 @ DIRECTION + NEAR * size) - low
+    low = np.searchsorted(place, x0 @ DIRECTION - reach)
+    count = np.searchsorted(place, x0 @ DIRECTION + reach) - low
     if count.min() == 0 or count.sum() > CROWD * len(x0):
         return None
     i = np.repeat(np.arange(len(x0)), count)
@@ -40,9 +51,83 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     square = np.einsum("pi,pi->p", difference, difference)
     nearest = np.lexsort((square, i))[np.cumsum(count) - count]
     twin = j[nearest]
-    if square[nearest].max() > (NEAR * size) ** 2 or len(np.unique(twin)) < len(twin):
+    apart = square[nearest].max() > reach**2 or len(np.unique(twin)) < len(twin)
+    return None if apart else twin
+
+
+def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
+    """Γ1's vertices at Γ0's vertices and edges, if its facets are quarters of Γ0's.
+
+    Args:
+        x0: Γ0's vertices, ``(num_vertices0, 3)``.
+        facets0: Its facets, ``(num_facets0, 3)``.
+        x1: Γ1's vertices.
+        facets1: Its facets, turned like Γ0's.
+        size: Length of Γ1's edges.
+
+    Returns:
+        For each facet of Γ0 the vertices at its corners, and those in the middle of the edges
+        opposite to them, ``(num_facets0, 6)``; None if the surfaces aren't so.
+    """
+    if len(facets1) != 4 * len(facets0):
         return None
-    return twin if np.array_equal(_sorted(twin[facets0]), _sorted(facets1)) else None
+    twin = _nearest(x0, x1, NEAR * size)
+    if twin is None:
+        return None
+    corner = np.full(len(x1), -1)
+    corner[twin] = np.arange(len(x0))
+    pairs = facets1[:, [(0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)]].reshape(-1, 2)
+    pairs = np.unique(pairs[(corner[pairs] >= 0) @ (1, 2) == 1][:, ::-1], axis=0)
+    middle, count = np.unique(pairs[:, 0], return_counts=True)
+    if not len(count) or (count != 2).any():
+        return None
+    ends = np.sort(corner[pairs[:, 1]].reshape(-1, 2), axis=1)
+    order = np.lexsort(ends.T[::-1])
+    key = (ends @ (len(x0), 1))[order]
+    sought = np.sort(facets0[:, [(1, 2), (2, 0), (0, 1)]], axis=2) @ (len(x0), 1)
+    at = order[np.minimum(np.searchsorted(key, sought), len(key) - 1)]
+    six = np.hstack((twin[facets0], middle[at]))
+    return six if np.array_equal(_sorted(_quarters(six)), _sorted(facets1)) else None
+
+
+def _quarters(six) -> npt.NDArray[np.intp]:
+    """Quarters of facets by their corners and middles: three corners, and what is between."""
+    a, b, c, bc, ca, ab = six.T
+    parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab))
+    return np.vstack([np.column_stack(part) for part in parts])
+
+
+def between_quarters(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
+    """Cells between facets of one side and their quarters on the other: neighbours always agree.
+
+    A quarter at a corner has a cell to it. Between these is an octahedron, cut along one of its
+    diagonals: four cells, of which none is flat if no facet is.
+
+    Args:
+        x0: Γ0's vertices, ``(num_vertices0, 3)``.
+        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``.
+        x1: Γ1's vertices.
+        facets1: Its facets, turned like Γ0's.
+        size: Length of the finer side's edges.
+
+    Returns:
+        ``(7 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces aren't so.
+    """
+    n0 = len(x0)
+    six = middles(x0, facets0, x1, facets1, size)
+    if six is not None:
+        return _sevens(facets0, six + n0)
+    six = middles(x1, facets1, x0, facets0, size)
+    return None if six is None else _sevens(facets1 + n0, six)[:, [1, 0, 2, 3]]
+
+
+def _sevens(facets, six) -> npt.NDArray[np.intp]:
+    """The cells between facets and their quarters above them."""
+    a, b, c = facets.T
+    a1, b1, c1, bc, ca, ab = six.T
+    corners = ((a, a1, ab, ca), (b, b1, bc, ab), (c, c1, ca, bc))
+    octahedron = ((a, bc, ca, ab), (a, b, bc, ab), (c, a, bc, ca), (a, b, c, bc))
+    return np.vstack([np.column_stack(cell) for cell in (*corners, *octahedron)])
 
 
 def _sorted(facets):
@@ -52,22 +137,27 @@ def _sorted(facets):
     return facets[np.lexsort(facets.T[::-1])]
 
 
-def prisms(facets, twin, n0: int) -> npt.NDArray[np.intp]:
+def between_twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """Cells between facets and their twins.
 
     Cut by the order of their vertices, so that neighbours agree.
 
     Args:
-        facets: Γ0's, counterclockwise seen from Γ1, ``(num_facets, 3)``.
-        twin: Γ1's vertices, numbered from 0, at Γ0's.
-        n0: Number of Γ0's vertices.
+        x0: Γ0's vertices, ``(num_vertices, 3)``.
+        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets, 3)``.
+        x1: Γ1's vertices.
+        facets1: Its facets, turned like Γ0's.
+        size: Length of the edges.
 
     Returns:
-        ``(3 num_facets, 4)``.
+        ``(3 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces don't match.
     """
-    order = np.argsort(facets, axis=1)
-    a, b, c = np.take_along_axis(facets, order, axis=1).T
-    a1, b1, c1 = (n0 + twin[v] for v in (a, b, c))
+    twin = twins(x0, facets0, x1, facets1, size)
+    if twin is None:
+        return None
+    order = np.argsort(facets0, axis=1)
+    a, b, c = np.take_along_axis(facets0, order, axis=1).T
+    a1, b1, c1 = (len(x0) + twin[v] for v in (a, b, c))
     cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)), axis=0)  # (cell, vertex, f)
     cells = cells.transpose(2, 0, 1).copy()
     odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting

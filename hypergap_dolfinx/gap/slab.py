@@ -13,7 +13,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -32,7 +32,7 @@ from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.parting import pairs_of_pieces
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab, key_of
-from hypergap_dolfinx.gap.straight import marked, straightened
+from hypergap_dolfinx.gap.straight import NONE, marked, straightened
 from hypergap_dolfinx.gap.surface import Surface
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -83,21 +83,76 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
 
 
-def curved_margins(slab: Slab) -> npt.NDArray[np.float64]:
-    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge²."""
+def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
+    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge².
+
+    Args:
+        slab: Cells.
+        nodes: Their geometry's nodes if no edges were straight, ``(num_cells, num_nodes, 3)``.
+    """
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
     geometry = geometry_element(surfaces, k).basix_element
     space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
-    each = np.arange(len(slab.cells))
-    hosts = slab.hosts(geometry.points, each)
     v = slab.x[slab.cells]
-    x = interpolate_geometry(surfaces, hosts)
-    x = straightened(x, geometry.points, marked(slab.cells, slab.straight), v)
+    if nodes is None:
+        each = np.arange(len(slab.cells))
+        nodes = interpolate_geometry(surfaces, slab.hosts(geometry.points, each))
+    x = straightened(nodes, geometry.points, marked(slab.cells, slab.straight), v)
     tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
     return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
+
+
+class _Margins:
+    """How far cells are from being turned over; where their nodes lie is looked for once."""
+
+    def __init__(self, sides: tuple[Side, Side], points: npt.NDArray[np.float64]):
+        """Between two pieces, with a geometry that has its nodes at some points."""
+        self.sides, self.points = sides, points
+        self._num_vertices = sum(len(side.x) for side in sides)
+        self._number: dict[bytes, int] = {}
+        self._num_cells = 0
+        self._hosts: list[Hosts] = []
+        self._nodes = [np.empty((0, len(points), 3))]
+        self._lots: list[list] = []  # interior vertices of one lot have other numbers in the next
+
+    def __call__(self, filling: front.Filling) -> npt.NDArray[np.float64]:
+        at = self._find(filling)
+        return curved_margins(_slab(self.sides, filling), np.concatenate(self._nodes)[at])
+
+    def _find(self, filling: front.Filling) -> npt.NDArray[np.intp]:
+        """The numbers of cells, which are those of their nodes and of these nodes' hosts."""
+        lots = [*self._lots, filling.hosts]
+        lot = next(i for i, hosts in enumerate(lots) if hosts is filling.hosts)
+        self._lots = lots if lot == len(self._lots) else self._lots
+        cells = filling.cells
+        inner = (cells >= self._num_vertices).any(axis=1)
+        walls = marked(cells, filling.walls) @ (1 << np.arange(6))  # other fronts have others
+        kind = 64 * np.where(inner, lot + 1, 0) + walls
+        data = np.column_stack((cells, kind)).astype(np.int64).tobytes()
+        keys = [data[i : i + 40] for i in range(0, len(data), 40)]
+        at = np.array([self._number.get(key, -1) for key in keys], dtype=np.intp)
+        new = np.flatnonzero(at < 0)
+        if len(new):
+            slab = _slab(self.sides, replace(filling.with_cells(cells[new]), straight=NONE))
+            self._hosts.append(slab.hosts(self.points, np.arange(len(new))))
+            surfaces = [side.surface for side in self.sides]
+            self._nodes.append(interpolate_geometry(surfaces, self._hosts[-1]))
+            at[new] = self._num_cells + np.arange(len(new))
+            self._num_cells += len(new)  # a cell may be among them twice
+            self._number.update((keys[i], at[i]) for i in new)
+        return at
+
+    def tell(self, slab: Slab, filling: front.Filling):
+        """Let a slab of these cells know what was found."""
+        if self._hosts:
+            each = self._find(filling)
+            moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
+            each[moved] = self._num_cells + np.arange(len(moved))  # nodes of straight edges
+            found = [*self._hosts, slab.hosts(self.points, moved)]
+            slab.known[key_of(self.points)] = Hosts.concatenate(found)[each]
 
 
 def _check_folded(side: Side):
@@ -127,30 +182,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     degree = max(side.degree for side in sides)
     geometry = geometry_element([side.surface for side in sides], degree).basix_element
 
-    num_vertices = len(problem.x)
-    number: dict[bytes, int] = {}  # of cells that were looked at: most are many times
-    values: list[float] = []
-    hosts: list[Hosts] = []
-
-    def keys(filling: front.Filling) -> list[bytes]:
-        edges = [marked(filling.cells, some) for some in (filling.straight, filling.walls)]
-        marks = np.hstack(edges) @ (1 << np.arange(12))
-        data = np.column_stack((filling.cells, marks)).astype(np.int64).tobytes()
-        return [data[i : i + 40] for i in range(0, len(data), 40)]
-
-    def margins(filling: front.Filling) -> npt.NDArray[np.float64]:
-        each = keys(filling)
-        at = np.array([number.get(key, -1) for key in each])
-        new = np.flatnonzero(at < 0)
-        if len(new):
-            slab = _slab(sides, filling.with_cells(filling.cells[new]))
-            at[new] = len(values) + np.arange(len(new))
-            values.extend(curved_margins(slab))
-            hosts.append(slab.hosts(geometry.points, np.arange(len(new))))
-            lasting = (slab.cells < num_vertices).all(axis=1)  # not of interior vertices
-            number.update((each[i], at[i]) for i in new[lasting])
-        return np.array(values)[at]
-
+    margins = _Margins(sides, geometry.points)
     filling = front.construct(problem, _place(sides), margins if geometry.degree > 1 else None)
     if filling is None:
         raise InterfaceError(
@@ -161,9 +193,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
         for side in sides:
             _check_folded(side)
     slab = _slab(sides, filling)
-    at = [number.get(key, -1) for key in keys(filling)] if hosts else [-1]
-    if min(at) >= 0:
-        slab.known[key_of(geometry.points)] = Hosts.concatenate(hosts)[at]
+    margins.tell(slab, filling)
     return slab
 
 

@@ -37,12 +37,6 @@ SAME_NODE = 1e-10
 """Distance of nodes of reference elements that are one. At degree 10 nodes are 0.03 apart,
 and round-off is 3e-16."""
 
-OWN_SPACES = (
-    "give each field a space of its own and put the blocks() of its tie into a system of your own "
-    "(demos/own_system.py)"
-)
-"""What to do with fields of different elements in one form."""
-
 
 @dataclass(frozen=True)
 class Surface:
@@ -208,6 +202,11 @@ def _facet_tables(cell_type, element, facet_element):
     return np.reshape(tables, (-1, 2, len(facet_element.points)))
 
 
+def is_mixed(V: fem.FunctionSpace) -> bool:
+    """Whether a space has components of different elements."""
+    return V.num_sub_spaces > 0 and V.num_sub_spaces > V.ufl_element().block_size
+
+
 def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteElement, str | None]:
     """The scalar Lagrange element under a space, or the reason why there is none.
 
@@ -215,9 +214,9 @@ def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteE
         The element, and None or a message.
     """
     if V.component():
-        return None, f"is a subspace, which no form has alone; tie the whole space, or {OWN_SPACES}"
-    if V.num_sub_spaces > V.dofmap.index_map_bs:
-        return None, f"is mixed, which no tie takes yet; {OWN_SPACES}"
+        return None, "is a subspace, which only ties take"
+    if is_mixed(V):
+        return None, "is mixed; a tie takes its components one by one, W.sub(0) for example"
     try:
         element = V.ufl_element().basix_element
     except (NotImplementedError, AttributeError):  # of quadrature points, or of real numbers

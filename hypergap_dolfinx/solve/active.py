@@ -43,35 +43,46 @@ def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
     return valid & (p - stiffness * gap > 0)
 
 
-def receding(before, now, facets) -> npt.NDArray[np.bool_]:
-    """An active set that loses a zone at its edge, and as wide a zone beside it less one ring.
+def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]:
+    """As :func:`without_pull`, on a surface: a zone's pull goes inwards ring by ring.
 
-    Where contact reaches too far by δ its pressure changes sign δ/2 from the edge: without the
-    other half each step would only halve what is too much. What goes wrongly comes back at once,
-    since it overlaps.
+    What each vertex that is lost pulls is shared by its neighbours farther inside; one of which the
+    force is less is lost too, and hands on what is left.
 
     Args:
         before: The last set, ``(num,)``.
         now: Those that remain, and new ones, ``(num,)``.
-        facets: Vertices of Γ1's facets, ``(num_facets, n)``.
+        facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
+        force: Pressures times areas, ``(num,)``.
 
     Returns:
         ``(num,)``.
     """
-    lost, width = before & ~now, np.where(before, np.inf, 0)
-    while True:  # rings from the edge of the last set
-        ring = np.where(lost[facets], width[facets].min(axis=1, keepdims=True) + 1, np.inf)
-        nearer = width.copy()
-        np.minimum.at(nearer, facets, ring)
-        if (nearer == width).all():
+    num = len(before)
+    pairs = np.unique(
+        np.repeat(facets, facets.shape[1], 1) * num + np.tile(facets, facets.shape[1])
+    )
+    i, j = np.divmod(pairs.astype(np.int64), num)
+    lost, zone = before & ~now, ~before
+    while True:  # from the edge of the last set: a hole in it is scatter
+        grown = zone.copy()
+        grown[j[zone[i] & lost[j]]] = True
+        if (grown == zone).all():
             break
-        width = nearer
-    left, result = np.where(lost & np.isfinite(width), width, 0.0), now.copy()
-    while (left > 0).any():
-        spread = np.zeros_like(left)
-        np.maximum.at(spread, facets, left[facets].max(axis=1, keepdims=True) - 1)
-        left = np.where(result & before, spread, 0)
-        result &= ~(left > 0)
+        zone = grown
+    front = lost & zone
+    result, done = now.copy(), zone | front
+    pull = np.where(front, np.maximum(-force, 0), 0)
+    while front.any():
+        on = front[i] & before[j] & now[j] & ~done[j]
+        share = pull / np.maximum(np.bincount(i[on], minlength=num), 1)
+        got = np.bincount(j[on], share[i[on]], num)
+        front = np.zeros(num, dtype=bool)
+        front[j[on]] = True
+        done |= front
+        front &= got > force
+        result[front] = False
+        pull = np.where(front, got - force, 0)
     return result
 
 

@@ -16,11 +16,14 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
-from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.solve.compliances import Compliances
+from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.interface import Interface
-from hypergap_dolfinx.solve.multipliers import Choice, choose
+from hypergap_dolfinx.solve.matrices import nonzero_columns
+from hypergap_dolfinx.solve.multipliers import Choice, Columns, choose
 
 UNTIED = 1e-12
 """Sum of a row's entries at displacements of Γ0 that can move, over the largest such sum, up to
@@ -29,7 +32,7 @@ functions or round-off."""
 
 
 class ConstraintBlocks:
-    """B of the saddle system [K Bᵀ; B 0]: a row of blocks for each interface, a column a field.
+    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
@@ -53,26 +56,32 @@ class ConstraintBlocks:
             names: What messages call them; by their numbers if not given.
 
         Raises:
-            ValueError: A tie on a space that belongs to no body.
+            ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
+                a part of that field.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         self._spaces = list(spaces)
         self._ties = list(ties)
         self._names = names or [f"tie {t}" for t in range(len(self._ties))]
-        self._sides = [self._bodies_of(t, tie) for t, tie in enumerate(self._ties)]
+        self._components: list[tuple[int, Component]] = []  # with the numbers of their bodies
+        tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
+        self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
         self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
         self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
-        self._gaps: dict[int, PETSc.Vec] = {}
         self._pairs: dict[int, Coincidences] = {}
-        choice = choose(self._ties, self._sides, self._held)
+        held = [part.of_body(self._held[i]) for i, part in self._components]
+        choice = choose(self._ties, tied, held)
         self._interfaces = choice.interfaces
         self._of_tie = {t: g for g, group in enumerate(choice.interfaces) for t in group}
         self._bodies = [self._sides[group[0]] for group in self._interfaces]
         for t, lost in enumerate(choice.lost):
             self._check_lost_rows(t, lost)
-        rank = self._ties[0].sigma.comm.rank if self._ties else 0
-        self._own = [c.own[(c.rank == rank) & (c.own >= 0)] for c in choice.columns]
+        self._own = [
+            self._own_dofs(columns, self._ties[group[0]])
+            for columns, group in zip(choice.columns, choice.interfaces, strict=True)
+        ]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
         self._full = self._pulled_back()
         self._free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
@@ -80,11 +89,10 @@ class ConstraintBlocks:
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for obj in chain(
-            *(row.values() for row in self._rows), *self._full, *self._free, self._gaps.values()
-        ):
+        for obj in chain(*(row.values() for row in self._rows), *self._full, *self._free):
             if obj is not None:
                 obj.destroy()
+        self.compliances.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
@@ -115,6 +123,18 @@ class ConstraintBlocks:
             for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
         ]
 
+    def carried(self) -> list[npt.NDArray[np.bool_]]:
+        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        found = []
+        for g, row in enumerate(self._full):
+            rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
+            for tie, E in zip(self._ties, self._rows, strict=True):
+                if tie.motion is not None and g in E:
+                    own = E[g]
+                    rows[slice(None) if own is None else nonzero_columns(own)] = True
+            found.append(rows)
+        return found
+
     @property
     def prescribed(self) -> list[npt.NDArray[np.bool_]]:
         """Which owned dofs (unrolled) of each body are prescribed."""
@@ -122,7 +142,9 @@ class ConstraintBlocks:
 
     @property
     def own(self) -> list[npt.NDArray[np.int64]]:
-        """Global dofs (unrolled) of V₁ that answer to this rank's multipliers, of each interface.
+        """Global dofs (unrolled) of Γ1's body that answer to this rank's multipliers.
+
+        Of each interface.
 
         One a multiplier; fewer than rows where several dofs answer to one together.
         """
@@ -136,7 +158,7 @@ class ConstraintBlocks:
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
 
-        A tie that closes the gap takes the positions x_i + u_i instead of the u_i.
+        What it is to be, of jumps and of positions, is subtracted.
 
         Args:
             g: Number of the interface.
@@ -147,29 +169,17 @@ class ConstraintBlocks:
         for u, B in zip(fields, self._full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
-        for t, row in enumerate(self._rows):
-            if self._ties[t].closes_gap and g in row:
-                E = row[g]
-                if E is None:
-                    c.axpy(1.0, self._gap(t))
-                else:
-                    E.multTransposeAdd(self._gap(t), c, c)
-
-    def _gap(self, t: int) -> PETSc.Vec:
-        """Σ_i B_i x_i of a tie with the positions x_i of the dofs. Collective."""
-        if t not in self._gaps:
-            tie = self._ties[t]
-            c = tie.blocks()[0].createVecLeft()
-            c.set(0.0)
-            origin = tie.surfaces[0].x[0]  # far from the origin digits are few
-            for V, B in zip(tie.spaces, tie.blocks()):
-                x = B.createVecRight()
-                n, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-                x.array[:] = (V.tabulate_dof_coordinates()[:owned, :n] - origin).ravel()
-                B.multAdd(x, c, c)
-                x.destroy()
-            self._gaps[t] = c
-        return self._gaps[t]
+        for tie, row in zip(self._ties, self._rows, strict=True):
+            offset = tie.offset() if g in row else None
+            if offset is None:
+                continue
+            offset.scale(-1.0)
+            E = row[g]
+            if E is None:
+                c.axpy(1.0, offset)
+            else:
+                E.multTransposeAdd(offset, c, c)
+            offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
         """Raise where both sides of a tie are prescribed, and differently. Collective.
@@ -181,20 +191,25 @@ class ConstraintBlocks:
             InterfaceError: With the place and the values.
         """
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
-            if tie.closes_gap:
+            if tie.closes_gap or tie.compliance is not None:
                 continue
+            jump = tie.nodal_jump()
             if t not in self._pairs:
                 self._pairs[t] = Coincidences(tie)
-            pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
-            for V, body, dofs in zip(tie.spaces, bodies, pairs.dofs, strict=True):
-                shape, start = (-1, tie.block_size), V.dofmap.index_map.local_range[0]
-                held = self._held[body].reshape(shape).astype(np.int8)
-                both.append(look_up(comm, held, start, dofs).astype(bool))
-                given.append(look_up(comm, values[body].array_r.reshape(shape), start, dofs))
+            pairs, both, given = self._pairs[t], [], []
+            for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
+                part = tie.components[i]
+                both.append(prescribed_dofs(tie, i, part.of_body(self._held[body]), dofs))
+                owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
+                given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
-            pairs.check(self._names[t], both, given, size)
+            at = None
+            if jump is not None:
+                side, nodal = jump
+                at = values_at(tie, side, nodal, pairs.dofs[side])
+            pairs.check(self._names[t], both, given, size, at)
 
-    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray[np.float64]:
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
 
         Args:
@@ -212,18 +227,36 @@ class ConstraintBlocks:
         full.destroy()
         return values.reshape(-1, self._ties[t].block_size)
 
-    def _bodies_of(self, t: int, tie: Interface) -> tuple[int, int]:
-        """The bodies on both sides of a tie."""
+    def _fields_of(self, t: int, tie: Interface) -> tuple[int, int]:
+        """Numbers of the components on both sides of a tie, among those that ties have."""
         found = []
-        for side, V in enumerate(tie.spaces):
-            body = next((i for i, W in enumerate(self._spaces) if W == V), None)
+        for side, part in enumerate(tie.components):
+            body = next((i for i, W in enumerate(self._spaces) if W.contains(part.given)), None)
             if body is None:
                 raise ValueError(
                     f"Γ{side} of {self._names[t]} is on a space that is in no form; make the tie "
                     "and the forms on the same function spaces."
                 )
-            found.append(body)
+            others = [other for _, other in self._components]
+            known = next((f for f, other in enumerate(others) if part.same(other)), None)
+            if known is None:
+                if any(part.overlaps(other) for other in others):
+                    raise ValueError(
+                        f"Γ{side} of {self._names[t]} and another tie's side are on a field and on "
+                        "a component of it; tie the field's components one by one in both."
+                    )
+                known = len(self._components)
+                self._components.append((body, part))
+            found.append(known)
         return found[0], found[1]
+
+    @staticmethod
+    def _own_dofs(columns: Columns, tie: Interface) -> npt.NDArray[np.int64]:
+        """Dofs of Γ1's body that answer to this rank's multipliers, of an interface."""
+        part = tie.components[1]
+        own = columns.own[(columns.rank == tie.sigma.comm.rank) & (columns.own >= 0)]
+        start = part.space.dofmap.index_map.local_range[0] * tie.block_size
+        return part.global_dofs()[own - start]
 
     @staticmethod
     def _prescribed(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.bool_]:

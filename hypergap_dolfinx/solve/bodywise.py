@@ -10,6 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
@@ -61,6 +62,10 @@ class Bodies(IterativeSolver):
         constraints, spaces = system.constraints, system.spaces
         if constraints.interior_sizes:
             return "free interior nodes belong to no body"
+        if constraints.compliances:
+            return "a tie has a compliance"
+        if any(map(is_mixed, spaces)):
+            return "a body may be singular by itself where a space is mixed (a pressure is free)"
         if order_of_bodies(len(spaces), _directions(constraints)) is None:
             return "the ties lead round in a circle, or from a body to itself"
         ties, wrong = range(len(constraints.bodies)), 0

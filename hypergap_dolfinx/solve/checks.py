@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
@@ -144,23 +145,55 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
             )
 
 
-def check_apart(ties: Sequence[Interface], spaces: Sequence[fem.FunctionSpace]):
-    """Raise where two ties tie the same facets to each other.
+def check_scalars(
+    forms: Sequence[ufl.Form | None], functions: Sequence[fem.Function], bcs: Sequence = ()
+):
+    """Raise where something is real and PETSc's scalars are complex, or the other way round.
+
+    Args:
+        forms: UFL forms of the bodies; None has nothing.
+        functions: Solutions of the bodies.
+        bcs: Dirichlet conditions; what is none is left to others.
+
+    Raises:
+        ValueError: Says what it is.
+    """
+    found: list[tuple[str, npt.DTypeLike]] = []
+    for form in forms:
+        for f in (*form.coefficients(), *form.constants()) if form is not None else ():
+            if isinstance(f, fem.Function | fem.Constant):
+                found.append((f"the {type(f).__name__} {f} of a form", f.dtype))
+    found += [(f"the function of body {i}", u.dtype) for i, u in enumerate(functions)]
+    for bc in bcs:
+        if isinstance(bc, fem.DirichletBC):
+            value = bc.g.value if hasattr(bc.g, "value") else bc.g.x.array
+            found.append(("the value of a Dirichlet condition", value.dtype))
+    for what, dtype in found:
+        if dtype != PETSc.ScalarType:
+            raise ValueError(
+                f"{what} is of {np.dtype(dtype).name}, and PETSc's scalars here are "
+                f"{np.dtype(PETSc.ScalarType).name}; make it with "
+                "dtype=dolfinx.default_scalar_type."
+            )
+
+
+def check_apart(ties: Sequence[Interface]):
+    """Raise where two ties tie the same field on the same facets to each other.
 
     Args:
         ties: The ties.
-        spaces: Space of each body.
 
     Raises:
         InterfaceError: Names the ties.
     """
+    every = [part for tie in ties for part in tie.components]
     sides = []
     for tie in ties:
-        bodies = [next((i for i, W in enumerate(spaces) if W == V), -1) for V in tie.spaces]
+        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
         sides.append(
             [
-                {(body, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
-                for surface, body in zip(tie.surfaces, bodies, strict=True)
+                {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, field in zip(tie.surfaces, fields, strict=True)
             ]
         )
     for t, s in combinations(range(len(ties)), 2):
@@ -177,7 +210,7 @@ class Coincidences:
     def __init__(self, tie: Interface):
         """Find them, on every rank alike."""
         x, dofs = [], []
-        for surface in tie.surfaces:
+        for surface in tie.domain.surfaces:
             every, first = np.unique(surface.dofs, return_index=True)
             facet, local = np.divmod(first, surface.dofs.shape[1])
             x.append(surface.points(facet, surface.element.points[local]))
@@ -197,7 +230,7 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """Whether the values are displacements."""
 
-    def check(self, name: str, prescribed, values, size: float):
+    def check(self, name: str, prescribed, values, size: float, jump=None):
         """Raise where both sides are prescribed, and differently.
 
         Args:
@@ -205,17 +238,23 @@ class Coincidences:
             prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Of displacements, the largest that either body has prescribed anywhere.
+            jump: What u₁ − u₀ is to be, as the values; nothing if not given.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
         noise = NO_LENGTH * self.extent if self.lengths else 0.0
-        wrong = both & (np.abs(values[0] - values[1]) > CONTRADICT * size + noise)
+        difference = values[1] - values[0] - (0 if jump is None else jump)
+        wrong = both & (np.abs(difference) > CONTRADICT * size + noise)
         if wrong.any():
             i = int(wrong.any(axis=1).argmax())
             raise InterfaceError(
                 f"the prescribed displacements contradict {name} at {spot(self.x[i])}: "
-                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1; prescribe the same on both, or on "
-                "one side only."
+                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1"
+                + (
+                    "; prescribe the same on both, or on one side only."
+                    if jump is None
+                    else f", with a jump of {jump[i]}; prescribe one side only."
+                )
             )

@@ -29,14 +29,8 @@ from hypergap_dolfinx.solve.options import Options
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
-ANEW = 10
-"""Newton steps in which Σ is made anew where the bodies are, and sets look ahead; they could cycle
-in later ones."""
-RENEWALS = 2
-"""Times that Σ in space is made anew where an iteration with a fixed one ended."""
-SLOW = 0.25
-"""How much of a residual is left by a step, with sets that are settled, from which Σ stays as it
-is: curved dies leave 0.01, flat ones with corners 0.4 to 0.85."""
+AHEAD = 10
+"""Newton steps in which sets look ahead; they could cycle in later ones."""
 FAR = 1.0
 """Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
 CLOSED = 1e-9
@@ -120,33 +114,21 @@ class ContactSystem(NonlinearSystem):
         """
         self._assign(self._x)
         before: list[npt.NDArray] = []
-        exact, follows, last, renewals = False, True, np.inf, 0
         for step in range(STEPS + 1):
             for rows in self._rows:
-                rows.look(follows)
+                rows.look()
             self._residual(self._x, self._b)
             jump = self._jump()
             if step == 0:
                 self.assemble_matrix()
-            held = self._choose(before, ahead=step < ANEW)
+            held = self._choose(before, ahead=step < AHEAD)
             settled = bool(before) and all(map(np.array_equal, before, held))
-            now, ended = self._balance()
-            if step and settled and ended and not follows and renewals < RENEWALS:
-                renewals += 1
-                if any([rows.renew() for rows in self._rows]):
-                    self._residual(self._x, self._b)
-                    held = self._choose(before, ahead=False)
-                    settled = all(map(np.array_equal, before, held))
-                    now, ended = self._balance()
-            if step and settled and ended:
+            if self._balances() and step and settled:
                 self._check_pushing()
                 return step
             if step == STEPS:
                 break
-            # Feet that move are not in the tangent; mostly that's little
-            slow = exact and now > SLOW * last
-            follows = step < ANEW and (not settled or (follows and not slow))
-            exact, before, last = settled, held, now
+            before = held
             if step:
                 self.assemble_matrix()
             if step == 0 and self._slides(jump):
@@ -196,11 +178,9 @@ class ContactSystem(NonlinearSystem):
                 rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
         for rows, last in zip(self._rows, before if ahead else (), strict=False):
             facets = rows.sides[1].reference.facets
-            if facets.shape[1] == 2:
-                force = rows.now.p * rows.m
-                rows.now.on = active.without_pull(last, rows.now.on, facets, force)
-            else:
-                rows.now.on = active.receding(last, rows.now.on, facets)
+            chain = facets.shape[1] == 2
+            without_pull = active.without_pull if chain else active.without_pull_on_surface
+            rows.now.on = without_pull(last, rows.now.on, facets, rows.now.p * rows.m)
         assert self._free is not None
         if self._free.num:
             holds = [self._holds(rows) for rows in self._rows]
@@ -259,8 +239,8 @@ class ContactSystem(NonlinearSystem):
                     free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
                     vectors[body].array[dofs] -= values * free
 
-    def _balance(self) -> tuple[float, bool]:
-        """The residual, and whether it is none and what is in contact is closed. Collective."""
+    def _balances(self) -> bool:
+        """Whether the residual is none and what is in contact is closed. Collective."""
         comm = self._u[0].function_space.mesh.comm
         residual = self._b.copy()
         parts = residual.getNestSubVecs()
@@ -281,8 +261,8 @@ class ContactSystem(NonlinearSystem):
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
-            return worst, False
-        return worst, all(
+            return False
+        return all(
             np.abs(rows.distance[rows.now.on]).max(initial=0)
             <= CLOSED * rows.sides[1].reference.size.max()
             for rows in self._rows

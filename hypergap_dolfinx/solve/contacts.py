@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, NotFacingError
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
@@ -95,22 +95,18 @@ class ContactRows:
         u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
         return u0, u1
 
-    def look(self, anew: bool):
+    def look(self):
         """Find the gaps where the bodies are. Collective.
 
-        Args:
-            anew: Whether Σ is to be made anew, if it follows the bodies.
-
         Raises:
-            InterfaceError: There never was a Σ, and none can be made, though the sides face each
-                other.
+            InterfaceError: There is no Σ, though the sides face each other.
         """
         self.u = self.displacements([owned_values(f) for f in self.fields])
         if self._follows:
-            self._follow(anew)
+            self._follow()
         else:
             if self._first is None:
-                self.now.opening = self._contact.gaps(self.at, None)
+                self.now.opening = self._contact.gaps(self.at)
                 self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
@@ -122,16 +118,12 @@ class ContactRows:
         )
         self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
 
-    def _follow(self, anew: bool):
+    def _follow(self):
         """Find the gaps of a Σ that follows the bodies; none where they don't face each other."""
         now = self.now
         try:  # the same on all ranks
-            if now.opening is None or anew:
-                try:
-                    now.opening = self._contact.gaps(self.u, now.opening)
-                except (InterfaceError, InvertedCellError) as error:
-                    if now.opening is None or isinstance(error, NotFacingError):
-                        raise
+            if now.opening is None:
+                now.opening = self._contact.gaps(self.u)
             self.g, self.m, self.C = now.opening.gap(self.u)
         except NotFacingError:
             none = np.zeros(len(self._area))
@@ -167,17 +159,6 @@ class ContactRows:
         """The state is that from which the next load step starts."""
         if self.now.opening is not None:
             self._accepted = self._behind, self.m > 0
-
-    def renew(self) -> bool:
-        """Make Σ anew in space, where cells depend on what they were made at. Collective.
-
-        Returns:
-            Whether it was.
-        """
-        if self._n == 2 or not self._follows:
-            return False
-        self.look(True)
-        return True
 
     @property
     def distance(self) -> npt.NDArray[np.float64]:

@@ -17,7 +17,7 @@ from dolfinx import fem
 from hypergap_dolfinx.graph import parts
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.modes import mean, motions, places
-from hypergap_dolfinx.solve.motions import tied_groups, unhindered
+from hypergap_dolfinx.solve.motions import fields_of, tied_groups, unhindered
 
 SAME = 1e-6
 """Sine between free motions of single parts and of what is tied that are the same."""
@@ -42,14 +42,15 @@ class FreeMotions:
         modes = [self._modes(i, places(V)) for i, V in enumerate(spaces)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
-        alone = unhindered(K, ties, [{i: part} for i, part in enumerate(modes)], rows)
+        fields = fields_of(spaces)
+        alone = unhindered(fields, K, ties, [{i: part} for i, part in enumerate(modes)], rows)
         # What ties connect moves as one, even if that strains a tie that is no better than its mesh
-        groups, apart = tied_groups(spaces, self._parts, ties)
+        groups, apart = tied_groups(fields, self._parts, ties)
         together = np.zeros((0, ends[-1]))
         for g in range(max(int(group.max()) for group in groups) + 1):
             common = self._common(groups, g)
             moved = {i: modes[i] @ common[a:b] for i, (a, b) in enumerate(pairwise(ends))}
-            found = unhindered(K, ties, [moved], apart)
+            found = unhindered(fields, K, ties, [moved], apart)
             together = np.vstack((together, found @ common.T))
         _, values, found = np.linalg.svd(np.vstack((alone, together)), full_matrices=False)
         found = found[values > SAME]

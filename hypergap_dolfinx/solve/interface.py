@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.gap.carried import Motion
+from hypergap_dolfinx.gap.compliance import Compliance
+from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
@@ -28,6 +31,10 @@ class Interface(Protocol):
         """V₀ and V₁."""
 
     @property
+    def components(self) -> tuple[Component, Component]:
+        """What these are among the dofs of their bodies."""
+
+    @property
     def sigma(self) -> Mesh:
         """Σ's mesh."""
 
@@ -37,7 +44,7 @@ class Interface(Protocol):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1."""
+        """Γ0 and Γ1, where they are on the bodies."""
 
     @property
     def block_size(self) -> int:
@@ -55,8 +62,26 @@ class Interface(Protocol):
     def closes_gap(self) -> bool:
         """Whether the constraint is on positions."""
 
+    @property
+    def motion(self) -> Motion | None:
+        """What carries Γ0 to Γ1, of a tie across a distance."""
+
+    @property
+    def turn(self) -> npt.NDArray | None:
+        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
+
+    @property
+    def compliance(self) -> Compliance | None:
+        """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
+
+    def offset(self) -> PETSc.Vec | None:
+        """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """A side, and u₁ − u₀ now at its dofs, this rank's owned rows; None if 0. Collective."""
 
 
 class Pieces(Protocol):
@@ -113,5 +138,5 @@ class ContactInterface(Protocol):
     def depth(self) -> float:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
 
-    def gaps(self, u: Displacements, before: Gaps | None) -> Gaps:
-        """Find the gaps where the bodies are; before they were others, or none. Collective."""
+    def gaps(self, u: Displacements) -> Gaps:
+        """Find the gaps where the bodies are. Collective."""

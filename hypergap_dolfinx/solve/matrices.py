@@ -16,10 +16,27 @@ def row_length(A: PETSc.Mat) -> float:
     return A.norm() / (A.getSize()[0] or 1) ** 0.5
 
 
+def column_length(A: PETSc.Mat, columns: npt.NDArray) -> float:
+    """Root mean square of the lengths of the rows of some columns alone. Collective.
+
+    Args:
+        A: The matrix.
+        columns: This rank's columns, numbered from 0.
+    """
+    part, mask = A.copy(), A.createVecRight()
+    mask.set(0.0)
+    mask.array[columns] = 1.0
+    part.diagonalScale(R=mask)
+    length = row_length(part)
+    for obj in (part, mask):
+        obj.destroy()
+    return length
+
+
 def mean_diagonal(K: PETSc.Mat) -> float:
-    """Mean of the diagonal. Collective."""
+    """Mean magnitude on the diagonal. Collective."""
     diagonal = K.getDiagonal()
-    mean = diagonal.sum() / diagonal.getSize()
+    mean = diagonal.norm(PETSc.NormType.NORM_1) / diagonal.getSize()
     diagonal.destroy()
     return mean
 
@@ -61,7 +78,7 @@ def absolute(B: PETSc.Mat) -> PETSc.Mat:
     return result
 
 
-def product(A: PETSc.Mat, columns: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
     """A times this rank's rows of some columns. Collective.
 
     Args:
@@ -69,10 +86,10 @@ def product(A: PETSc.Mat, columns: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
         columns: ``(num_columns_of_A, num_columns)``.
 
     Returns:
-        This rank's rows, ``(num_rows, num_columns)``.
+        This rank's rows, ``(num_rows, num_columns)``, of PETSc's scalars.
     """
     x, y = A.createVecs()
-    result = np.empty((A.getLocalSize()[0], columns.shape[1]))
+    result = np.empty((A.getLocalSize()[0], columns.shape[1]), dtype=PETSc.ScalarType)
     for k, column in enumerate(columns.T):
         x.array[:] = column
         A.mult(x, y)

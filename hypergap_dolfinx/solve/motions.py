@@ -13,9 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem, la
+from hypergap_dolfinx.gap.component import Component, lagrange_components
 from hypergap_dolfinx.graph import components, parts
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
-from hypergap_dolfinx.solve.matrices import absolute, nonzero_columns, product, row_length
+from hypergap_dolfinx.solve.matrices import (
+    absolute,
+    column_length,
+    nonzero_columns,
+    product,
+    row_length,
+)
 from hypergap_dolfinx.solve.modes import NOTHING, common_modes, places, rigid_modes
 
 APART = 0.5
@@ -23,9 +30,16 @@ APART = 0.5
 the meshes. Closed rings of 12 and 20 cells have 0.05, polygons of 3 edges in rings of 7 up to 0.28;
 blocks that are one cell apart 0.74 with 3 cells on 4, and 0.99 with 4 on 4."""
 
+Field = tuple[int, Component]
+"""A body, and one of its fields: of a mixed space each has motions of its own."""
 Modes = dict[int, npt.NDArray[np.float64]]
-"""For each body, this rank's rows of motions that bodies make together, ``(num_dofs, num_modes)``.
-"""
+"""By a field's number, this rank's rows of motions that fields make together,
+``(num_dofs, num_modes)``."""
+
+
+def fields_of(spaces: Sequence[fem.FunctionSpace]) -> list[Field]:
+    """The fields of bodies that can move rigidly, or be constant. Collective."""
+    return [(i, part) for i, V in enumerate(spaces) for part in lagrange_components(V)]
 
 
 def free_motions(
@@ -36,28 +50,34 @@ def free_motions(
     Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
     moves together if nothing else holds it. Where tied surfaces nearly coincide, such a rotation
     strains the tie a little; that is an error of the meshes and holds nothing. Where they are apart
-    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it.
+    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie whose
+    motion carries one side to the other is across a distance, however short.
 
     Args:
         spaces: Space of each body.
         K: Assembled stiffness of each body.
         constraints: The ties.
     """
-    in_part = [parts(V) for V in spaces]
-    alone: list[Modes] = [
-        {i: rigid_modes(V, np.zeros(held.shape, dtype=bool), *numbered)}
-        for i, (V, held, numbered) in enumerate(
-            zip(spaces, constraints.prescribed, in_part, strict=True)
-        )
-    ]
+    fields = fields_of(spaces)
+    if not fields:
+        return 0
+    in_part = [parts(part.space) for _, part in fields]
+    alone: list[Modes] = []
+    for f, ((i, part), numbered) in enumerate(zip(fields, in_part, strict=True)):
+        nothing = np.zeros_like(part.of_body(constraints.prescribed[i]))
+        alone.append({f: rigid_modes(part.space, nothing, *numbered)})
     every = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
-    groups, apart = tied_groups(spaces, in_part, constraints)
+    groups, apart = tied_groups(fields, in_part, constraints)
     together: list[Modes] = []
     for g in range(max(int(group.max()) for group in groups) + 1):
-        nodes = {i: group[in_part[i][0]] == g for i, group in enumerate(groups) if g in group}
-        modes = common_modes([spaces[i] for i in nodes], list(nodes.values()))
+        nodes = {f: group[in_part[f][0]] == g for f, group in enumerate(groups) if g in group}
+        modes = common_modes([fields[f][1].space for f in nodes], list(nodes.values()))
         together.append(dict(zip(nodes, modes, strict=True)))
-    return max(_num_free(K, constraints, alone, every), _num_free(K, constraints, together, apart))
+    free = (
+        unhindered(fields, K, constraints, alone, every),
+        unhindered(fields, K, constraints, together, apart),
+    )
+    return max(map(len, free))
 
 
 def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:
@@ -71,7 +91,8 @@ def _rotates(V: fem.FunctionSpace) -> bool:
 
 
 def _apart(
-    spaces: Sequence[fem.FunctionSpace],
+    fields: Sequence[Field],
+    num_bodies: int,
     sizes: Sequence[npt.NDArray[np.float64] | None],
     row: Sequence[PETSc.Mat | None],
 ) -> npt.NDArray[np.bool_]:
@@ -80,26 +101,29 @@ def _apart(
     A row makes nothing of constants; so what it makes of positions is its weight times a distance.
 
     Args:
-        spaces: Space of each body.
-        sizes: Size of the cells around each node, of bodies that have displacements.
+        fields: The bodies' fields.
+        num_bodies: Number of bodies.
+        sizes: Size of the cells around each node, of fields that are displacements.
         row: The tie's block on each field.
     """
-    n, num_rows = spaces[0].mesh.geometry.dim, _num_rows(row)
+    first = fields[0][1].space
+    n, num_rows = first.mesh.geometry.dim, _num_rows(row)
     # Nobody here knows where free interior nodes are
-    if any(B is not None for B in row[len(spaces) :]):
+    if any(B is not None for B in row[num_bodies:]):
         return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
-    for V, h, B in zip(spaces, sizes, row, strict=False):
+    for (i, part), h in zip(fields, sizes, strict=True):
+        B = row[i]
         if B is None or h is None:
             continue
-        x = places(V)
+        x = places(part.space)
         # Digits are few far from the origin, which may be anywhere, but the same for all bodies
-        origin = spaces[0].mesh.comm.bcast(places(spaces[0])[:1].sum(axis=0))
+        origin = first.mesh.comm.bcast(places(first)[:1].sum(axis=0))
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
-        columns = np.repeat(columns, V.dofmap.index_map_bs, axis=0)
-        moment += product(B, columns[:, :n])
+        columns = part.into_body(np.repeat(columns, part.space.dofmap.index_map_bs, axis=0))
+        moment += product(B, columns[:, :n]).real
         magnitudes = absolute(B)
-        mine, weighted = product(magnitudes, columns[:, n:]).T
+        mine, weighted = product(magnitudes, columns[:, n:]).real.T
         magnitudes.destroy()
         weight += mine
         size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
@@ -123,49 +147,59 @@ def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def tied_groups(
-    spaces: Sequence[fem.FunctionSpace], in_part, constraints: ConstraintBlocks
+    fields: Sequence[Field], in_part, constraints: ConstraintBlocks
 ) -> tuple[list[npt.NDArray[np.int32]], list[npt.NDArray[np.bool_]]]:
     """Groups of parts that ties without a distance connect. Collective.
 
     Args:
-        spaces: Space of each body.
-        in_part: Part of each of its nodes, and their number.
+        fields: The bodies' fields.
+        in_part: Part of each of their nodes, and the number of parts.
         constraints: The ties.
 
     Returns:
-        The group of each part of each body, the same on every rank; and which of this rank's rows
+        The group of each part of each field, the same on every rank; and which of this rank's rows
         of each tie tie what is apart.
     """
-    sizes = [_cell_sizes(V) if constraints.full and _rotates(V) else None for V in spaces]
-    apart = [_apart(spaces, sizes, row) for row in constraints.full]
-    comm = spaces[0].mesh.comm
+    num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
+    sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
+    apart = [
+        _apart(fields, num_bodies, sizes, row) | carried
+        for row, carried in zip(constraints.full, constraints.carried(), strict=True)
+    ]
+    comm = fields[0][1].space.mesh.comm
     starts = np.cumsum([0, *(num for _, num in in_part)])
+    # One displacement of several may be tied to a scalar: these don't move as one
+    kinds = [part.space.dofmap.index_map_bs for _, part in fields]
+    kind = np.repeat(kinds, np.diff(starts))
     pairs = [np.empty((0, 2), dtype=np.intp)]
     for row, far in zip(constraints.full, apart, strict=True):  # prescribed dofs tie too
         touched = np.zeros(starts[-1], dtype=np.int32)
-        for V, B, (part, _), start in zip(spaces, row, in_part, starts, strict=False):
+        for (i, field), (part, _), start in zip(fields, in_part, starts, strict=False):
+            B = row[i]
             if B is not None:
-                nodes = nonzero_columns(B, ~far) // V.dofmap.index_map_bs
+                mask = np.zeros(B.getLocalSize()[1], dtype=bool)
+                mask[nonzero_columns(B, ~far)] = True
+                nodes = np.flatnonzero(field.of_body(mask)) // field.space.dofmap.index_map_bs
                 touched[start + part[nodes]] = 1
-        tied = np.flatnonzero(comm.allreduce(touched))
-        pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
+        touched = comm.allreduce(touched)
+        for alike in set(kinds):
+            tied = np.flatnonzero(touched * (kind == alike))
+            pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
     i, j = np.vstack(pairs).T
     return np.split(components(starts[-1], i, j), starts[1:-1]), apart
 
 
-def _num_free(
-    K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
-) -> int:
-    """How many combinations of motions nothing hinders. Collective."""
-    return len(unhindered(K, constraints, moved, rows))
-
-
 def unhindered(
-    K: Sequence[PETSc.Mat], constraints: ConstraintBlocks, moved: Sequence[Modes], rows
-) -> npt.NDArray[np.float64]:
+    fields: Sequence[Field],
+    K: Sequence[PETSc.Mat],
+    constraints: ConstraintBlocks,
+    moved: Sequence[Modes],
+    rows,
+) -> npt.NDArray:
     """The combinations of motions that nothing hinders. Collective.
 
     Args:
+        fields: The bodies' fields.
         K: Stiffness of each body.
         constraints: The ties.
         moved: The motions.
@@ -182,17 +216,22 @@ def unhindered(
         """As few rows as some motions are say as much."""
         if parts:
             R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
-            found.append(np.zeros((len(R), ends[-1])))
+            found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
             columns = [np.arange(ends[m], ends[m + 1]) for m in parts]
             found[-1][:, np.concatenate(columns)] = R
 
-    for i, (k, held) in enumerate(zip(K, prescribed, strict=True)):
-        mine = {m: modes[i] for m, modes in enumerate(moved) if i in modes}
-        size, held = row_length(k) or 1.0, held[:, None]
+    held = [part.of_body(prescribed[i])[:, None] for i, part in fields]
+    for f, (i, part) in enumerate(fields):
+        mine = {m: modes[f] for m, modes in enumerate(moved) if f in modes}
+        # Fields have units of their own, and so have their columns
+        size = (row_length(K[i]) if part.dofs is None else column_length(K[i], part.dofs)) or 1.0
         add(
             {
                 m: np.vstack(
-                    (product(k, np.where(held, 0, modes)) / size, np.where(held, modes, 0))
+                    (
+                        product(K[i], part.into_body(np.where(held[f], 0, modes))) / size,
+                        np.where(held[f], modes, 0),
+                    )
                 )
                 for m, modes in mine.items()
             }
@@ -203,11 +242,12 @@ def unhindered(
         size = max(row_length(B) for B in blocks.values()) or 1.0
         parts = {}
         for m, modes in enumerate(moved):
-            both = [i for i in blocks if i in modes]
-            if both:
-                forces = [
-                    product(blocks[i], np.where(prescribed[i][:, None], 0, modes[i])) for i in both
-                ]
+            forces = [
+                product(blocks[i], part.into_body(np.where(held[f], 0, modes[f])))
+                for f, (i, part) in enumerate(fields)
+                if i in blocks and f in modes
+            ]
+            if forces:
                 parts[m] = np.sum(forces, axis=0)[hinder] / size
         add(parts)
     R = np.linalg.qr(np.vstack(found), mode="r")

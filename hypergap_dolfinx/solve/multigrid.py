@@ -5,6 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The saddle system solved by conjugate gradients and algebraic multigrid."""
 
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve.bodywise import LU
 from hypergap_dolfinx.solve.options import prefixed
 from hypergap_dolfinx.solve.projected import ProjectedSystem
@@ -39,8 +40,8 @@ class Multigrid(IterativeSolver):
         **prefixed("interface_", LU),
     }
     ADVICE = (
-        '; solver="iterative" is for stiffness that is symmetric and positive definite, and for '
-        'cells of good shape: take solver="direct"'
+        '; solver="iterative" is for stiffness that is symmetric and positive definite '
+        '(complex: Hermitian), and for cells of good shape: take solver="direct"'
     )
 
     @classmethod
@@ -48,6 +49,10 @@ class Multigrid(IterativeSolver):
         """Multigrid wants bodies that are alike."""
         if system.constraints.interior_sizes:
             return "free interior nodes belong to no body"
+        if system.constraints.compliances:
+            return "a tie has a compliance"
+        if any(map(is_mixed, system.spaces)):
+            return "multigrid is for bodies with one field, and a space is mixed"
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}
         if len(block_sizes) > 1 or not block_sizes <= {1, system.spaces[0].mesh.geometry.dim}:
             return "multigrid is for bodies that all have displacements, or all have a scalar"

@@ -80,6 +80,16 @@ class Choice:
     lost: list[npt.NDArray[np.intp]]
     """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
 
+    def add(self, of: Sequence[int], other: "Choice"):
+        """Take in what was chosen for some of the ties, which have these numbers here."""
+        start = len(self.interfaces)
+        self.interfaces += [[of[t] for t in group] for group in other.interfaces]
+        self.columns += other.columns
+        for t, (row, group, column, value) in zip(of, other.entries, strict=True):
+            self.entries[t] = row, group + start, column, value
+        for t, complete, lost in zip(of, other.complete, other.lost, strict=True):
+            self.complete[t], self.lost[t] = complete, lost
+
 
 class _Smooth:
     """Smooth pieces of the bodies' surfaces that ties lie on, found when they are asked for."""
@@ -106,7 +116,7 @@ class _Smooth:
         """The piece of Γ0's body that is nearest to a multiplier."""
         multipliers, local = self._every.local(m)
         t = self._every.tie[m]
-        x = self._every.ties[t].surfaces[0].nodes.mean(axis=1)
+        x = self._every.ties[t].domain.surfaces[0].nodes.mean(axis=1)
         facet = np.linalg.norm(x - multipliers.x[local], axis=1).argmin()
         return {self._piece(0, t)[facet]}
 
@@ -115,11 +125,12 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
     """Rule 1: the number of the class that each multiplier is in."""
     ties, bodies = every.ties, every.bodies
     smooth = _Smooth(every)
+    alike = [(tie.closes_gap, tie.motion and tie.motion.key) for tie in ties]
 
     def may(a: int, b: int, side: int) -> bool:
         """Whether two ties with the same body on one side act as one interface at a place."""
         s, t = every.tie[a], every.tie[b]
-        if s == t or ties[s].closes_gap != ties[t].closes_gap:
+        if s == t or alike[s] != alike[t]:
             return False
         if ties[s].free_interior or ties[t].free_interior:
             return False
@@ -194,14 +205,25 @@ def choose(
 ) -> Choice:
     """Choose the multipliers. Collective.
 
+    A body with several fields counts as several bodies here: ties of different fields don't meet.
+
     Args:
         ties: The ties.
         bodies: Numbers of the bodies on both sides of each tie.
         prescribed: Which owned dofs of each body are prescribed, ``(num_dofs * block_size,)``.
     """
+    sizes = [tie.block_size for tie in ties]
+    none, num = np.empty(0, dtype=np.intp), len(ties)
+    chosen = Choice([], [], [(none, none, none, none)] * num, [True] * num, [none] * num)
+    for size in dict.fromkeys(sizes):
+        of = [t for t, other in enumerate(sizes) if other == size]
+        chosen.add(of, _choose([ties[t] for t in of], [bodies[t] for t in of], prescribed))
+    return chosen
+
+
+def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Choice:
+    """The same for ties with as many components. Collective."""
     groups = interfaces(ties, bodies)
-    if not ties:
-        return Choice([], [], [], [], [])
     every = Every(ties, bodies)
     users = every.users()
     label = _merge(every, users)

@@ -13,12 +13,13 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
+from hypergap_dolfinx.solve import checks
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.system import TiedSystem
 
 
 class NonlinearSystem(TiedSystem):
-    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i, with their derivative in :attr:`A`."""
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative."""
 
     def __init__(
         self,
@@ -60,6 +61,7 @@ class NonlinearSystem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
+        checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
@@ -97,7 +99,9 @@ class NonlinearSystem(TiedSystem):
             for b, B in zip(r_parts, self._constraints.free[t]):
                 if B is not None:
                     B.multTransposeAdd(multiplier, b, b)
-            self._constraints.apply(t, fields, r_parts[len(r_parts) - num_ties + t])
+            gaps = r_parts[len(r_parts) - num_ties + t]
+            self._constraints.apply(t, fields, gaps)
+            self._constraints.compliances.apply(t, multipliers, gaps)
         for vector in lifted:
             vector.destroy()
         r.assemble()

@@ -23,6 +23,7 @@ class LoadPath:
         u: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC],
         moved: Sequence[fem.Function] = (),
+        arrays: Sequence[npt.NDArray] = (),
     ):
         """Find the values.
 
@@ -31,8 +32,9 @@ class LoadPath:
             u: What is solved for.
             bcs: Boundary conditions.
             moved: Displacements that the user prescribes as a whole.
+            arrays: Others, of the ties' jumps.
         """
-        self._arrays: list[npt.NDArray] = [f.x.array for f in moved]
+        self._arrays: list[npt.NDArray] = [*(f.x.array for f in moved), *arrays]
         for form in F:
             self._arrays += [c.value for c in form.constants() if isinstance(c, fem.Constant)]
             self._arrays += [

@@ -300,7 +300,7 @@ class ProjectedSystem(Substitute):
                 f"the stiffness isn't positive definite: {smallest:.1e} is on its diagonal; take "
                 'solver="direct".'
             )
-        D = diagonal.array_r.copy()
+        D = diagonal.array_r.real.copy()
         for own, others, rows in self._sides:
             D[own] = np.minimum(D[own], CONTRAST * self._stiffness(others, rows)[own])
         inverse, energy = diagonal.duplicate(), diagonal.duplicate()
@@ -323,15 +323,16 @@ class ProjectedSystem(Substitute):
         self._squares.mult(softness, self._c)
         self._squares.mult(share, self._y)
         found = np.zeros(len(self._y.array_r), dtype=bool)
-        found[rows] = self._y.array_r[rows] > 0
+        found[rows] = self._y.array_r[rows].real > 0
         self._c.array[found] /= self._y.array_r[found]
         self._c.array[~found] = 0.0
         self._y.array[:] = found
         self._squares.multTranspose(self._c, softness)
         self._squares.multTranspose(self._y, share)
-        behind = softness.array_r > 0
+        soft, shared = softness.array_r.real, share.array_r.real
+        behind = soft > 0
         stiffness = np.full(len(behind), np.inf)
-        stiffness[behind] = share.array_r[behind] / softness.array_r[behind]
+        stiffness[behind] = shared[behind] / soft[behind]
         for obj in (softness, share):
             obj.destroy()
         return stiffness

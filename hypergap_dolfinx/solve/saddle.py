@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The saddle system [K Bᵀ; B 0] as a PETSc MatNest, and how it is solved."""
+"""The saddle system [K Bᵀ; B −C] as a PETSc MatNest, and how it is solved."""
 
 from collections.abc import Sequence
 
@@ -27,16 +27,19 @@ RETRIES = 4
 
 
 def saddle_matrix(
-    K: Sequence[PETSc.Mat], B: Sequence[Sequence[PETSc.Mat | None]]
+    K: Sequence[PETSc.Mat],
+    B: Sequence[Sequence[PETSc.Mat | None]],
+    C: Sequence[Sequence[PETSc.Mat | None]] = (),
 ) -> tuple[PETSc.Mat, list[PETSc.Mat]]:
     """The nested matrix of several bodies and ties. Collective.
 
     Args:
         K: Stiffness of each body.
         B: For each tie, its block on each body, or None.
+        C: For each tie, its block −C for each tie; None, or nothing given, for zero.
 
     Returns:
-        [K Bᵀ; B 0], and the transposes that it is made of.
+        [K Bᵀ; B −C], and the transposes that it is made of.
     """
     transposes = [[b and b.copy().transpose() for b in row] for row in B]
     blocks: list[list[PETSc.Mat | None]] = [
@@ -44,7 +47,9 @@ def saddle_matrix(
         for i in range(len(K))
     ]
     for t, row in enumerate(B):
-        blocks.append([*row, *[None] * t, _zero_diagonal(row), *[None] * (len(B) - t - 1)])
+        last = list(C[t]) if C else [None] * len(B)
+        last[t] = last[t] or _zero_diagonal(row)
+        blocks.append([*row, *last])
     # Not assembled here: that would drop the entries that K has room for but no values yet
     A = PETSc.Mat().createNest(blocks, comm=K[0].comm)
     return A, [b for row in transposes for b in row if b]
@@ -201,7 +206,9 @@ def scales(A: PETSc.Mat) -> list[float]:
         block = A.getNestSubMatrix(i, j)
         return row_length(block) if block else 0.0
 
-    stiffness = [size(i, i) for i in range(num)]
+    # The first tie is the first with blocks on the left of its own
+    tie = next((i for i in range(num) if any(A.getNestSubMatrix(i, j) for j in range(i))), num)
+    stiffness = [size(i, i) if i < tie else 0.0 for i in range(num)]
     scales = []
     for i in range(num):
         ratios = [

@@ -25,7 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.solve.matrices import column_sums, mean_diagonal
+from hypergap_dolfinx.solve.matrices import column_sums, mean_diagonal, product
 from hypergap_dolfinx.solve.modes import NOTHING
 
 
@@ -113,26 +113,21 @@ class Body:
     def _pin(self, matrix: PETSc.Mat):
         """Hold a body that floats by springs at as many dofs of Γ0 as it has rigid motions."""
         K, Q, comm = self._K, self._modes, self._K.comm.tompi4py()
-        KQ = np.empty_like(Q)
-        for mode, image in zip(Q.T, KQ.T, strict=True):
-            self._u.array[:] = mode
-            K.mult(self._u, self._r)
-            image[:] = self._r.array_r
         stiffness = mean_diagonal(K)
-        energy, vectors = np.linalg.eigh(comm.allreduce(Q.T @ KQ) / stiffness)
-        floating = Q @ vectors[:, energy < NOTHING]
+        _, force, vectors = np.linalg.svd(comm.allreduce(Q.T @ product(K, Q)) / stiffness)
+        floating = Q @ vectors[force < NOTHING].conj().T
         if not floating.shape[1] or not self._loaded:
             return
-        sums = sum(column_sums(B).array_r for B in self._loaded)
+        sums = sum(column_sums(B).array_r.real for B in self._loaded)
         on = np.flatnonzero(sums > 0)
         dofs = np.concatenate(comm.allgather(on + K.getOwnershipRange()[0]))
         rows = np.concatenate(comm.allgather(floating[on]))
         springs = K.createVecRight()
         springs.set(0.0)
         for _ in range(floating.shape[1]):  # Gram and Schmidt, the largest first
-            k = (rows**2).sum(axis=1).argmax()
+            k = np.linalg.norm(rows, axis=1).argmax()
             direction = rows[k] / np.linalg.norm(rows[k])
-            rows = rows - np.outer(rows @ direction, direction)
+            rows = rows - np.outer(rows @ direction.conj(), direction)
             if comm.rank == 0:
                 springs.setValue(int(dofs[k]), stiffness)
         springs.assemble()

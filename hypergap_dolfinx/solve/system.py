@@ -17,15 +17,20 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat, disposal
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve import checks, saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.solve.constants import undetermined
 from hypergap_dolfinx.solve.interface import Interface, Pieces
 from hypergap_dolfinx.solve.motions import free_motions
 from hypergap_dolfinx.solve.solver import Solver, System
 
+PRESSURES = " (a pressure at a node, where displacements are prescribed all around)"
+"""What else may have to be held in mixed spaces."""
+
 
 class TiedSystem(disposal.Owner):
-    """[K Bᵀ; B 0] [u; λ] = b with K from forms, B from ties, and a solver for it."""
+    """[K Bᵀ; B −C] [u; λ] = b with K from forms, B and C from ties, and a solver for it."""
 
     _solver: Solver
 
@@ -52,7 +57,7 @@ class TiedSystem(disposal.Owner):
         self._a, self._u, self._pieces = list(a), list(u), pieces
         ties = pieces.ties
         self._solved = False
-        self._motions_known = False
+        self._motions_known = self._constants_known = False
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = disposal.enter(self._u[0].function_space.mesh.comm)
@@ -61,6 +66,7 @@ class TiedSystem(disposal.Owner):
             raise ValueError(
                 f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
             )
+        checks.check_scalars((), self._u, bcs)
         # DOLFINx compares compiled spaces here
         self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
         orphans = len(bcs) - sum(len(block) for block in self._bcs)
@@ -75,12 +81,13 @@ class TiedSystem(disposal.Owner):
         for i, V in enumerate(spaces):
             checks.check_cells(V.mesh, f"body {i}")
         self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
-        checks.check_apart(ties, spaces)
+        checks.check_apart(ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
         self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
-        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], self._constraints.free)
+        B, C = self._constraints.free, self._constraints.compliances.blocks
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], B, C)
         self._b_bodies = [compat.create_vector(V) for V in spaces]
         self._b_interiors = [zero.createVecLeft() for zero in self._zeros]
         self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
@@ -99,9 +106,21 @@ class TiedSystem(disposal.Owner):
             raise SolveError(
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
                 f"{'are' if free > 1 else 'is'} free; hold every "
-                "body, by boundary conditions or by a tie to one that is held."
+                "body, by boundary conditions or by a tie to one that is held"
+                f"{PRESSURES if any(map(is_mixed, self._system.spaces)) else ''}."
             )
         self._motions_known = True
+
+    def _check_constants(self):
+        """Raise if a pressure is known up to a constant only. Once, after a solve; collective."""
+        if self._constants_known:
+            return
+        if undetermined(self._system, self._solver, self._b):
+            raise SolveError(
+                "the matrix is singular: a pressure (or another scalar of a mixed space) is known "
+                "up to a constant only; hold it at a node."
+            )
+        self._constants_known = True
 
     def _release(self) -> list:
         """The PETSc objects, which the problem forgets."""
@@ -112,7 +131,7 @@ class TiedSystem(disposal.Owner):
         return [obj for obj in objects if obj is not None]
 
     def assemble_matrix(self):
-        """Assemble the bodies' stiffness into A. Collective.
+        """Assemble the bodies' stiffness and the ties' compliance into A. Collective.
 
         A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
         must not see units.
@@ -124,6 +143,7 @@ class TiedSystem(disposal.Owner):
         checks.check_finite(self._K, "the stiffness")
         for i in range(len(self._K)):
             self._scale_prescribed(i)
+        self._constraints.compliances.update()
         self._A.assemble()
 
     def _scale_prescribed(self, i: int):
@@ -147,7 +167,7 @@ class TiedSystem(disposal.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
-    def multipliers(self, tie: Interface) -> npt.NDArray[np.float64]:
+    def multipliers(self, tie: Interface) -> npt.NDArray:
         """The multipliers of a tie after a solve.
 
         Args:

@@ -1,0 +1,229 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""An interface that gives way, u₁ − u₀ = c λ: the matrix C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ dα."""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.gap import kernel
+from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, expand
+from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.gap.surface import Surface, create_surface, lagrange_element
+
+Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
+Given = Part | Sequence[Part]
+"""What a compliance can be: one for all components, or the normal one and the tangential one."""
+
+
+def parts(value: Given) -> tuple[Part, ...]:
+    """The compliances: one, or the normal and the tangential one.
+
+    Raises:
+        ValueError: Other numbers of them.
+    """
+    single = isinstance(value, fem.Constant | fem.Function) or callable(value)
+    if single or (np.ndim(value) == 0 and not isinstance(value, str | dict)):  # type: ignore[arg-type]
+        return (value,)  # type: ignore[return-value]
+    if isinstance(value, str | dict) or len(value) != 2:  # type: ignore[arg-type]
+        raise ValueError("compliance is one value, or a pair: the normal and the tangential one.")
+    return tuple(value)  # type: ignore[arg-type]
+
+
+def key(value: Given) -> Hashable:
+    """Equal for compliances that are the same, whatever becomes of them."""
+    return tuple(
+        id(part) if isinstance(part, fem.Constant | fem.Function) or callable(part) else float(part)
+        for part in parts(value)
+    )
+
+
+class Compliance:
+    """C of one interface, for values of c that may change."""
+
+    def __init__(
+        self,
+        value: Given,
+        domain: GapDomain,
+        constraint: Constraint,
+        spaces: tuple[fem.FunctionSpace, fem.FunctionSpace],
+        facets1: npt.NDArray,
+    ):
+        """Tabulate ∂φ_A/∂α of the multipliers at Gauss points of Σ. Collective.
+
+        Args:
+            value: What was given.
+            domain: Σ.
+            constraint: The constraint on it.
+            spaces: V₀ and V₁.
+            facets1: This rank's facets on Γ1.
+
+        Raises:
+            ValueError: A compliance that doesn't fit the spaces, or is negative or no number.
+        """
+        self._parts, self._domain, self._spaces = parts(value), domain, spaces
+        n = spaces[1].mesh.geometry.dim
+        if len(self._parts) == 2 and spaces[1].value_shape != (n,):
+            raise ValueError(
+                f"a normal and a tangential compliance need displacements, with {n} components; "
+                f"the value shape is {spaces[1].value_shape}."
+            )
+        # Of straight cells c and both derivatives are polynomials of degree k − 1
+        rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
+        self._element = domain.quadrature(rule)
+        N, self._v = kernel.geometry_at_points(self._element, domain.x, domain.alpha_vertices)
+        self._normal = (N / np.linalg.norm(N, axis=2, keepdims=True)).reshape(-1, n)
+        D, sign = domain.gap_factors(np.arange(len(domain.x)), rule)
+        self._sign = np.tile(sign, len(D))
+        self._surfaces = [
+            create_surface(part.function_space, facets1, "Γ1")
+            if isinstance(part, fem.Function) and self._fits(part)
+            else domain.surfaces[1]
+            for part in self._parts
+        ]
+        comm = domain.mesh.comm
+        self._start = sum(comm.allgather(len(self._normal))[: comm.rank])
+        self._D = self._at_points(D, constraint)
+        self.values()
+
+    def _fits(self, c: fem.Function) -> bool:
+        """Whether a function's space is one on Γ1's mesh.
+
+        Raises:
+            ValueError: It isn't.
+        """
+        V = c.function_space
+        if V.mesh is not self._spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
+            raise ValueError(
+                "a compliance that is a function is a scalar one, of a Lagrange space of degree "
+                "≥ 1 on the mesh of Γ1's body."
+            )
+        return True
+
+    def _at_points(self, D: npt.NDArray, constraint: Constraint) -> PETSc.Mat:
+        """∂φ_A/∂α of the multipliers, with the weights' roots, a row a point. Collective."""
+        dofmap = self._domain.space.dofmap
+        nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+        rows = self._start + np.arange(len(self._normal))
+        matrix = coo_matrix(
+            self._domain.mesh.comm,
+            (len(rows), constraint.R_A.getLocalSize()[0]),
+            np.repeat(rows, D.shape[2]),
+            np.repeat(nodes, D.shape[1], axis=0),
+            D,
+        )
+        product = matrix.matMult(constraint.R_A)
+        matrix.destroy()
+        return product
+
+    def destroy(self):
+        """Destroy the PETSc matrix. Collective."""
+        self._D.destroy()
+
+    @property
+    def arrays(self) -> list[npt.NDArray]:
+        """The arrays in which a user changes it."""
+        return [
+            part.x.array if isinstance(part, fem.Function) else part.value
+            for part in self._parts
+            if isinstance(part, fem.Function | fem.Constant)
+        ]
+
+    def values(self) -> npt.NDArray[np.float64]:
+        """The compliances now, at this rank's points. Collective.
+
+        Returns:
+            ``(num_parts, num_points)``.
+
+        Raises:
+            ValueError: One is negative, or no number.
+        """
+        found, error = np.zeros((len(self._parts), len(self._normal))), None
+        for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
+            dofs, first = np.unique(surface.dofs, return_index=True)
+            facet, local = np.divmod(first, surface.dofs.shape[1])
+            x = surface.points(facet, surface.element.points[local])
+            nodal = np.zeros(len(dofs))
+            try:
+                nodal[:] = self._on_surface(part, surface, dofs, x)
+            except Exception as e:
+                error = error or f"the compliance is no number on Γ1: {e}".splitlines()[0]
+            wrong = ~(nodal >= 0) | np.isinf(nodal)
+            if wrong.any():
+                i = int(wrong.argmax())
+                advice = " (infinite: leave the tie out)" if np.isinf(nodal[i]) else ""
+                error = error or (
+                    f"the compliance is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
+                    f"finite{advice}."
+                )
+            varies = callable(part) and not isinstance(part, fem.Constant)  # UFL's are callable
+            # Between nodes a polynomial may be negative
+            found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
+        raise_on_all(self._domain.mesh.comm, error, ValueError)
+        return found
+
+    def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
+        """Values at Γ1's dofs; of a function collective."""
+        if isinstance(part, fem.Function):
+            comm = self._domain.mesh.comm
+            start, end = surface.dof_range[comm.rank : comm.rank + 2]
+            mine = (start <= dofs) & (dofs < end)
+            values = np.zeros(len(dofs))
+            values[mine] = np.real(part.x.array[dofs[mine] - start])
+            return comm.allreduce(values)
+        if isinstance(part, fem.Constant):
+            return np.real(part.value)
+        if callable(part):
+            return part(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
+        return part
+
+    def _along_normals(self, nodal: npt.NDArray, surface: Surface) -> npt.NDArray[np.float64]:
+        """What Γ1 has where a point's normal meets it: ∂(α c)/∂α of the φ_a's interpolant."""
+        hosts = self._domain.hosts
+        alpha = hosts.alpha.ravel()
+        X = hosts.X[1].reshape(-1, hosts.X[1].shape[-1])
+        use = np.flatnonzero(alpha > 0)
+        point, dof, value = interpolation_weights(
+            surface, hosts.facets[1].ravel()[use], X[use], alpha[use], self._domain.element
+        )
+        f = np.zeros(len(alpha))
+        np.add.at(f, use[point], value * nodal[np.searchsorted(np.unique(surface.dofs), dof)])
+        dphi = kernel.alpha_derivatives(self._element, self._v)
+        return np.einsum("cpa,ca->cp", dphi, f.reshape(hosts.alpha.shape)).ravel()
+
+    def matrix(self, values: npt.NDArray) -> PETSc.Mat:
+        """C for given :meth:`values`, with rows and columns as B's rows. Collective."""
+        block_size = self._spaces[1].dofmap.index_map_bs
+        if len(values) == 1:
+            scaled, weights = self._D.copy(), self._D.createVecLeft()
+            weights.array[:] = self._sign * values[0]
+            scaled.diagonalScale(L=weights)
+            product = self._D.transposeMatMult(scaled)
+            C = expand(product, block_size)
+            objects = scaled, weights, product
+        else:
+            nn = self._normal[:, :, None] * self._normal[:, None, :]
+            W = values[1][:, None, None] * np.eye(block_size)
+            W += (values[0] - values[1])[:, None, None] * nn
+            W *= self._sign[:, None, None]
+            rows = (self._start + np.arange(len(W)))[:, None] * block_size + np.arange(block_size)
+            size = len(W) * block_size
+            i = np.broadcast_to(rows[:, :, None], W.shape)
+            j = np.broadcast_to(rows[:, None, :], W.shape)
+            weights = coo_matrix(self._domain.mesh.comm, (size, size), i, j, W)
+            D = expand(self._D, block_size)
+            scaled = weights.matMult(D)
+            C = D.transposeMatMult(scaled)
+            objects = D, scaled, weights
+        for obj in objects:
+            obj.destroy()
+        return C

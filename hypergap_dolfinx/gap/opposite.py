@@ -1,0 +1,292 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Which pieces of Γ1's facets in space lie opposite which facets of Γ0. NumPy alone.
+
+Each facet of Γ1 looks along its own normal. It is divided into as many parts as it has vertices, by
+lines from its middle to its edges' middles; what a facet of Γ0 covers of such a part is a piece, a
+polygon in the plane across the normal. No piece is ever made larger or smaller by where nodes of
+the other side are: as these pass, what changes is how a part is divided.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.gap.surface import Surface, around, lengths, tabulate
+from hypergap_dolfinx.graph import components
+
+LEANS = 0.25
+"""Cosine between normals from which facets face each other."""
+PAIRS = 1_000_000
+"""Pairs of facets that are looked at in one go."""
+SLIVER = 1e-14
+"""Area of a piece, over its facet's, that is none."""
+
+
+class Label(IntEnum):
+    """Of a piece's edge that is none of Γ0's facet."""
+
+    INNER = -1
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Planes across the normals of Γ1's facets in their middles."""
+
+    middle: npt.NDArray[np.float64]
+    """``(num_facets, 3)``."""
+    tangents: npt.NDArray[np.float64]
+    """``(num_facets, 2, 3)``."""
+    normal: npt.NDArray[np.float64]
+    """Cross product of the tangents, ``(num_facets, 3)``."""
+    dual: npt.NDArray[np.float64]
+    """Basis dual to the tangents in the plane, ``(num_facets, 2, 3)``."""
+
+    @classmethod
+    def of(cls, surface: Surface) -> "Frames":
+        """Of all facets of a surface."""
+        middle = reference_middle(surface)[None]
+        values = surface.geometry.tabulate(1, middle)[:, 0, :, 0]  # (value and slopes, node)
+        at = np.einsum("dm,fmi->fdi", values, surface.nodes)
+        normal, dual = dual_basis(at[:, 1:])
+        return cls(at[:, 0], at[:, 1:], normal, dual)
+
+    def project(self, facet, x) -> npt.NDArray[np.float64]:
+        """Coordinates of points in facets' planes, ``(num, ..., 2)``."""
+        origin = self.middle[facet]
+        shape = (len(facet), *[1] * (x.ndim - 2), 3)
+        return np.einsum("fki,f...i->f...k", self.dual[facet], x - origin.reshape(shape))
+
+
+def cross(a, b) -> npt.NDArray[np.float64]:
+    """Of vectors, ``(num, 3)``: NumPy's own is slow for short ones."""
+    result = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return result
+
+
+def dual_basis(tangents) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Normals of pairs of tangents, ``(num, 2, 3)``, and the dual bases across these."""
+    normal = cross(tangents[:, 0], tangents[:, 1])
+    square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
+    pair = cross(tangents[:, 1], normal) / square, cross(normal, tangents[:, 0]) / square
+    return normal, np.stack(pair, axis=1)
+
+
+def reference_corners(surface: Surface) -> npt.NDArray[np.float64]:
+    """Vertices of the reference facet, one after the other around it."""
+    return basix.geometry(surface.geometry.cell_type)[
+        around(np.arange(surface.facets.shape[1])[None])[0]
+    ]
+
+
+def reference_middle(surface: Surface) -> npt.NDArray[np.float64]:
+    """Middle of the reference facet."""
+    return reference_corners(surface).mean(axis=0)
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """What of Γ1 lies opposite Γ0, facet by facet and vertex by vertex."""
+
+    facets: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+    """Facets of Γ0 and of Γ1, ``(num_pieces,)`` each."""
+    vertex: npt.NDArray[np.intp]
+    """Vertex of Γ1 whose part of the facet it is in, ``(num_pieces,)``."""
+    X: npt.NDArray[np.float64]
+    """Corners in the reference facet of Γ1, counterclockwise, ``(num_pieces, num, 2)``; behind the
+    last one they repeat it."""
+    num: npt.NDArray[np.intp]
+    """Numbers of corners, ``(num_pieces,)``."""
+    label: npt.NDArray[np.intp]
+    """Number of Γ0's facet's edge from each corner to the next, or :data:`Label.INNER`."""
+
+    def some(self, some) -> "Pieces":
+        """A part of them: numbers, or which."""
+        facets = self.facets[0][some], self.facets[1][some]
+        return Pieces(facets, self.vertex[some], self.X[some], self.num[some], self.label[some])
+
+    @property
+    def area(self) -> npt.NDArray[np.float64]:
+        """In the reference facet, ``(num_pieces,)``."""
+        return polygon_areas(self.X)
+
+
+def polygon_areas(y) -> npt.NDArray[np.float64]:
+    """Of polygons, ``(num, num_corners, 2)``, of which corners may repeat."""
+    steps = y - y[:, :1]
+    a, b = steps[:, 1:-1], steps[:, 2:]
+    return 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+
+
+def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
+    """All pieces.
+
+    Args:
+        surfaces: Γ0 and Γ1 where they are.
+        frames: Of Γ1.
+    """
+    below, above = surfaces
+    f0, f1 = _candidates(surfaces, frames)
+    corners = frames.project(f1, below.x[below.polygons[f0]])[:, ::-1]  # seen from the other side
+    own = reference_corners(above)
+    following = np.roll(own, -1, axis=0)
+    middles = (own + following) / 2
+    centre = np.broadcast_to(own.mean(axis=0), own.shape)
+    # (part, corner, 2), from the vertex counterclockwise
+    parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
+    points = tabulate(above.geometry, parts.reshape(-1, 2)) @ above.nodes  # (facet, point, 3)
+    flat = frames.project(np.arange(len(points)), points).reshape(len(points), *parts.shape)
+    low, high = flat.min(axis=(1, 2)), flat.max(axis=(1, 2))
+    meets = (corners.max(axis=1) > low[f1]) & (corners.min(axis=1) < high[f1])
+    use = np.flatnonzero(meets.all(axis=1))
+    f0, f1, corners = f0[use], f1[use], corners[use]
+    num = len(own)
+    pair, part = np.repeat(np.arange(len(f0)), num), np.tile(np.arange(num), len(f0))
+    y, count, label = clip(flat[f1[pair], part], corners[pair])
+    whole = np.abs(polygon_areas(flat.reshape(-1, 4, 2))).reshape(-1, num).sum(axis=1)
+    real = (count > 2) & (polygon_areas(y) > SLIVER * whole[f1[pair]])
+    y, count, label, pair, part = (a[real] for a in (y, count, label, pair, part))
+    f0, f1 = f0[pair], f1[pair]
+    # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
+    sides = corners.shape[1]
+    label = np.where(label == Label.INNER, Label.INNER, (sides - 2 - label) % sides)
+    if above.geometry.dim == 3:  # the map is affine
+        X = reference_middle(above) + y
+    else:
+        X = _in_reference(flat[f1, part], parts[part], y)
+    vertex = above.polygons[f1, part].astype(np.intp)
+    return _nearest_sheet(surfaces, frames, Pieces((f0, f1), vertex, X, count, label))
+
+
+def _candidates(surfaces, frames: Frames) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Pairs of facets that may lie opposite to each other: balls around them meet as seen."""
+    below, above = surfaces
+    v0, v1 = below.x[below.facets], above.nodes
+    middle0 = v0.mean(axis=1)
+    origin = middle0.mean(axis=0)
+    radius0 = np.sqrt(((v0 - middle0[:, None]) ** 2).sum(axis=2).max(axis=1))
+    radius1 = np.sqrt(((v1 - frames.middle[:, None]) ** 2).sum(axis=2).max(axis=1))
+    axis = frames.normal / lengths(frames.normal)[:, None]
+    a, b = middle0 - origin, frames.middle - origin
+    square0, square1, along = (a**2).sum(axis=1), (b**2).sum(axis=1), (b * axis).sum(axis=1)
+    found = []
+    chunk = max(1, PAIRS // len(a))
+    for start in range(0, len(b), chunk):
+        some = slice(start, start + chunk)
+        apart = square1[some, None] + square0 - 2 * b[some] @ a.T
+        apart -= (axis[some] @ a.T - along[some, None]) ** 2
+        near = apart <= 1.001 * (radius1[some, None] + radius0) ** 2
+        near &= axis[some] @ below.normals.T < -LEANS
+        i, j = np.nonzero(near)
+        found.append((j, i + start))
+    f0, f1 = (np.concatenate(part) for part in zip(*found, strict=True))
+    return f0, f1
+
+
+def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Cut convex polygons, each with one of its own.
+
+    Args:
+        polygons: ``(num, num_corners, 2)``, counterclockwise.
+        by: ``(num, num_others, 2)``, counterclockwise.
+
+    Returns:
+        Corners, of which the last one is repeated; their numbers; which edge of the other one each
+        edge is on, or :data:`Label.INNER`.
+    """
+    y, num = polygons, len(polygons)
+    count = np.full(num, y.shape[1])
+    label = np.full(y.shape[:2], Label.INNER)
+    for k in range(by.shape[1]):
+        start, end = by[:, k], by[:, (k + 1) % by.shape[1]]
+        t = end - start
+        away = y - start[:, None]
+        d = t[:, None, 0] * away[..., 1] - t[:, None, 1] * away[..., 0]
+        each = np.arange(y.shape[1])
+        there = each < count[:, None]
+        after = np.where(each + 1 < count[:, None], each + 1, 0)
+        d_after = np.take_along_axis(d, after, axis=1)
+        inside, inside_after = d >= 0, d_after >= 0
+        crosses = there & (inside != inside_after)
+        share = np.divide(d, d - d_after, out=np.zeros_like(d), where=crosses)
+        cut = y + share[..., None] * (np.take_along_axis(y, after[..., None], axis=1) - y)
+        keep = np.stack((there & inside, crosses), axis=2).reshape(num, 2 * y.shape[1])
+        corners = np.stack((y, cut), axis=2).reshape(*keep.shape, 2)
+        labels = np.stack((label, np.where(inside, k, label)), axis=2).reshape(keep.shape)
+        count = keep.sum(axis=1)
+        order = np.argsort(~keep, axis=1, kind="stable")[:, : max(int(count.max(initial=1)), 1)]
+        order = np.take_along_axis(
+            order, np.clip(np.arange(order.shape[1]), 0, np.maximum(count - 1, 0)[:, None]), axis=1
+        )
+        y = np.take_along_axis(corners, order[..., None], axis=1)
+        label = np.take_along_axis(labels, order, axis=1)
+    return y, count, label
+
+
+def _in_reference(quads, references, y) -> npt.NDArray[np.float64]:
+    """Points of quadrilaterals, ``(num, 4, 2)``, in others, by the bilinear map between them.
+
+    Args:
+        quads: ``(num, 4, 2)``.
+        references: ``(num, 4, 2)``.
+        y: ``(num, num_points, 2)``.
+    """
+
+    def coefficients(v):
+        return v[:, 0], v[:, 1] - v[:, 0], v[:, 3] - v[:, 0], v[:, 0] - v[:, 1] + v[:, 2] - v[:, 3]
+
+    a, b, c, d = (part[:, None] for part in coefficients(quads))
+    s = np.full(y.shape, 0.5)
+    for _ in range(20):
+        s0, s1 = s[..., :1], s[..., 1:]
+        rest = y - (a + b * s0 + c * s1 + d * s0 * s1)
+        p, q = b + d * s1, c + d * s0
+        det = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+        step = np.stack(
+            (
+                rest[..., 0] * q[..., 1] - rest[..., 1] * q[..., 0],
+                p[..., 0] * rest[..., 1] - p[..., 1] * rest[..., 0],
+            ),
+            axis=-1,
+        )
+        step /= det[..., None]
+        s = np.clip(s + step, -0.01, 1.01)  # in the quadrilateral, where the map has an inverse
+        if np.abs(step).max(initial=0) < 1e-14:
+            break
+    a, b, c, d = (part[:, None] for part in coefficients(references))
+    s0, s1 = s[..., :1], s[..., 1:]
+    return a + b * s0 + c * s1 + d * s0 * s1
+
+
+def _nearest_sheet(surfaces, frames: Frames, pieces: Pieces) -> Pieces:
+    """Of what lies one behind the other what is nearest: a part of Γ0 that hangs together."""
+    below, above = surfaces
+    (f0, f1), num = pieces.facets, below.facets.shape[1]
+    keys = (f1[:, None] * len(below.x) + below.facets[f0]).ravel()
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    piece = order // num
+    sheet = components(len(f0), piece[same], piece[same + 1])
+    if sheet.max(initial=-1) + 1 == len(np.unique(f1)):
+        return pieces
+    apart = below.x[below.facets[f0]].mean(axis=1) - frames.middle[f1]
+    normal, other = frames.normal[f1], below.normals[f0]
+    height = np.einsum("pi,pi->p", other, apart) / np.einsum("pi,pi->p", other, normal)
+    area = pieces.area
+    mean = np.bincount(sheet, np.abs(height) * area) / np.bincount(sheet, area)
+    facet = np.zeros(len(mean), dtype=np.intp)
+    facet[sheet] = f1
+    best = np.full(len(above.facets), np.inf)
+    np.minimum.at(best, facet, mean)
+    first = np.full(len(above.facets), len(mean))
+    nearest = np.flatnonzero(mean <= best[facet])
+    np.minimum.at(first, facet[nearest], nearest)
+    return pieces.some(first[f1] == sheet)

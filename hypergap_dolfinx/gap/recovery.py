@@ -1,0 +1,265 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+r"""Tractions on both bodies' surfaces, recovered from the forces that λ makes at their nodes.
+
+λ is spanned by ∂φ_a/∂α (eq. 20): on a straight linear cell it is a constant, its error of order
+h^k. The forces Bᵀλ know more: tractions t₀ and t₁ in the traces of V₀ and V₁, of degree k, have
+
+.. math:: \int_{\Gamma_i} t_i \cdot v = \pm (B_i^T \lambda)(v) \quad \text{for all } v
+
+up to what scatters from node to node: of unstructured meshes that is as large as λ's error, and
+where one side is far finer than the other it has steps as long as the coarse side's facets. So t₀
+and t₁ are asked for together, as those that make
+
+.. math:: \sum_i \|t_i\|^2_{\Gamma_i} / 2 \mp (B_i^T \lambda)(t_i)
+   + \tfrac\kappa 2 \iint |\partial t/\partial\alpha|^2 d\Gamma_\alpha d\alpha
+   + \tfrac\gamma 2 \sum_{pairs} \|t_i - \Pi_k t_i\|^2
+
+smallest. t is t₀ on Γ0, t₁ on Γ1 and linear in α between them: the second term wants the two sides
+to be one traction, as the tie wants of displacements, and what both traces have in common is
+smooth. In the last one Π_k t_i is the nearest polynomial of degree k over two facets that are
+neighbours: it also says what t_i is where a facet is covered by a sliver. Both terms vanish for
+polynomials of degree k (of planes), so t keeps the order k + 1, and the sum of its forces.
+"""
+
+from collections.abc import Iterator
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx import fem
+from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, triplets
+from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.faces import Faces
+from hypergap_dolfinx.gap.fields import nodal_values
+from hypergap_dolfinx.gap.surface import Surface, tabulate
+
+AGREE = 200.0
+"""κ: weight of the difference of both sides' tractions. Errors over λ's on spheres of tetrahedra,
+degree 2, facets 2:3: 0.50 with 30, 0.42 with 100, 0.38 with 200, 0.36 with 300. The larger, the
+worse are fields of 3 to 4 facets a wave, where λ's error is 20 to 70 %: up to 1.16 of it."""
+SMOOTH = 2.0
+"""γ: weight of their distance from polynomials over two facets; 1 and 3 give the same to 3 %."""
+
+
+class Recovery:
+    """The system for the tractions on Γ0 and Γ1 of one tie."""
+
+    def __init__(self, domain: GapDomain, constraint: Constraint):
+        """Assemble and factorise it. Collective.
+
+        Args:
+            domain: Σ.
+            constraint: The constraint on it.
+        """
+        self._domain, self._constraint = domain, constraint
+        self._faces = Faces.of(domain, 0), Faces.of(domain, 1)
+        self._unknowns = Unknowns(domain, constraint)
+        comm, unknowns = domain.mesh.comm, self._unknowns
+        owned, num = domain.space.dofmap.index_map.size_local, unknowns.num_local
+        self._R = coo_matrix(comm, (owned, num), *unknowns.pulled_back(constraint.R))
+        rows = constraint.R_A.getLocalSize()[1]
+        self._forces = coo_matrix(comm, (rows, num), *unknowns.forces(constraint))
+        A = self._matrix()
+        self._solver = PETSc.KSP().create(comm)
+        self._solver.setOperators(A)
+        self._solver.setType("preonly")
+        self._solver.getPC().setType("lu")
+        self._solver.getPC().setFactorSolverType("mumps")
+        self._objects = [self._R, self._forces, A, self._solver]
+
+    def destroy(self):
+        """Destroy the PETSc objects. Collective."""
+        for obj in self._objects:
+            obj.destroy()
+
+    def _matrix(self) -> PETSc.Mat:
+        """Σ_i ∫ t_i · v_i + κ ∫∫ ∂t/∂α · ∂v/∂α + γ Σ (t − Πt) · (v − Πv). Collective."""
+        domain, unknowns = self._domain, self._unknowns
+        dofmap = domain.space.dofmap
+        dofs = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+        W = AGREE * domain.gap_matrices()
+        W[domain.narrow_cells()] = 0  # their entries cancel each other: round-off, and no area
+        for faces in self._faces:
+            np.add.at(W, faces.cells, faces.mass_matrices())
+        sizes = (dofmap.index_map.size_local,) * 2
+        i, j = (np.broadcast_to(d, W.shape) for d in (dofs[:, :, None], dofs[:, None, :]))
+        matrix = coo_matrix(domain.mesh.comm, sizes, i, j, W)
+        product = matrix.matMult(self._R)
+        A = self._R.transposeMatMult(product)
+        S = coo_matrix(domain.mesh.comm, (unknowns.num_local,) * 2, *unknowns.smoothing())
+        A.axpy(SMOOTH, S)
+        for obj in (matrix, product, S):
+            obj.destroy()
+        return A
+
+    def traction(self, side: int, shape: tuple[int, ...], multipliers: npt.NDArray) -> fem.Function:
+        """The traction on a body's surface. Collective.
+
+        Args:
+            side: 0 or 1.
+            shape: Of the values.
+            multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
+
+        Returns:
+            σ_i n_i with the outward normal n_i, on a mesh of the part of Γ_i that is tied.
+        """
+        b, x = self._forces.createVecRight(), self._forces.createVecRight()
+        force = self._forces.createVecLeft()
+        values = np.empty((x.getLocalSize(), multipliers.shape[1]), dtype=PETSc.ScalarType)
+        for component in range(values.shape[1]):
+            force.array[:] = multipliers[:, component]
+            self._forces.multTranspose(force, b)
+            self._solver.solve(b, x)
+            values[:, component] = x.array_r
+        for vector in (b, x, force):
+            vector.destroy()
+        nodal = nodal_values(self._domain, self._R, values)
+        return self._faces[side].function((1 - 2 * side) * nodal, shape, "traction")
+
+
+class Unknowns:
+    """Values of t₀ and t₁: a dof of the trace has one in each patch that has it.
+
+    Each rank has those of Γ0's dofs, then of Γ1's, that it owns.
+    """
+
+    def __init__(self, domain: GapDomain, constraint: Constraint):
+        """Number them. Collective."""
+        self._domain = domain
+        self._num_patches = int(domain.patch.max()) + 1
+        comm, dofmap = domain.mesh.comm, domain.space.dofmap
+        owned = dofmap.index_map.size_local
+        node, first = np.unique(dofmap.list.ravel(), return_index=True)
+        self._patch = np.zeros(owned, dtype=np.int64)  # of each owned node of Σ
+        facet = domain.hosts.facets[1].ravel()[first]
+        self._patch[node[node < owned]] = domain.patch[facet[node < owned]]
+        self._keys, ends = [], []
+        for R, surface in zip(constraint.R, domain.surfaces, strict=True):
+            node, dof, _ = triplets(R)
+            mine = np.unique(dof * self._num_patches + self._patch_of(R, node))
+            keys = np.unique(np.concatenate(comm.allgather(mine)))
+            self._keys.append(keys)
+            ends.append(np.searchsorted(keys, surface.dof_range * self._num_patches))
+        num = np.diff(ends).T  # (rank, side)
+        self.num_local = int(num[comm.rank].sum())
+        before = np.cumsum(np.append(0, num.ravel()))[:-1].reshape(num.shape)
+        self._ends, self._shift = ends, before - np.array(ends)[:, :-1].T
+
+    def _patch_of(self, matrix: PETSc.Mat, node) -> npt.NDArray[np.int64]:
+        """The patch of each node of Σ, of this rank's rows of a matrix."""
+        return self._patch[node - matrix.getOwnershipRange()[0]]
+
+    def _number(self, side: int, dof, patch) -> npt.NDArray[np.int64]:
+        """The unknown at a dof in a patch that has it."""
+        at = np.searchsorted(self._keys[side], dof * self._num_patches + patch)
+        rank = np.searchsorted(self._ends[side][1:], at, side="right")
+        return at + self._shift[rank, side]
+
+    def pulled_back(self, R):
+        """Rows (nodes of Σ), columns and values of the pull-back of t₀ and t₁."""
+        parts = []
+        for side, R_i in enumerate(R):
+            node, dof, value = triplets(R_i)
+            parts.append((node, self._number(side, dof, self._patch_of(R_i, node)), value))
+        return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+    def forces(self, constraint: Constraint):
+        """Rows (multipliers), columns and values of ∓B_i: the forces λ has at the unknowns.
+
+        What is a patch's comes from its own multipliers. Collective.
+        """
+        node, row, _ = triplets(constraint.R_A)
+        pairs = np.unique(np.column_stack((row, self._patch_of(constraint.R_A, node))), axis=0)
+        pairs = np.vstack(self._domain.mesh.comm.allgather(pairs))
+        patch = np.zeros(constraint.R_A.getSize()[1], dtype=np.int64)
+        patch[pairs[:, 0]] = pairs[:, 1]
+        parts = []
+        for side, B in enumerate(constraint.B[:2]):
+            row, dof, value = triplets(B)
+            # Round-off may have made an entry where Σ's nodes have none
+            known = np.isin(dof * self._num_patches + patch[row], self._keys[side])
+            row, dof, value = row[known], dof[known], value[known]
+            parts.append((row, self._number(side, dof, patch[row]), (2 * side - 1) * value))
+        return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+    def smoothing(self):
+        """Rows, columns and values of Σ ∫ (t − Πt) · (v − Πv) over pairs of facets; a share."""
+        comm = self._domain.mesh.comm
+        parts = [(np.empty(0, np.int64),) * 2 + (np.empty(0),)]
+        for side, surface in enumerate(self._domain.surfaces):
+            pairs = facet_pairs(surface)
+            for patch, some in self._in_patches(side, surface, pairs):
+                mine = np.array_split(some, comm.size)[comm.rank]
+                dofs = self._number(side, surface.dofs[mine].reshape(len(mine), -1), patch)
+                S = distances_from_polynomials(surface, mine)
+                i, j = (np.broadcast_to(d, S.shape) for d in (dofs[:, :, None], dofs[:, None]))
+                parts.append((i.ravel(), j.ravel(), S.ravel()))
+        return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+    def _in_patches(self, side, surface, pairs) -> Iterator[tuple[int, npt.NDArray]]:
+        """The patches, and pairs of facets whose dofs all have unknowns there."""
+        for patch in range(self._num_patches):
+            key = surface.dofs * self._num_patches + patch
+            has = np.isin(key, self._keys[side]).all(axis=1)
+            yield patch, pairs[has[pairs].all(axis=1)]
+
+
+def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
+    """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
+    v = surface.polygons
+    if surface.gdim == 2:
+        key = v.ravel().astype(np.int64)
+    else:
+        ends = np.sort(np.stack((v, np.roll(v, -1, axis=1)), axis=2).astype(np.int64), axis=2)
+        key = (ends[..., 0] * len(surface.x) + ends[..., 1]).ravel()
+    facet = np.repeat(np.arange(len(v)), v.shape[1])
+    order = np.argsort(key, kind="stable")
+    _, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    start = start[count == 2]
+    return np.column_stack((facet[order[start]], facet[order[start + 1]]))
+
+
+def distances_from_polynomials(surface: Surface, pairs) -> npt.NDArray[np.float64]:
+    """Matrices of ∫ (u − Πu)(v − Πv) over two facets each.
+
+    Πu is the nearest polynomial of the trace's degree, in coordinates of the plane between them.
+
+    Args:
+        surface: Γ_i.
+        pairs: Facets, ``(num_pairs, 2)``.
+
+    Returns:
+        ``(num_pairs, 2 num_dofs, 2 num_dofs)``.
+    """
+    element, n = surface.element, surface.gdim
+    k = element.degree
+    X, weights = basix.make_quadrature(element.cell_type, 2 * k + 2)
+    phi = tabulate(element, X)
+    psi = surface.geometry.tabulate(1, X)[..., 0]  # (1 + j, point, node)
+    x, *tangents = (np.einsum("pm,fsmi->fspi", values, surface.nodes[pairs]) for values in psi)
+    t = np.stack(tangents, axis=3)  # (pair, facet, point, j, i)
+    measure = np.sqrt(np.linalg.det(np.einsum("fspji,fspki->fspjk", t, t)))
+    root = np.sqrt(measure * weights).reshape(len(pairs), -1)
+    x = x.reshape(len(pairs), -1, n)
+    x = x - np.einsum("fp,fpi->fi", root**2, x)[:, None] / (root**2).sum(axis=1)[:, None, None]
+    # The plane: across the mean of the normals
+    mean = surface.normals[pairs].sum(axis=1)
+    plane = np.linalg.svd(mean[:, None])[2][:, 1:]  # (pair, n − 1, n)
+    z = np.einsum("fpi,fji->fpj", x, plane)
+    z /= np.abs(z).max(axis=(1, 2), initial=1e-300)[:, None, None]
+    exponents = np.indices((k + 1,) * (n - 1)).reshape(n - 1, -1)
+    exponents = exponents[:, exponents.sum(axis=0) <= k]
+    P = np.prod(z[..., None] ** exponents, axis=2)  # (pair, point, monomial)
+    Q = np.linalg.qr(root[..., None] * P)[0]
+    u = np.zeros((2, *phi.shape[:1], 2, phi.shape[1]))  # (facet, point, facet, dof)
+    u[0, :, 0], u[1, :, 1] = phi, phi
+    u = root[..., None] * u.reshape(1, root.shape[1], -1)
+    u = u - Q @ (Q.swapaxes(1, 2) @ u)
+    return u.swapaxes(1, 2) @ u

@@ -1,0 +1,84 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The compliances of several ties, as blocks in the place of the zero in [K Bᵀ; B 0]."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.solve.interface import Interface
+
+
+class Compliances:
+    """−C of all interfaces: Σ_t E_tgᵀ C_t E_th, with values that may change."""
+
+    def __init__(
+        self, ties: Sequence[Interface], rows: Sequence[dict[int, PETSc.Mat | None]], num: int
+    ):
+        """Make the blocks, with the values of now. Collective.
+
+        Args:
+            ties: The ties.
+            rows: E of each tie by interface; None is the identity.
+            num: Number of interfaces.
+        """
+        self._soft = [(tie.compliance, row) for tie, row in zip(ties, rows) if tie.compliance]
+        self._comm = ties[0].sigma.comm if ties else None
+        self.blocks: list[list[PETSc.Mat | None]] = [[None] * num for _ in range(num)]
+        """−C, ``[interface][interface]``; None is zero."""
+        self._values: list[npt.NDArray] = []
+        self.update()
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self._soft)
+
+    def destroy(self):
+        """Destroy the PETSc matrices. Collective."""
+        for block in (block for row in self.blocks for block in row if block):
+            block.destroy()
+
+    def update(self):
+        """Take the compliances as they are now. Collective."""
+        if not self._soft:
+            return
+        before, self._values = self._values, [soft.values() for soft, _ in self._soft]
+        assert self._comm is not None
+        same = bool(before) and all(map(np.array_equal, before, self._values))
+        if all(self._comm.allgather(same)):
+            return
+        for block in (block for row in self.blocks for block in row if block):
+            block.zeroEntries()
+        for (soft, row), values in zip(self._soft, self._values, strict=True):
+            C = soft.matrix(values)
+            for g, E in row.items():
+                left = C if E is None else E.transposeMatMult(C)
+                for h, F in row.items():
+                    product = left if F is None else left.matMult(F)
+                    self._subtract(g, h, product)
+                    if F is not None:
+                        product.destroy()
+                if E is not None:
+                    left.destroy()
+            C.destroy()
+
+    def _subtract(self, g: int, h: int, C: PETSc.Mat):
+        """Subtract from a block. Collective."""
+        before = self.blocks[g][h]
+        if before is None:
+            before = self.blocks[g][h] = C.copy()
+            before.scale(-1.0)
+        else:
+            before.axpy(-1.0, C, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+
+    def apply(self, g: int, multipliers: Sequence[PETSc.Vec], c: PETSc.Vec):
+        """Subtract Σ_h C_gh λ_h from c. Collective."""
+        for block, multiplier in zip(self.blocks[g], multipliers, strict=True):
+            if block is not None:
+                block.multAdd(multiplier, c, c)

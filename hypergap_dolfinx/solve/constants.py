@@ -1,0 +1,52 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Pressures that are known up to a constant only, which the tractions of ties take with them.
+
+Neither K nor B alone tells: where displacements are prescribed all around, the forces of a constant
+pressure on a tie's two sides are balanced by λ.
+"""
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from hypergap_dolfinx.gap.component import lagrange_components
+from hypergap_dolfinx.gap.surface import is_mixed
+from hypergap_dolfinx.solve.solver import Solver, System
+
+UNKNOWN = 1e-3
+"""Error of constants that are to be found again, from which they are unknown: with factors of
+singular matrices 0.2 to 1.7, of others 2e-16."""
+
+
+def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
+    """Whether scalars of mixed bodies aren't found again from the loads that they make. Collective.
+
+    Args:
+        system: The saddle system.
+        solver: With its factors.
+        b: A vector of the system, of which nothing but the layout is taken.
+    """
+    if solver.ksp.getPC().getType() != "lu" or not any(map(is_mixed, system.spaces)):
+        return False  # what iterates may be told of a null space
+    x = b.duplicate()
+    x.set(0.0)
+    prescribed = system.constraints.prescribed
+    for part, V, held in zip(x.getNestSubVecs(), system.spaces, prescribed):
+        if is_mixed(V):
+            for field in lagrange_components(V):
+                if field.space.value_shape == ():
+                    ones = np.ones(field.space.dofmap.index_map.size_local)
+                    part.array[:] += np.where(held, 0, field.into_body(ones))
+    loads, found = x.duplicate(), x.duplicate()
+    system.A.mult(x, loads)
+    solver.solve(loads, found)
+    found.axpy(-1.0, x)
+    bodies = found.getNestSubVecs()[: len(system.spaces)]
+    error = max(part.norm(PETSc.NormType.INFINITY) for part in bodies)
+    for vector in (x, loads, found):
+        vector.destroy()
+    return not error < UNKNOWN

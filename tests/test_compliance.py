@@ -1,0 +1,286 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Ties that give way: u₁ − u₀ = c λ, from tied to free; stresses are those of a tie."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import (
+    SOLVED,
+    comm,
+    exact_stress,
+    is_regular,
+    linear,
+    problem,
+    rectangle,
+    tie,
+    traction_error,
+)
+from helpers import interpolated, raises, two_ranks
+
+import dolfinx
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
+from meshes import BOTTOM, LEFT, RIGHT, TOP
+
+# Two layers that conduct: the flux and the temperatures are known
+
+
+class Slab:
+    """Temperatures 0 and 1 (or a flux of 1) on two layers of thickness 1 with a resistance."""
+
+    def __init__(self, dim=2, unit=1.0, *, flux=False):
+        self.dim, self.unit, self.flux, self.k = dim, unit, flux, []
+        sides, a, bcs, loads = [], [], [], []
+        tags = (meshes.TOP, meshes.BOTTOM) if dim == 2 else (meshes.FRONT, meshes.BACK)
+        for i, n in enumerate((4, 3)):
+            mesh, ft = meshes.block(
+                comm,
+                (n,) * (dim - 1) + (2,),
+                lambda x, i=i: unit * (x + i * np.eye(dim)[-1]),
+                cell="triangle" if dim == 2 else "tetrahedron",
+            )
+            V = fem.functionspace(mesh, ("Lagrange", 1))
+            k = fem.Constant(mesh, default_scalar_type(1.0))
+            u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+            a.append(k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+            ends = fem.locate_dofs_geometrical(
+                V, lambda x, i=i: np.isclose(x[dim - 1], 2 * i * unit, atol=1e-6 * unit)
+            )
+            loads.append(None)
+            if i and flux:
+                loads[1] = v * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
+            else:
+                bcs.append(fem.dirichletbc(default_scalar_type(i), ends, V))
+            self.k.append(k)
+            sides.append((V, ft.find(tags[i])))
+        self.c = fem.Constant(mesh, default_scalar_type(0.0))
+        self.tie = Tie(*sides, compliance=self.c)
+        self.problem = TiedProblem(a, loads, bcs=bcs, ties=[self.tie])
+
+    def errors(self, k=(1.0, 1.0), c=0.0):
+        """Errors of the flux, and of temperatures over the largest; c in units of Γ0's layer."""
+        for constant, value in zip(self.k, k, strict=True):
+            constant.value = value
+        self.c.value = c = c * self.unit / k[0]
+        us = self.problem.solve()
+        q = 1 / (self.unit / k[0] + c + self.unit / k[1])
+        if self.flux:
+            q = 1.0
+        top = self.unit * q / k[0] + c * q
+        wrong = size = 0.0
+        for u, start, height, conductivity in zip(us, (0, top), (0, 1), k, strict=True):
+            exact = interpolated(
+                u.function_space,
+                lambda x, start=start, height=height, k=conductivity: (
+                    start + q / k * (x[self.dim - 1] - height * self.unit)
+                ),
+            )
+            wrong = max(wrong, np.abs(u.x.array - exact.x.array).max(initial=0))
+            size = max(size, np.abs(exact.x.array).max(initial=0))
+        flux = np.abs(self.tie.traction(self.problem).x.array / q - 1).max(initial=0)
+        flux, wrong, size = (comm.allreduce(e, MPI.MAX) for e in (flux, wrong, size))
+        return flux, wrong / size
+
+
+@pytest.mark.ranks(unit=[1.0])
+@pytest.mark.parametrize("unit", (1e-9, 1.0, 1e9))
+def test_thermal_resistance(unit):
+    """From tied to free in one problem; Γ1 is the side that conducts less, as advised."""
+    slab = Slab(unit=unit)
+    for k in ((1.0, 1.0), (1.0, 1e-6), (1e6, 1.0), *([(1e-9, 1e-9)] if unit == 1 else ())):
+        for c in (0, 1e-12, 1.0, 1e12):
+            errors = slab.errors(k, c)
+            assert max(errors) <= 1e-12, (k, c, errors)
+
+
+@pytest.mark.ranks(2)
+def test_in_space():
+    slab = Slab(3)
+    for c in (0, 0.5, 1e12):
+        assert max(slab.errors((1.0, 3.0), c)) <= 1e-12
+
+
+@two_ranks()
+def test_held_by_the_compliance():
+    """A body that nothing else holds; its digits go as a motion's stiffness in K's round-off."""
+    slab = Slab(flux=True)
+    for c in (1e-12, 1.0, 1e3, 1e6):
+        assert max(slab.errors(c=c)) <= 1e-12 + 1e-14 * c
+    slab.c.value = 1e20
+    with raises(SolveError, "singular"):
+        slab.problem.solve()
+
+
+# Blocks under constant stress: the second one moves by C σn
+
+
+def stretched(x):
+    """A displacement without shear."""
+    return 0.3 * x[0], 0.5 * x[1]
+
+
+TIED = [(0, TOP), (1, BOTTOM)]
+HELD = [(0, BOTTOM, (0, 1))]
+
+
+def blocks(**options):
+    return [
+        rectangle((5, 2), (0, 0), (2, 1), **options),
+        rectangle((3, 2), (0, 1), (2, 2), cell="triangle", **options),
+    ]
+
+
+def traction_of(body, exact):
+    """σn at the interface y = 1."""
+    return exact_stress(body, np.array([0.5, 0.5]), exact)[:, 1]
+
+
+def error(p, exact, jump):
+    """Largest deviation from a field, on top of which all bodies but the first have a jump."""
+    wrong = size = 0.0
+    for i, u in enumerate(p.u):
+        f = interpolated(
+            u.function_space, lambda x, i=i: np.array(exact(x)) + (jump(x) if i else 0)
+        )
+        wrong = max(wrong, np.abs(u.x.array - f.x.array).max(initial=0))
+        size = max(size, np.abs(f.x.array).max(initial=0))
+    return comm.allreduce(wrong, MPI.MAX) / comm.allreduce(size, MPI.MAX)
+
+
+@two_ranks(c=[(0.5, 2.0)], interior=["free"])
+@pytest.mark.parametrize("interior", ("interpolated", "free"))
+@pytest.mark.parametrize("c", (0.7, (0.5, 2.0), (0, 3.0), (1.5, 0)))
+def test_springs(c, interior):
+    """Along the normal and across it; with a jump on top."""
+    bodies = blocks(degree=2)
+    t = tie(bodies, *TIED, compliance=c, interior=interior, jump=(0.1, 0.2))
+    p = problem(bodies, [t], TIED, HELD)
+    p.solve()
+    normal, tangential = (c, c) if np.isscalar(c) else c
+    opening = np.array((tangential, normal)) * traction_of(bodies[0], linear) + (0.1, 0.2)
+    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
+    assert traction_error(p, t, bodies) <= 10 * SOLVED
+
+
+@two_ranks(how=["pair"], swap=[True])
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("how", ("function", "callable", "pair"))
+def test_fields(how, swap):
+    """Linear along the interface under a normal stress: the second block turns."""
+    bodies = blocks()
+    sides = TIED[::-1] if swap else TIED
+    c = lambda x: 0.4 + 0.3 * x[0]  # noqa: E731
+    if how == "function":
+        c = interpolated(fem.functionspace(bodies[sides[1][0]].mesh, ("Lagrange", 1)), c)
+    t = tie(bodies, *sides, compliance=(c, 1.0) if how == "pair" else c)
+    p = problem(bodies, [t], TIED, HELD, stretched)
+    p.solve()
+    pull = traction_of(bodies[0], stretched)[1]
+
+    def turn(x):
+        return pull * np.array((0.3 * (1 - x[1]), 0.4 + 0.3 * x[0]))
+
+    assert error(p, stretched, turn) <= SOLVED
+
+
+@pytest.mark.ranks(same=[False])
+@pytest.mark.parametrize("same", (True, False))
+def test_pieces(same):
+    """One interface in two pieces, and bodies that are tied to each other where these meet."""
+    halves = [rectangle((2, 2), (x, 1), (x + 1, 2)) for x in (0, 1)]
+    bodies = [rectangle((6, 2), (0, 0), (2, 1)), *halves]
+    c = [0.7, 0.7 if same else fem.Constant(bodies[0].mesh, default_scalar_type(0.7))]
+    upper = [(1, BOTTOM), (2, BOTTOM)]
+    ties = [
+        tie(bodies, (0, TOP), side, compliance=value) for side, value in zip(upper, c, strict=True)
+    ]
+    ties.append(tie(bodies, (1, RIGHT), (2, LEFT)))
+    tied = [(0, TOP), *upper, (1, RIGHT), (2, LEFT)]
+    p = problem(bodies, ties, tied, HELD)
+    p.solve()
+    opening = 0.7 * traction_of(bodies[0], linear)
+    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
+    assert max(traction_error(p, t, bodies) for t in ties) <= 10 * SOLVED
+
+    block = rectangle((4, 2), (0, 1), (2, 2), cell="triangle")
+    bodies = [bodies[0], block]
+    ties = []
+    for k, value in enumerate(c):
+        sides = []
+        for body, tag in zip(bodies, (TOP, BOTTOM), strict=True):
+            facets = body.facets(tag)
+            x = dolfinx.mesh.compute_midpoints(body.mesh, 1, facets)[:, 0]
+            sides.append((body.V, facets[(x < 1) == (k == 0)]))
+        ties.append(Tie(*sides, compliance=value))
+    p = problem(bodies, ties, TIED, HELD)
+    p.solve()
+    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
+    assert is_regular(p)
+
+
+@two_ranks()
+def test_nonlinear():
+    """Newton's iteration takes one step; a law of one's own is a loop around it."""
+    bodies = blocks()
+    c = fem.Constant(bodies[0].mesh, default_scalar_type(0.7))
+    t = tie(bodies, *TIED, compliance=c)
+    us = [fem.Function(body.V) for body in bodies]
+    opening = 0.7 * traction_of(bodies[0], linear)
+    F, bcs = [], []
+    for i, (body, u) in enumerate(zip(bodies, us, strict=True)):
+        v = ufl.TestFunction(body.V)
+        F.append(ufl.inner(body.stress(u), ufl.sym(ufl.grad(v))) * ufl.dx)
+        g = interpolated(body.V, lambda x, i=i: np.array(linear(x)) + i * opening[:, None])
+        outer = np.setdiff1d(body.boundary, body.facets(TIED[i][1]))
+        dofs = fem.locate_dofs_topological(body.V, 1, outer)
+        bcs.append(fem.dirichletbc(g, dofs))
+    p = NonlinearTiedProblem(F, us, bcs=bcs, ties=[t])
+    p.solve()
+    assert p.solver.getIterationNumber() == 1
+    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
+    c.value = 0.2
+    p.solve()
+    assert p.solver.getIterationNumber() == 1
+
+
+@pytest.mark.parametrize("solver", ("bodies", "iterative"))
+def test_solvers(solver):
+    bodies = blocks()
+    with raises(ValueError, f'"{solver}" is not possible: a tie has a compliance; take "direct"'):
+        problem(bodies, [tie(bodies, *TIED, compliance=0.1)], TIED, HELD, solver=solver)
+
+
+@pytest.mark.ranks(2)
+def test_bad_input():
+    bodies = blocks()
+    mesh = bodies[0].mesh
+    elsewhere = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
+    negative = fem.Function(fem.functionspace(bodies[1].mesh, ("Lagrange", 1)))
+    negative.x.array[:] = -2
+    for wrong, said in (
+        (-1.0, r"the compliance is -1 at \(.*\); it must be ≥ 0 and finite"),
+        ((1.0, -2.0), "the compliance is -2"),
+        (np.nan, "the compliance is nan"),
+        (np.inf, "leave the tie out"),
+        ((1, 2, 3), "one value, or a pair"),
+        ({"normal": 1.0}, "one value, or a pair"),
+        ("soft", "one value, or a pair"),
+        (fem.Constant(mesh, default_scalar_type((1.0, 2.0))), "the compliance is no number on Γ1"),
+        (lambda x: 1 / 0, "no number on Γ1: division by zero"),
+        (lambda x: x[0] - 1, r"the compliance is -1 at \(0, 1\)"),
+        (elsewhere, "on the mesh of Γ1's body"),
+        (negative, "the compliance is -2"),
+    ):
+        with raises(ValueError, said):
+            tie(bodies, *TIED, compliance=wrong)
+    scalar = [fem.functionspace(body.mesh, ("Lagrange", 1)) for body in bodies]
+    sides = [(V, body.facets(tag)) for V, body, (_, tag) in zip(scalar, bodies, TIED, strict=True)]
+    with raises(ValueError, "need displacements, with 2 components"):
+        Tie(*sides, compliance=(1.0, 2.0))
