@@ -143,8 +143,8 @@ class Opening:
             np.bincount(state.vertex, part, self.num_multipliers)
             for part in (state.volumes, state.areas)
         )
-        first = state.rays.gradient() * state.weights[:, None, None]
-        parts = [(state.rays, state.piece, first)]
+        fixed = state.rays.gradient() * state.weights[:, None, None]
+        parts = [(state.rays, state.piece, fixed)]
         rim = _edges(state, outline=True)
         if len(rim.piece):
             s, a, b = rim.rays.products
@@ -153,9 +153,10 @@ class Opening:
         i, j, values = [], [], []
         for rays, piece, by_q in parts:
             T = by_dofs(state.surfaces, rays)
-            block = T.transpose(0, 2, 1) @ by_q  # (point, dof, component)
-            dofs = self._dofs(rays)
-            i.append(np.broadcast_to(state.vertex[piece, None], dofs.shape).ravel())
+            first = _first(piece)
+            block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
+            dofs = self._dofs(rays)[first]
+            i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
             j.append(dofs.ravel())
             values.append(block.reshape(-1, 3))
         return g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
@@ -172,14 +173,17 @@ class Opening:
 
         def add(rays, H):
             T = by_dofs(state.surfaces, rays)
-            num, _, nodes = T.shape
-            # (point, vector and component, dof and component)
-            full = np.einsum("pvn,ij->pvinj", T, np.eye(3)).reshape(num, 21, 3 * nodes)
-            block = (full.transpose(0, 2, 1) @ H @ full).reshape(num, nodes, 3, nodes, 3)
-            dofs = self._dofs(rays)
-            shape = num, nodes, nodes
-            i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
-            j.append(np.broadcast_to(dofs[:, None], shape).ravel())
+            num, vectors, nodes = T.shape
+            turned = T.transpose(0, 2, 1)
+            half = turned @ H.reshape(num, vectors, -1)  # (point, dof, component × 21)
+            half = half.reshape(num, nodes, 3, vectors, 3).swapaxes(1, 3)
+            block = turned @ half.reshape(num, vectors, -1)  # (point, dof, component × dof × 3)
+            first, dofs = _first(*rays.facets), self._dofs(rays)
+            block = np.add.reduceat(block, first).reshape(-1, nodes, 3, nodes, 3)
+            dofs = dofs[first]
+            shape = len(first), nodes, nodes
+            i.append(np.broadcast_to(dofs[:, None], shape).ravel())
+            j.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
             values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
 
         pressure = p[state.vertex]
@@ -251,6 +255,13 @@ class Opening:
         """Dofs of both facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
         below, above = (side.at_facets[f] for side, f in zip(self.sides, rays.facets, strict=True))
         return np.hstack((below, len(self.sides[0].dofs) + above))
+
+
+def _first(*numbers) -> npt.NDArray[np.intp]:
+    """Where numbers, of which equal ones follow each other, are other than before."""
+    new = np.ones(len(numbers[0]), dtype=bool)
+    new[1:] = np.any([part[1:] != part[:-1] for part in numbers], axis=0)
+    return np.flatnonzero(new)
 
 
 def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
