@@ -171,19 +171,15 @@ class Opening:
         state = self._at(u)
         i, j, values = [], [], []
 
-        def add(rays, H):
-            T = by_dofs(state.surfaces, rays)
-            num, vectors, nodes = T.shape
-            turned = T.transpose(0, 2, 1)
-            half = turned @ H.reshape(num, vectors, -1)  # (point, dof, component × 21)
-            half = half.reshape(num, nodes, 3, vectors, 3).swapaxes(1, 3)
-            block = turned @ half.reshape(num, vectors, -1)  # (point, dof, component × dof × 3)
-            first, dofs = _first(*rays.facets), self._dofs(rays)
-            block = np.add.reduceat(block, first).reshape(-1, nodes, 3, nodes, 3)
-            dofs = dofs[first]
+        def add(rays, block):
+            """Blocks ``(point, dof, component, dof, component)``, those of a pair of facets at once."""
+            num, nodes = block.shape[:2]
+            first = _first(*rays.facets)
+            block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
+            dofs = self._dofs(rays)[first]
             shape = len(first), nodes, nodes
-            i.append(np.broadcast_to(dofs[:, None], shape).ravel())
-            j.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
+            i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
+            j.append(np.broadcast_to(dofs[:, None], shape).ravel())
             values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
 
         pressure = p[state.vertex]
@@ -193,9 +189,18 @@ class Opening:
         rays, piece, weights = _cast(
             state.surfaces, state.frames, state.pieces.some(on), exact=False
         )
-        add(rays, (pressure[on[piece]] * weights)[:, None, None] * rays.hessian())
+        H = (pressure[on[piece]] * weights)[:, None, None] * rays.hessian()
+        T = by_dofs(state.surfaces, rays).transpose(0, 2, 1)
+        num, nodes, vectors = T.shape
+        half = (T @ H.reshape(num, vectors, -1)).reshape(num, nodes, 3, vectors, 3).swapaxes(1, 3)
+        block = T @ half.reshape(num, vectors, -1)
+        add(rays, block.reshape(num, nodes, 3, nodes, 3).swapaxes(1, 3))
         edges = _edges(state, pressure != 0)
-        add(edges.rays, _kinks(edges, pressure[edges.piece] * edges.weights))
+        T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
+        a, b = (T @ part for part in _kinks(edges, pressure[edges.piece] * edges.weights))
+        block = a[:, :, :, None, None] * b[:, None, None]
+        block += block.transpose(0, 3, 4, 1, 2).copy()
+        add(edges.rays, block)
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -264,25 +269,24 @@ def _first(*numbers) -> npt.NDArray[np.intp]:
     return np.flatnonzero(new)
 
 
-def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
-    """What moving edges add to ∂²∫f/∂q²: jumps of f's derivatives; ``(num, 21, 21)``.
+def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """What moving edges add to ∂²∫f/∂q²: jumps of f's derivatives.
 
     At Γ0's outline f is taken for zero, as it is in contact.
+
+    Returns:
+        a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
     """
     n0, _, _ = edges.rays.normals
     _, a, b = edges.rays.products
     t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
     slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
     slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
-    motion = edges.motion.reshape(-1, 21)
-    H = (-slope * factor)[:, None, None] * motion[:, :, None] * motion[:, None]
+    motion = edges.motion
+    half = ((edges.outline - 0.5) * slope * factor)[:, None, None] * motion
     if edges.outline.any():
-        first = edges.outline[:, None] * edges.rays.gradient().reshape(-1, 21)
-        product = factor[:, None, None] * first[:, :, None] * motion[:, None]
-        H += product + product.transpose(0, 2, 1)
-        twice = 2 * edges.outline * slope * factor
-        H += twice[:, None, None] * motion[:, :, None] * motion[:, None]
-    return H
+        half += (edges.outline * factor)[:, None, None] * edges.rays.gradient()
+    return half, motion
 
 
 def _summed(i, j, values, shape, num: int) -> Sparse:
