@@ -172,7 +172,7 @@ class Opening:
         i, j, values = [], [], []
 
         def add(rays, block):
-            """Blocks ``(point, dof, component, dof, component)``, those of a pair of facets at once."""
+            """Blocks ``(point, dof, component, dof, component)``, summed for pairs of facets."""
             num, nodes = block.shape[:2]
             first = _first(*rays.facets)
             block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])

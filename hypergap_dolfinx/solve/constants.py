@@ -16,7 +16,6 @@ import numpy as np
 from hypergap_dolfinx.gap.component import lagrange_components
 from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve import saddle
-from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.solver import Solver, System
 
 UNKNOWN = 1e-3
