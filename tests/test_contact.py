@@ -182,6 +182,8 @@ def test_bad_input():
         blocks.contact.force(blocks.problem)
     with raises(ValueError, "contacts has a str"):
         ContactProblem([], [], contacts=["contact"])
+    with raises(ValueError, r"the residual form of body 0 has no u\[0\] in it"):
+        ContactProblem(blocks.F, blocks.u[::-1], contacts=[blocks.contact])
     with raises(ValueError, "is on a space of no body"):
         other = Elastic.on(fem.functionspace(V0.mesh, V0.ufl_element()))
         ContactProblem([other.F], [other.u], contacts=[blocks.contact])

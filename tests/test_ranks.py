@@ -5,12 +5,15 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The same displacements on any number of ranks, also where ranks own nothing of the interface."""
 
+import gc
+
 from mpi4py import MPI
 
 import numpy as np
 import patch_test
 import pressurised_cylinder
 import pytest
+from test_contact import Blocks
 
 import meshes
 import ufl
@@ -99,3 +102,37 @@ def test_patch(shape):
     for c in (comm, MPI.COMM_SELF):
         errors = patch_test.solve(c, elements, shape, (2, 3), False, patch_test.stretching)
         assert max(errors) <= 1e-12
+
+
+def communicators(wanted=2100):
+    """How many more there can be: MPICH has 2046 in all. Collective."""
+    found = []
+    try:
+        while len(found) < wanted:
+            found.append(comm.Dup())
+    except MPI.Exception:
+        pass
+    for c in found:
+        c.Free()
+    return len(found)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("kind", ("tie", "contact"))
+def test_nothing_is_kept(kind):
+    """Problems that have gone take their communicators with them."""
+
+    def solve():
+        if kind == "tie":
+            solve_poisson(comm, False)
+        else:
+            scene = Blocks(gap=0.02)
+            scene.top.value = -0.05
+            scene.problem.solve()
+
+    left = []
+    for _ in range(3):
+        solve()
+        gc.collect()
+        left.append(communicators())
+    assert left[2] >= left[0]

@@ -143,8 +143,8 @@ class Opening:
             np.bincount(state.vertex, part, self.num_multipliers)
             for part in (state.volumes, state.areas)
         )
-        first = state.rays.gradient() * state.weights[:, None, None]
-        parts = [(state.rays, state.piece, first)]
+        fixed = state.rays.gradient() * state.weights[:, None, None]
+        parts = [(state.rays, state.piece, fixed)]
         rim = _edges(state, outline=True)
         if len(rim.piece):
             s, a, b = rim.rays.products
@@ -153,9 +153,10 @@ class Opening:
         i, j, values = [], [], []
         for rays, piece, by_q in parts:
             T = by_dofs(state.surfaces, rays)
-            block = T.transpose(0, 2, 1) @ by_q  # (point, dof, component)
-            dofs = self._dofs(rays)
-            i.append(np.broadcast_to(state.vertex[piece, None], dofs.shape).ravel())
+            first = _first(piece)
+            block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
+            dofs = self._dofs(rays)[first]
+            i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
             j.append(dofs.ravel())
             values.append(block.reshape(-1, 3))
         return g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
@@ -170,14 +171,13 @@ class Opening:
         state = self._at(u)
         i, j, values = [], [], []
 
-        def add(rays, H):
-            T = by_dofs(state.surfaces, rays)
-            num, _, nodes = T.shape
-            # (point, vector and component, dof and component)
-            full = np.einsum("pvn,ij->pvinj", T, np.eye(3)).reshape(num, 21, 3 * nodes)
-            block = (full.transpose(0, 2, 1) @ H @ full).reshape(num, nodes, 3, nodes, 3)
-            dofs = self._dofs(rays)
-            shape = num, nodes, nodes
+        def add(rays, block):
+            """Blocks ``(point, dof, component, dof, component)``, summed for pairs of facets."""
+            num, nodes = block.shape[:2]
+            first = _first(*rays.facets)
+            block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
+            dofs = self._dofs(rays)[first]
+            shape = len(first), nodes, nodes
             i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
             j.append(np.broadcast_to(dofs[:, None], shape).ravel())
             values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
@@ -189,9 +189,18 @@ class Opening:
         rays, piece, weights = _cast(
             state.surfaces, state.frames, state.pieces.some(on), exact=False
         )
-        add(rays, (pressure[on[piece]] * weights)[:, None, None] * rays.hessian())
+        H = (pressure[on[piece]] * weights)[:, None, None] * rays.hessian()
+        T = by_dofs(state.surfaces, rays).transpose(0, 2, 1)
+        num, nodes, vectors = T.shape
+        half = (T @ H.reshape(num, vectors, -1)).reshape(num, nodes, 3, vectors, 3).swapaxes(1, 3)
+        block = T @ half.reshape(num, vectors, -1)
+        add(rays, block.reshape(num, nodes, 3, nodes, 3).swapaxes(1, 3))
         edges = _edges(state, pressure != 0)
-        add(edges.rays, _kinks(edges, pressure[edges.piece] * edges.weights))
+        T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
+        a, b = (T @ part for part in _kinks(edges, pressure[edges.piece] * edges.weights))
+        block = a[:, :, :, None, None] * b[:, None, None]
+        block += block.transpose(0, 3, 4, 1, 2).copy()
+        add(edges.rays, block)
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -253,25 +262,31 @@ class Opening:
         return np.hstack((below, len(self.sides[0].dofs) + above))
 
 
-def _kinks(edges: _Edges, factor) -> npt.NDArray[np.float64]:
-    """What moving edges add to ∂²∫f/∂q²: jumps of f's derivatives; ``(num, 21, 21)``.
+def _first(*numbers) -> npt.NDArray[np.intp]:
+    """Where numbers, of which equal ones follow each other, are other than before."""
+    new = np.ones(len(numbers[0]), dtype=bool)
+    new[1:] = np.any([part[1:] != part[:-1] for part in numbers], axis=0)
+    return np.flatnonzero(new)
+
+
+def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """What moving edges add to ∂²∫f/∂q²: jumps of f's derivatives.
 
     At Γ0's outline f is taken for zero, as it is in contact.
+
+    Returns:
+        a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
     """
     n0, _, _ = edges.rays.normals
     _, a, b = edges.rays.products
     t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
     slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
     slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
-    motion = edges.motion.reshape(-1, 21)
-    H = (-slope * factor)[:, None, None] * motion[:, :, None] * motion[:, None]
+    motion = edges.motion
+    half = ((edges.outline - 0.5) * slope * factor)[:, None, None] * motion
     if edges.outline.any():
-        first = edges.outline[:, None] * edges.rays.gradient().reshape(-1, 21)
-        product = factor[:, None, None] * first[:, :, None] * motion[:, None]
-        H += product + product.transpose(0, 2, 1)
-        twice = 2 * edges.outline * slope * factor
-        H += twice[:, None, None] * motion[:, :, None] * motion[:, None]
-    return H
+        half += (edges.outline * factor)[:, None, None] * edges.rays.gradient()
+    return half, motion
 
 
 def _summed(i, j, values, shape, num: int) -> Sparse:

@@ -144,14 +144,12 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
     parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
     points = tabulate(above.geometry, parts.reshape(-1, 2)) @ above.nodes  # (facet, point, 3)
     flat = frames.project(np.arange(len(points)), points).reshape(len(points), *parts.shape)
-    low, high = flat.min(axis=(1, 2)), flat.max(axis=(1, 2))
-    meets = (corners.max(axis=1) > low[f1]) & (corners.min(axis=1) < high[f1])
-    use = np.flatnonzero(meets.all(axis=1))
-    f0, f1, corners = f0[use], f1[use], corners[use]
-    num = len(own)
-    pair, part = np.repeat(np.arange(len(f0)), num), np.tile(np.arange(num), len(f0))
+    low, high = flat.min(axis=2), flat.max(axis=2)  # of each part
+    first, last = corners.min(axis=1), corners.max(axis=1)
+    meets = (last[:, None] > low[f1]) & (first[:, None] < high[f1])
+    pair, part = np.nonzero(meets.all(axis=2))
     y, count, label = clip(flat[f1[pair], part], corners[pair])
-    whole = np.abs(polygon_areas(flat.reshape(-1, 4, 2))).reshape(-1, num).sum(axis=1)
+    whole = np.abs(polygon_areas(flat.reshape(-1, 4, 2))).reshape(-1, len(own)).sum(axis=1)
     real = (count > 2) & (polygon_areas(y) > SLIVER * whole[f1[pair]])
     y, count, label, pair, part = (a[real] for a in (y, count, label, pair, part))
     f0, f1 = f0[pair], f1[pair]

@@ -15,6 +15,7 @@ import numpy as np
 
 from hypergap_dolfinx.gap.component import lagrange_components
 from hypergap_dolfinx.gap.surface import is_mixed
+from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.solver import Solver, System
 
 UNKNOWN = 1e-3
@@ -35,7 +36,8 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
     x = b.duplicate()
     x.set(0.0)
     prescribed = system.constraints.prescribed
-    for part, V, held in zip(x.getNestSubVecs(), system.spaces, prescribed):
+    of_x = x.getNestSubVecs()
+    for part, V, held in zip(of_x, system.spaces, prescribed):
         if is_mixed(V):
             for field in lagrange_components(V):
                 if field.space.value_shape == ():
@@ -45,8 +47,9 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
     system.A.mult(x, loads)
     solver.solve(loads, found)
     found.axpy(-1.0, x)
-    bodies = found.getNestSubVecs()[: len(system.spaces)]
-    error = max(part.norm(PETSc.NormType.INFINITY) for part in bodies)
+    found_parts = found.getNestSubVecs()
+    error = max(part.norm(PETSc.NormType.INFINITY) for part in found_parts[: len(system.spaces)])
+    saddle.destroy_parts((*of_x, *found_parts))
     for vector in (x, loads, found):
         vector.destroy()
     return not error < UNKNOWN

@@ -247,6 +247,8 @@ class ContactSystem(NonlinearSystem):
         self._add_contact(parts, all_dofs=False)
         num = len(self._u)
         worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        saddle.destroy_parts(parts)
+        residual.destroy()
         size, least = 0.0, 0.0
         for u, F, K in zip(self._u, self._F, self._K, strict=True):
             raw = compat.create_vector(u.function_space)
@@ -257,7 +259,6 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.forces(rows.now.p * rows.now.on))
-        residual.destroy()
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):

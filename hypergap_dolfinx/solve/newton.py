@@ -44,11 +44,17 @@ class NonlinearSystem(TiedSystem):
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
-                a space that belongs to no body.
+            ValueError: Numbers of forms and functions that differ; a form on another function than
+                its body's; a tie or boundary condition on a space that belongs to no body.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
         if J is None:
+            for i, (form, f) in enumerate(zip(F, u, strict=False)):
+                if f not in form.coefficients():
+                    raise ValueError(
+                        f"the residual form of body {i} has no u[{i}] in it: "
+                        "write each form with the function that is given for its body."
+                    )
             J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
         if not len(F) == len(u) == len(J) or not F:
             raise ValueError(

@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The saddle system [K Bᵀ; B −C] as a PETSc MatNest, and how it is solved."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from petsc4py import PETSc
 
@@ -68,6 +68,19 @@ def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
         comm: Communicator.
     """
     return PETSc.Mat().createConstantDiagonal((size, size), 0.0, comm=comm).convert("aij")
+
+
+def destroy_parts(parts: Iterable[PETSc.Vec]):
+    """Let go of a nested vector's parts, before it is destroyed itself. Collective.
+
+    On several ranks Python's garbage collection destroys no PETSc object: what is the last to know
+    of a part would keep it, and its communicator, of which there are 2000.
+
+    Args:
+        parts: From ``getNestSubVecs()``.
+    """
+    for part in parts:
+        part.destroy()
 
 
 def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
@@ -191,9 +204,11 @@ def _residual(ksp: PETSc.KSP) -> tuple[float, float]:
         lengths = r.norm(), b.norm()
     else:
         squares = np.zeros(2)
-        for scale, *parts in zip(scales(A), r.getNestSubVecs(), b.getNestSubVecs(), strict=True):
+        of_r = r.getNestSubVecs()
+        for scale, *parts in zip(scales(A), of_r, b.getNestSubVecs(), strict=True):
             squares += [(scale * part.norm()) ** 2 for part in parts]
         lengths = tuple(np.sqrt(squares))
+        destroy_parts(of_r)
     r.destroy()
     return lengths
 
