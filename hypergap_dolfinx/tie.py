@@ -416,7 +416,11 @@ class Tie(disposal.Owner):
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
-        """The matrix C of Σ_i B_i u_i − C λ = c, if there is a compliance."""
+        """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
+
+        For a system of your own, C is a new PETSc matrix each time,
+        ``tie.compliance.matrix(tie.compliance.values())``.
+        """
         if self._compliance is None:
             return None
         given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]

@@ -281,6 +281,7 @@ def test_bad_input():
         ("soft", "one value, or a pair"),
         (fem.Constant(mesh, default_scalar_type((1.0, 2.0))), "the compliance is no number on Γ1"),
         (lambda x: 1 / 0, "no number on Γ1: division by zero"),
+        (lambda x: 1 + 1j * x[0], "it has an imaginary part; a compliance is real"),
         (lambda x: x[0] - 1, r"the compliance is -1 at \(0, 1\)"),
         (elsewhere, "on the mesh of Γ1's body"),
         (negative, "the compliance is -2"),

@@ -258,6 +258,7 @@ def test_bad_input():
         (fem.Constant(V.mesh, default_scalar_type(1.0)), "1 component given"),
         (lambda x: x, "3 components given"),
         (lambda x: 1 / 0, "no value on V₁: division by zero"),
+        ((1j, 0), "it is complex, and PETSc's scalars are real"),
         (lambda x: (np.where(x[0] > 1.5, np.inf, 0), 0), "the jump is .*inf"),
         (fem.Function(fem.functionspace(V.mesh, ("Lagrange", 2, (2,)))), "on a space of neither"),
     ):

@@ -154,7 +154,7 @@ class Compliance:
             x = surface.points(facet, surface.element.points[local])
             nodal = np.zeros(len(dofs))
             try:
-                nodal[:] = self._on_surface(part, surface, dofs, x)
+                nodal[:] = _real(self._on_surface(part, surface, dofs, x))
             except Exception as e:
                 error = error or f"the compliance is no number on Γ1: {e}".splitlines()[0]
             wrong = ~(nodal >= 0) | np.isinf(nodal)
@@ -177,11 +177,11 @@ class Compliance:
             comm = self._domain.mesh.comm
             start, end = surface.dof_range[comm.rank : comm.rank + 2]
             mine = (start <= dofs) & (dofs < end)
-            values = np.zeros(len(dofs))
-            values[mine] = np.real(part.x.array[dofs[mine] - start])
+            values = np.zeros(len(dofs), dtype=part.x.array.dtype)
+            values[mine] = part.x.array[dofs[mine] - start]
             return comm.allreduce(values)
         if isinstance(part, fem.Constant):
-            return np.real(part.value)
+            return part.value
         if callable(part):
             return part(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
         return part
@@ -227,3 +227,14 @@ class Compliance:
         for obj in objects:
             obj.destroy()
         return C
+
+
+def _real(values: npt.ArrayLike) -> npt.NDArray:
+    """What is real, whatever its type.
+
+    Raises:
+        ValueError: An imaginary part.
+    """
+    if np.any(np.imag(values)):
+        raise ValueError("it has an imaginary part; a compliance is real.")
+    return np.real(values)

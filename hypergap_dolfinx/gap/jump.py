@@ -88,7 +88,10 @@ class Jump:
         nodal = np.zeros((end - start, V.dofmap.index_map_bs), dtype=PETSc.ScalarType)
         own = dofs[mine] - start
         try:
-            nodal[own] = self.sign * self._at(value, x, own, V)
+            values = self._at(value, x, own, V)
+            if np.iscomplexobj(values) and not np.iscomplexobj(nodal):
+                raise ValueError("it is complex, and PETSc's scalars are real here.")
+            nodal[own] = self.sign * values
         except Exception as e:
             error = f"the jump is no value on V₁: {e}".splitlines()[0]
         wrong = ~np.isfinite(nodal[own]).all(axis=1)
