@@ -133,12 +133,13 @@ def main():
     parser = argparse.ArgumentParser(description="The patch test of contact.")
     parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--quick", action="store_true", help="one ratio")
+    parser.add_argument("--quick", action="store_true", help="one ratio, two elements")
     parser.add_argument("--plot", type=Path, metavar="DIR", help="save a picture")
     args = parser.parse_args()
     comm, rows = MPI.COMM_WORLD, []
     ratios = RATIOS[:1] if args.quick else RATIOS
-    for case in itertools.product(ELEMENTS, ratios, (False, True), (1e-3, LARGE)):
+    elements = ("P2", "Q1") if args.quick else tuple(ELEMENTS)
+    for case in itertools.product(elements, ratios, (False, True), (1e-3, LARGE)):
         element, ratio, swap, strain = case
         progress.show(comm, f"{element} {ratio[0]}:{ratio[1]}")
         last = args.plot and case == ("Q1", ratios[0], False, LARGE)
@@ -158,7 +159,7 @@ def main():
     progress.show(comm)
     if comm.rank == 0:
         print("elements  strain  largest error of pressure, stress")
-        for element, strain in itertools.product(ELEMENTS, (1e-3, LARGE)):
+        for element, strain in itertools.product(elements, (1e-3, LARGE)):
             mine = [r for r in rows if r["elements"] == element and r["strain"] == strain]
             worst = (max(r[name] for r in mine) for name in ("pressure", "stress"))
             print(f"{element:<8}  {strain:<6}  " + "  ".join(f"{e:.1e}" for e in worst))

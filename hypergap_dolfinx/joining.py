@@ -111,7 +111,8 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
         first = next(s for s, other in enumerate(ties) if _on_the_same(tie, other))
         if not tie.free_interior:
             jump = tie.jump and tie.jump.key
-            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way
+            motion = tie.motion and tie.motion.key
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion
             alike[first, law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
@@ -177,6 +178,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
             close_gap=first.closes_gap,
             adjust=adjusts,
             jump=first.jump,
+            motion=first.motion,
             compliance=first._compliance,
         )
     except (InterfaceError, InvertedCellError):  # the same on all ranks

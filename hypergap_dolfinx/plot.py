@@ -238,7 +238,7 @@ def traction(
             points.points[inwards] -= scale * points["traction"][inwards]
             arrows = points.glyph(orient="traction", scale="length", factor=scale)
         plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
-    mean = _mean_normal(tie.surfaces[0])
+    mean = _mean_normal(tie.domain.surfaces[0])
     return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
 
 
@@ -363,7 +363,7 @@ def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
             places[meshes[0][0]] = (np.zeros(3), np.zeros(3), 1.0)
             continue
         tie, (i0, i1) = todo.pop(at), meshes[at]
-        step, centre, scale = _separation(tie.surfaces, distance)
+        step, centre, scale = _separation(tie.domain.surfaces, distance)
         if i0 in places and i1 not in places:
             shift, _, s = places[i0]
             places[i1] = (shift + step, centre, s * scale)

@@ -19,9 +19,10 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap import carried, fields, quality
 from hypergap_dolfinx.gap import compliance as soft
-from hypergap_dolfinx.gap import fields, quality
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
+from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
@@ -77,6 +78,7 @@ class Tie(disposal.Owner):
         adjust: bool = False,
         close_gap: bool = False,
         jump: Given | Jump | None = None,
+        motion: Motion | None = None,
         compliance: soft.Given | None = None,
     ):
         """Mesh Σ between two surfaces. Collective.
@@ -109,6 +111,7 @@ class Tie(disposal.Owner):
                 What it is then is read for each right-hand side, so that it may change without
                 factorising again. Of pieces of one interface that have different jumps, let both
                 surfaces end at one place; there their mean holds, weighted with the multipliers.
+            motion: What carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
             compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
                 thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
                 gives way, however little; a body that nothing else holds is held by it. One value,
@@ -154,6 +157,10 @@ class Tie(disposal.Owner):
                 f"close_gap needs displacements, with {V1.mesh.geometry.dim} components; the value "
                 f"shape is {V1.value_shape}."
             )
+        if motion is not None and (adjust or close_gap):
+            raise InterfaceError("a periodic tie neither adjusts surfaces nor closes gaps.")
+        self._motion = motion
+        self._turn = motion.of_components(V1.value_shape) if motion else None
         self._interior = interior
         self._close_gap = close_gap
         self._swapped = False
@@ -169,6 +176,9 @@ class Tie(disposal.Owner):
         shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
         message = "Γ0 and Γ1 share facets; give each side its own."
         raise_on_all(comm, message if shared else None)
+        self._surfaces = surfaces
+        if motion is not None:
+            surfaces = carried.surface(surfaces[0], motion, surfaces[1]), surfaces[1]
         known = with_surfaces(before, surfaces) if adjust else None
         self._domain = known or create_gap_domain(comm, *surfaces)
         self._adjusts = adjust
@@ -231,6 +241,71 @@ class Tie(disposal.Owner):
             LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
         return tie
 
+    @classmethod
+    def periodic(
+        cls,
+        side0: tuple[fem.FunctionSpace, npt.ArrayLike],
+        side1: tuple[fem.FunctionSpace, npt.ArrayLike],
+        *,
+        translation: npt.ArrayLike | None = None,
+        rotation: npt.ArrayLike | None = None,
+        centre: npt.ArrayLike | None = None,
+        axis: npt.ArrayLike | None = None,
+        **options,
+    ) -> "Tie":
+        """A tie across a distance: opposite faces of a periodic cell or of a sector. Collective.
+
+        A motion carries Γ0 to Γ1, and there they are tied: u₁ = u₀, or u₁ = u₀ + g with a jump g.
+        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may be of one
+        mesh or of several, with any meshes; but their outlines are to fit. Make one tie for each
+        pair of faces. Where faces meet, at edges and corners, constraints that would be given twice
+        are left out.
+
+        The cell can still move as a whole: hold a node, or its mean. (A sector can only turn and
+        slide about its axis.)
+
+        Args:
+            side0: Γ0: a space and facets, as for the constructor.
+            side1: Γ1, which carries the multipliers: the side with the larger cells.
+            translation: From Γ0 to Γ1.
+            rotation: From Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R.
+            centre: A point on the rotation's axis; the origin if not given.
+            axis: In space, direction of the axis of an angle; z if not given.
+            options: Of the constructor, but ``adjust`` and ``close_gap``.
+
+        Returns:
+            The tie. Its Σ is where Γ1 is, and so are λ, gap, slip and both sides' tractions: Γ0's
+            body feels Rᵀλ.
+
+        Raises:
+            ValueError: Both a translation and a rotation, none, or one that is none.
+            InterfaceError: Γ0 is not carried to Γ1; the message says how far it is off.
+
+        Example:
+            A square under a mean strain ε: opposite faces move apart by ε times their distance.
+            The strain is read at each solve, so one factorisation serves all load cases.
+
+            >>> from mpi4py import MPI  # before dolfinx
+            >>> import numpy as np
+            >>> from dolfinx import fem, mesh
+            >>> from hypergap_dolfinx import Tie
+            >>> cell = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 1)], (4, 4))
+            >>> V = fem.functionspace(cell, ("Lagrange", 1, (2,)))
+            >>> strain, ties = np.zeros((2, 2)), []
+            >>> for axis, t in enumerate(np.eye(2)):
+            ...     faces = [
+            ...         mesh.locate_entities_boundary(cell, 1, lambda x: np.isclose(x[axis], end))
+            ...         for end in (0, 1)
+            ...     ]
+            ...     sides = [(V, facets) for facets in faces]
+            ...     jump = lambda x, t=t: strain @ t
+            ...     ties.append(Tie.periodic(*sides, translation=t, jump=jump))
+            >>> strain[0, 0] = 0.01  # then solve, change it, and solve again
+        """
+        n = side1[0].mesh.geometry.dim
+        motion = carried.motion(n, translation, rotation, centre, axis)
+        return cls(side0, side1, motion=motion, **options)
+
     @property
     def swapped(self) -> bool:
         """Whether :meth:`between` made its first side Γ1."""
@@ -266,8 +341,8 @@ class Tie(disposal.Owner):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1, gathered on every rank."""
-        return self._domain.surfaces
+        """Γ0 and Γ1, gathered on every rank, where they are on the bodies."""
+        return self._surfaces
 
     @property
     def domain(self) -> GapDomain:
@@ -298,6 +373,16 @@ class Tie(disposal.Owner):
     def closes_gap(self) -> bool:
         """Whether the constraint is on positions."""
         return self._close_gap
+
+    @property
+    def motion(self) -> Motion | None:
+        """What carries Γ0 to Γ1, of a tie across a distance."""
+        return self._motion
+
+    @property
+    def turn(self) -> npt.NDArray | None:
+        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+        return self._turn
 
     @property
     def jump(self) -> Jump | None:
@@ -365,9 +450,12 @@ class Tie(disposal.Owner):
             one); prescribed displacements are not taken into account. The tie owns them.
         """
         if not self._blocks:
-            B0, B1, *interior = (expand(B, self.block_size) for B in self.constraint.B)
-            B0, B1 = (part.columns_of_body(B) for part, B in zip(self._components, (B0, B1)))
-            self._blocks = (B0, B1, *interior)
+            B0, B1, *interior = self.constraint.B
+            B0, B1 = (
+                part.columns_of_body(expand(B, self.block_size, turn))
+                for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
+            )
+            self._blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
         return self._blocks
 
     def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
@@ -393,7 +481,7 @@ class Tie(disposal.Owner):
             if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
             us.append(own)
-        return fields.gap(self._domain, self.constraint, us[0], us[1])
+        return fields.gap(self._domain, self.constraint, us[0], us[1], self._turn)
 
     def traction(self, problem, *, on: str = "sigma") -> fem.Function:
         """The traction between the bodies, of a solved problem. Collective.

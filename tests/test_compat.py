@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from dolfinx import fem
-from hypergap_dolfinx import Tie, compat
+from hypergap_dolfinx import compat
 
 pytestmark = pytest.mark.ranks
 
@@ -54,11 +54,3 @@ def test_vector_has_ghosts(shape):
     with b.localForm() as local:
         assert local.getSize() == len(u.x.array)
     b.destroy()
-
-
-def test_complex_numbers_are_refused(monkeypatch):
-    mesh, ft = meshes.block(comm, (2, 2))
-    V = fem.functionspace(mesh, ("Lagrange", 1))
-    monkeypatch.setattr(PETSc, "ScalarType", np.complex128)
-    with pytest.raises(RuntimeError, match="complex"):
-        Tie((V, ft.find(meshes.LEFT)), (V, ft.find(meshes.RIGHT)))

@@ -248,6 +248,13 @@ def test_nonlinear():
     c.value = 0.2
     p.solve()
     assert p.solver.getIterationNumber() == 1
+    again = [u.x.array.copy() for u in us]
+    for u in us:
+        u.x.array[:] = 0.0
+    t = tie(bodies, *TIED, compliance=0.2)
+    NonlinearTiedProblem(F, us, bcs=bcs, ties=[t]).solve()
+    for u, values in zip(us, again, strict=True):
+        np.testing.assert_allclose(u.x.array.copy(), values, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))

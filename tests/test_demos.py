@@ -142,9 +142,15 @@ DEMOS = {
     ),
     "own_system": Demo("--levels 2", {"0.l2": 5.402e-5, "1.l2": 6.759e-6}, {"1.iterations": 180}),
     "partial_overlap": Demo(
+        "--degree 1 --cell mixed --scene rotated crossing",
+        {"*.ok": True},
+    ),
+    "partial_overlap_mixed": Demo(
         "--degree 1 --cell mixed",
         {"*.ok": True},
         {"*.l2": 5e-3},
+        script="partial_overlap",
+        slow=True,
     ),
     "partial_overlap_tetrahedra": Demo(
         "--cell tetrahedron",
@@ -201,6 +207,20 @@ DEMOS = {
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
     ),
+    "periodic_cell": Demo(
+        "--fibres",
+        {"fibres.shear": 46.004},
+        {"rows.*.error": 1e-12, "fibres.matching": 1e-3},
+        pictures=("periodic_cell",),
+        needs=("gmsh",),
+    ),
+    "periodic_cell_cubic": Demo(
+        "--degree 3", below={"rows.*.error": 2e-12}, slow=True, script="periodic_cell"
+    ),
+    "periodic_cell_3d": Demo("--dim 3", below={"rows.*.error": 1e-12}, script="periodic_cell"),
+    "periodic_cell_3d_quadratic": Demo(
+        "--dim 3 --degree 2", below={"rows.*.error": 2e-12}, slow=True, script="periodic_cell"
+    ),
     "thermal_resistance": Demo(
         "--levels 2",
         {"rows.0.error": 1.691e-5, "rows.4.error": 2.00e-6, "rows.6.error": 1.508e-6},
@@ -234,8 +254,8 @@ LONG = (
     *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
-AS_OTHERS = ("gap_domain", "kernel_speed", "pressurised_cylinder")
-"""On ranks they show no more than the sphere, for which ``make test`` takes one rank."""
+AS_OTHERS = ("gap_domain", "kernel_speed", "periodic_cell_3d", "pressurised_cylinder")
+"""On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
 
 def is_drawn(file):

@@ -12,13 +12,13 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import dense, rectangle
-from helpers import raises, residual
+from helpers import raises, residual, two_ranks
 
 import basix.ufl
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.mesh import compute_midpoints
+from dolfinx.mesh import compute_midpoints, create_unit_cube, locate_entities_boundary
 from hypergap_dolfinx import (
     Contact,
     ContactProblem,
@@ -250,6 +250,41 @@ def test_components_are_numbered_alike_and_owned_by_the_same_ranks():
     assert (one.dofs < W.dofmap.index_map.size_local).all()
     every = np.concatenate(comm.allgather(one.global_dofs()))
     assert len(np.unique(every)) == one.space.dofmap.index_map.size_global * 2
+
+
+@pytest.mark.ranks
+def test_functions_with_another_numbering():
+    """A new space of the same kind has other numbers than a collapsed one."""
+    blocks, ((_, f0), (_, f1)) = two_blocks()
+    W = [mixed_space(b.mesh) for b in blocks]
+    sides = [(V.sub(0), f) for V, f in zip(W, (f0, f1), strict=True)]
+    collapsed = fem.Function(W[1].sub(0).collapse()[0])
+    collapsed.interpolate(linear)
+    expected, found = (Tie(*sides, jump=jump).offset() for jump in (linear, collapsed))
+    np.testing.assert_allclose(found.array, expected.array, rtol=0, atol=1e-14)
+    new = fem.Function(fem.functionspace(W[1].mesh, ("Lagrange", 2, (2,))))
+    new.interpolate(linear)
+    with raises(ValueError, "a function on a space of neither side"):
+        Tie(*sides, jump=new)
+    with raises(ValueError, "u1 is not on the space of Γ1"):
+        Tie(*sides).gap(fem.Function(W[0]), new)
+
+
+@two_ranks()
+def test_components_that_dolfinx_mixes_up():
+    """Of degree 3 on tetrahedra: a patch test was off by 5e-3."""
+    cube = create_unit_cube(comm, 2, 2, 2)
+    cubic = basix.ufl.element("Lagrange", "tetrahedron", 3, shape=(3,))
+    pressure = basix.ufl.element("Lagrange", "tetrahedron", 2)
+    W = fem.functionspace(cube, basix.ufl.mixed_element([cubic, pressure]))
+    f0, f1 = (
+        locate_entities_boundary(cube, 2, lambda x, z=z: np.isclose(x[2], z)) for z in (0.0, 1.0)
+    )
+    with raises(InterfaceError, "DOLFINx mixes up the nodes"):
+        Tie((W.sub(0), f0), (W.sub(0), f1))
+    Component.of(W.sub(1)), Component.of(W.sub(0).sub(2))
+    V = fem.functionspace(cube, ("Lagrange", 3, (3,)))
+    Component.of(V.sub(1))  # not of a mixed space
 
 
 def two_blocks():

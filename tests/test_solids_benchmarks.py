@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """3D benchmarks: patch tests, the pressurised sphere, ranks."""
 
+from itertools import product
+
 from mpi4py import MPI
 
 import numpy as np
@@ -16,8 +18,10 @@ from helpers import sweep
 comm = MPI.COMM_WORLD
 
 
-@pytest.mark.parametrize("kind", patch_test_3d.KINDS["tetrahedron"])
-@pytest.mark.parametrize("name", patch_test_3d.ELEMENTS["tetrahedron"])
+PATCHES = list(product(patch_test_3d.ELEMENTS["tetrahedron"], patch_test_3d.KINDS["tetrahedron"]))
+
+
+@pytest.mark.parametrize("name, kind", sweep(PATCHES, 3))
 def test_patch(name, kind):
     """Both tests to round-off; some of the cases (all of them with the demo)."""
     worst = 0.0

@@ -19,7 +19,7 @@ FINER = "thin layer, finer"  # Γ0 thin and finer than Γ1: its own conditioning
 @pytest.mark.parametrize("dim, degree", ((2, 1), (2, 2), (3, 1)))
 def test_patch(dim, degree):
     """The ends of each axis, as far as they are quick."""
-    for axis, value, scene, bounds in sweep(demo.patch_rows(quick=True), 3):
+    for axis, value, scene, bounds in sweep(demo.patch_rows(quick=True), 5):
         if bounds[dim - 2] is None or axis == FINER:
             continue
         if max(scene.get("cells", (1,))) > 1000:

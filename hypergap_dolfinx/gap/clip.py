@@ -5,9 +5,12 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Facing pieces that overlap in part, cut to what both have in common."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.gap.courses import crossings, upright
 from hypergap_dolfinx.gap.cut import Cut
 from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
@@ -51,7 +54,15 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     number = np.full(len(mine), -1)
     number[mine] = np.arange(len(cells))
     behind = np.where(behind >= 0, number[behind], -1)
-    return sorted_out(side, x, cells, behind, origin, weights)
+    kept = sorted_out(side, x, cells, behind, origin, weights)
+    if cut.courses:
+        f, k = np.nonzero(left[mine])
+        bends = np.zeros((len(cells), 3, cut.courses.degree - 1, 2))
+        ends = weights[f[:, None], np.column_stack((k, (k + 1) % 3)), 1:]
+        pairs = np.column_stack((cells[f, k], cells[f, (k + 1) % 3]))
+        bends[f, k] = cut.courses.bends(pairs, origin[f], ends)
+        kept = replace(kept, bends=upright(kept.X, bends))
+    return kept
 
 
 def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
@@ -84,10 +95,21 @@ def _meet(cuts: tuple[Cut, Cut], snap: float) -> tuple[dict[int, int], dict[int,
     if not places0 or not places1:
         return twins
     met = meetings(edges0, edges1, snap)
-    for e, s, o, r in zip(*(a.tolist() for a in (met.edge, met.s, met.other, met.r)), strict=True):
-        nodes = []
-        for cut, (a, b, low, high), at in zip(cuts, (places0[e], places1[o]), (s, r), strict=True):
-            nodes.append(cut.on_edge(a, b, low + at * (high - low)))
+    edges, at = [], []
+    for places, edge, s in ((places0, met.edge, met.s), (places1, met.other, met.r)):
+        own = [places[e] for e in edge.tolist()]
+        edges.append([place[:2] for place in own])
+        at.append(np.array([low + t * (high - low) for (*_, low, high), t in zip(own, s)]))
+    some = np.flatnonzero((met.s > 0) & (met.s < 1) & (met.r > 0) & (met.r < 1))
+    if len(some) and any(cut.side.surface.curved.any() for cut in cuts):
+        arcs = [cut.arcs([own[i] for i in some]) for cut, own in zip(cuts, edges, strict=True)]
+        s, r, good = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
+        at[0][some[good]], at[1][some[good]] = s[good], r[good]
+    for i in range(len(met.s)):
+        nodes = [
+            cut.on_edge(a, b, float(t[i]))
+            for cut, (a, b), t in zip(cuts, (own[i] for own in edges), at, strict=True)
+        ]
         twins[0][nodes[1]], twins[1][nodes[0]] = nodes
     return twins
 
@@ -101,8 +123,9 @@ def parts(side: Side) -> list[Side]:
         mine = part == p
         vertices, triangles = np.unique(side.triangles[mine], return_inverse=True)
         triangles = triangles.reshape(-1, 3)
+        bends = None if side.bends is None else side.bends[mine]
         found.append(
-            Side(side.surface, side.x[vertices], triangles, side.facets[mine], side.X[mine])
+            Side(side.surface, side.x[vertices], triangles, side.facets[mine], side.X[mine], bends)
         )
     return found
 

@@ -11,12 +11,14 @@ where the body's numbering comes in.
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.surface import is_mixed, lagrange_element
 
@@ -36,10 +38,21 @@ class Component:
 
     @classmethod
     def of(cls, V: fem.FunctionSpace) -> "Component":
-        """That of a space or a subspace. Collective."""
+        """That of a space or a subspace. Collective.
+
+        Raises:
+            InterfaceError: A subspace that DOLFINx doesn't collapse right.
+        """
         if not V.component():
             return cls(V, V, None)
         space, dofs = V.collapse()
+        kept = np.array_equal(np.ravel(dofs)[unrolled(space)], unrolled(V))
+        if not space.mesh.comm.allreduce(kept, MPI.LAND):
+            raise InterfaceError(
+                "DOLFINx mixes up the nodes of this component of a mixed space when it collapses "
+                "it, as on tetrahedra of degree 3 and more; make a tie for each of its own "
+                "components (W.sub(0).sub(1) for example), or take degree 2, or hexahedra."
+            )
         owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
         return cls(V, space, np.ravel(dofs)[:owned].astype(np.int32))
 
@@ -79,6 +92,7 @@ class Component:
             and V.mesh is self.space.mesh
             and V.ufl_element() == self.space.ufl_element()
             and not V.component()
+            and self._numbered_as(V)
         ):
             return u
         if not V.contains(self.given):
@@ -88,6 +102,11 @@ class Component:
         f.x.array[: len(values)] = values
         f.x.scatter_forward()
         return f
+
+    def _numbered_as(self, V: fem.FunctionSpace) -> bool:
+        """Whether a space of the same kind has the same dofs: a new one has not. Collective."""
+        alike = np.array_equal(V.dofmap.list, self.space.dofmap.list)
+        return self.space.mesh.comm.allreduce(alike, MPI.LAND)
 
     def global_dofs(self) -> npt.NDArray[np.int64]:
         """Global dofs (unrolled) in the body of this rank's owned ones, ``(num_dofs,)``."""
@@ -113,6 +132,13 @@ class Component:
         return result
 
 
+def unrolled(V: fem.FunctionSpace) -> npt.NDArray[np.intp]:
+    """The dofs of each cell, one by one."""
+    dofs, block_size = V.dofmap.list, V.dofmap.bs
+    every = dofs[:, :, None].astype(np.intp) * block_size + np.arange(block_size)
+    return every.reshape(len(dofs), -1)
+
+
 def lagrange_components(V: fem.FunctionSpace) -> list[Component]:
     """A body's fields that motions are known of: V, or of a mixed one what is Lagrange. Collective.
 
@@ -122,7 +148,10 @@ def lagrange_components(V: fem.FunctionSpace) -> list[Component]:
         return [Component.of(V)]
     found = []
     for i in range(V.num_sub_spaces):
-        component = Component.of(V.sub(i))
+        try:
+            component = Component.of(V.sub(i))
+        except InterfaceError:
+            continue  # no tie takes it either
         if is_mixed(component.space):
             found += lagrange_components(V.sub(i))
         elif lagrange_element(component.space)[1] is None:

@@ -193,12 +193,13 @@ def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
         matrix.destroy()
 
 
-def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:
-    """B ⊗ I: the same constraint for each component. Collective.
+def expand(B: PETSc.Mat, block_size: int, turn: npt.NDArray | None = None) -> PETSc.Mat:
+    """B ⊗ R, the same constraint for each component of a field that is turned. Collective.
 
     Args:
         B: Matrix on one component.
         block_size: Number of components; they alternate in the result's rows and columns.
+        turn: R, ``(block_size, block_size)``; the identity if not given.
 
     Returns:
         A new matrix.
@@ -206,14 +207,15 @@ def expand(B: PETSc.Mat, block_size: int) -> PETSc.Mat:
     if block_size == 1:
         return B.copy()
     i, j, value = triplets(B)
-    component = np.arange(block_size)
+    row, column = np.nonzero(np.eye(block_size) if turn is None else turn)
+    factors = np.ones(block_size) if turn is None else turn[row, column]
     (rows, _), (columns, _) = B.getSizes()
     return coo_matrix(
         B.comm.tompi4py(),
         (rows * block_size, columns * block_size),
-        i[:, None] * block_size + component,
-        j[:, None] * block_size + component,
-        np.repeat(value, block_size),
+        i[:, None] * block_size + row,
+        j[:, None] * block_size + column,
+        value[:, None] * factors,
     )
 
 

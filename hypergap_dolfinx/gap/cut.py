@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap.courses import Arcs, Courses, Edge
 from hypergap_dolfinx.gap.cutting import Cutting
+from hypergap_dolfinx.gap.nodes import Nodes
 from hypergap_dolfinx.gap.outlines import Edges, locate
 from hypergap_dolfinx.gap.pieces import Side
 
@@ -25,135 +27,22 @@ ROUNDS = 5
 """Times that angles are looked at: feet make others blunt where edges are almost parallel."""
 
 
-class Cut:
-    """A piece with nodes and edges put into it; its own triangles stay until the end.
-
-    Nodes are the piece's vertices, and new ones on its edges or in its triangles. Where they lie is
-    told by weights of vertices, in the triangulation of straight triangles.
-    """
+class Cut(Nodes):
+    """A piece with nodes and edges put into it; its own triangles stay until the end."""
 
     def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
         """A piece whose outline (loops of vertices) has nodes where it is curved."""
-        self.side, self.snap = side, snap
-        self.num_vertices = len(side.x)
+        super().__init__(side, snap)
         self.loops = [loop.tolist() for loop in outline]
-        self.at: list[
-            tuple
-        ] = []  # of each new node: an edge and a parameter, or a triangle's weights
-        self.on: dict[tuple[int, int], list[tuple[float, int]]] = {}  # nodes on each edge
-        self.inside: dict[int, list[int]] = defaultdict(list)  # nodes in each triangle
         self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
         self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
         self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
-        corner = side.triangles.ravel()
-        self._fans = np.argsort(corner, kind="stable") // 3
-        self._starts = np.searchsorted(np.sort(corner), np.arange(self.num_vertices + 1))
+        self.courses: Courses | None = None  # of it, if it is curved
         degree = side.surface.geometry.degree
         for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
             if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
                 for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
                     self.on_edge(a, b, s)
-
-    # Nodes
-
-    def around(self, a: int, b: int | None = None) -> list[int]:
-        """The triangles at a vertex, or at an edge."""
-        fan = self._fans[self._starts[a] : self._starts[a + 1]]
-        if b is not None:
-            fan = fan[(self.side.triangles[fan] == b).any(axis=1)]
-        return fan.tolist()
-
-    def on_edge(self, a: int, b: int, s: float) -> int:
-        """The node at a parameter on an edge: a new one unless there is one beside it."""
-        if a > b:
-            a, b, s = b, a, 1 - s
-        near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
-        for r, node in [(0.0, a), (1.0, b), *self.on.get((a, b), [])]:
-            if abs(s - r) <= near:
-                return node
-        return self._new(a, b, s)
-
-    def _new(self, a: int, b: int, s: float) -> int:
-        node = self.num_vertices + len(self.at)
-        self.at.append((a, b, s))
-        self.on[a, b] = sorted([*self.on.get((a, b), []), (s, node)])
-        return node
-
-    def in_triangle(self, triangle: int, weights) -> int:
-        """The node at a place in a triangle; on its edge or its vertex if it is beside it."""
-        v = self.side.triangles[triangle].tolist()
-        x = self.side.x[v]
-        twice = float(np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])))
-        for k in range(3):
-            a, b = v[k], v[(k + 1) % 3]
-            length = float(np.linalg.norm(x[(k + 1) % 3] - x[k]))
-            if weights[(k + 2) % 3] * twice <= self.snap * length:
-                wa, wb = max(weights[k], 0.0), max(weights[(k + 1) % 3], 0.0)
-                return self.on_edge(a, b, wb / (wa + wb))
-        node = self.num_vertices + len(self.at)
-        self.at.append((triangle, np.asarray(weights)))
-        self.inside[triangle].append(node)
-        return node
-
-    def host(self, node: int) -> tuple[int, npt.NDArray[np.float64]]:
-        """A triangle that a node lies in, and the weights of its vertices."""
-        weights = np.zeros(3)
-        if node >= self.num_vertices and len(at := self.at[node - self.num_vertices]) == 2:
-            return at
-        a, b, s = (
-            (node, None, 0.0) if node < self.num_vertices else self.at[node - self.num_vertices]
-        )
-        triangle = self.around(a, b)[0]
-        v = self.side.triangles[triangle].tolist()
-        weights[v.index(a)] = 1 - s
-        if b is not None:
-            weights[v.index(b)] = s
-        return triangle, weights
-
-    def places(self, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Where nodes are on the (curved) surface, and its normals there."""
-        hosts = [self.host(node) for node in nodes]
-        triangle = np.array([t for t, _ in hosts], dtype=np.intp)
-        weights = np.array([w for _, w in hosts]).reshape(-1, 3)
-        x = self.side.points(triangle, weights[:, 1:])
-        n = self.side.vertex_normals[self.side.triangles[triangle]]
-        return x, np.einsum("pv,pvi->pi", weights, n)
-
-    def flat(self, node: int) -> npt.NDArray[np.float64]:
-        """Where a node is in the triangulation of straight triangles."""
-        if node < self.num_vertices:
-            return self.side.x[node]
-        triangle, weights = self.host(node)
-        return weights @ self.side.x[self.side.triangles[triangle]]
-
-    def triangles_at(self, node: int) -> list[int]:
-        """The triangles that a node lies in or at."""
-        if node < self.num_vertices:
-            return self.around(node)
-        at = self.at[node - self.num_vertices]
-        return [at[0]] if len(at) == 2 else self.around(at[0], at[1])
-
-    def edge_of(self, nodes) -> tuple[int, int] | None:
-        """The edge that two nodes both lie on."""
-        ends: list[set[int]] = []
-        for node in nodes:
-            if node < self.num_vertices:
-                ends.append({node})
-            elif len(at := self.at[node - self.num_vertices]) == 3:
-                ends.append({at[0], at[1]})
-            else:
-                return None
-        edge = ends[0] | ends[1]
-        if len(edge) > 2:
-            return None
-        a, b = sorted(edge)
-        return (a, b) if self.around(a, b) else None
-
-    def between(self, a: int, b: int) -> list[int]:
-        """The nodes on an edge from one of its vertices to the other, both included."""
-        if a > b:
-            return self.between(b, a)[::-1]
-        return [a, *(node for _, node in self.on.get((a, b), [])), b]
 
     # Its own outline
 
@@ -183,8 +72,13 @@ class Cut:
 
     # The other's outline
 
-    def draw(self, u: int, v: int):
-        """Put a segment between two nodes into the triangles that it crosses."""
+    def draw(self, u: int, v: int) -> list[tuple[int, float]]:
+        """Put a segment between two nodes into the triangles that it crosses.
+
+        Returns:
+            The nodes along it, and where they are on it, from 0 to 1.
+        """
+        passed = [(u, 0.0)]
         start, target = self.flat(u), self.flat(v)
         along = target - start
         square = float(along @ along)
@@ -197,7 +91,7 @@ class Cut:
             common = set(near).intersection(self.triangles_at(v))
             if common:
                 self._join(u, v, min(common))
-                return
+                return [*passed, (v, 1.0)]
             best = None
             for triangle in near:
                 for progress, step in self._exits(u, triangle, start, along / square, across):
@@ -209,6 +103,7 @@ class Cut:
             w = self.on_edge(*step) if len(step) == 3 else step[0]
             if w != u:
                 self._join(u, w, triangle)
+                passed.append((w, done))
             u = w
         raise InterfaceError(
             f"the outline of the other side can't be drawn on {self.side.surface.name} from "
@@ -275,9 +170,49 @@ class Cut:
         nodes = dict(twins)
         for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
             nodes[node] = self.in_triangle(t, w)
-        for u, v in crossing:
-            if nodes[u] != nodes[v]:
-                self.draw(nodes[u], nodes[v])
+        drawn = [
+            (other.part(u, v), self.draw(nodes[u], nodes[v]))
+            for u, v in crossing
+            if nodes[u] != nodes[v]
+        ]
+        if any(cut.side.surface.curved.any() for cut in (self, other)):
+            self._settle(Courses(self.side, other.side), drawn, set(nodes.values()))
+
+    def part(self, u: int, v: int) -> tuple[Edge, float, float]:
+        """The edge that two nodes of the own outline lie on, and their parameters."""
+        edge = self.edge_of((u, v))
+        assert edge
+        s = [float(n == edge[1]) if n < self.num_vertices else self.parameter(n) for n in (u, v)]
+        return (self.around(*edge)[0], *edge), s[0], s[1]
+
+    def arcs(self, edges: list[tuple[int, int]]) -> Arcs:
+        """Edges by their vertices."""
+        return Arcs.between(self.side, [self.around(*edge)[0] for edge in edges], edges)
+
+    def _settle(self, courses: Courses, drawn, located: set[int]):
+        """Move nodes to where the other's outline crosses edges; where it doesn't, they stay.
+
+        Args:
+            courses: Of the outline.
+            drawn: Its parts, and the nodes along each.
+            located: Nodes at ends of parts.
+        """
+        for (edge, r0, r1), passed in drawn:
+            courses.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
+        at = {
+            node: self.at[node - self.num_vertices]
+            for node in courses.between_ends()
+            if node >= self.num_vertices and node not in located
+        }
+        at = {node: place for node, place in at.items() if len(place) == 3}  # on edges
+        arcs = self.arcs([place[:2] for place in at.values()])
+        new = courses.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
+        settled = set(located)
+        for edge in dict.fromkeys(at[node][:2] for node in new):
+            if self.slide(edge, new):
+                settled.update(node for _, node in self.on[edge] if node in new)
+        courses.close(settled)
+        self.courses = courses
 
     # The triangles
 
@@ -348,10 +283,15 @@ class Cut:
             ends = [float(n == edge[1]) for n in (u, v)]
             for i, n in enumerate((u, v)):
                 if n >= self.num_vertices:
-                    ends[i] = self.at[n - self.num_vertices][2]
+                    ends[i] = self.parameter(n)
             self.on_edge(*edge, (1 - s) * ends[0] + s * ends[1])
             return set(self.around(*edge))
+        r = np.nan
+        if self.courses:
+            weights, r = self.courses.foot(u, v, s, triangle, weights)
         node = self.in_triangle(triangle, weights)
+        if self.courses:
+            self.courses.split(u, v, node, r)
         for segments in (self.segments[triangle], self.path):
             for i, pair in enumerate(segments):
                 if set(pair) == {u, v}:

@@ -144,7 +144,11 @@ def traction(
 
 
 def gap(
-    domain: GapDomain, constraint: Constraint, u0: fem.Function, u1: fem.Function
+    domain: GapDomain,
+    constraint: Constraint,
+    u0: fem.Function,
+    u1: fem.Function,
+    turn: npt.NDArray | None = None,
 ) -> tuple[fem.Function, fem.Function | None]:
     """Normal gap and tangential slip (eq. 17) on Σ. Collective.
 
@@ -153,9 +157,13 @@ def gap(
         constraint: The constraint on it.
         u0: Displacement of Γ0's body.
         u1: Displacement of Γ1's body.
+        turn: R where R u₀ is what u₁ is compared with.
     """
     shape = u0.function_space.value_shape
-    nodal = sum(nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1)))
+    nodal, other = (
+        nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1))
+    )
+    nodal = other + (nodal if turn is None else nodal @ turn.T)
     normal_gap = _discontinuous(domain, (), "gap")
     dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
     if shape == ():

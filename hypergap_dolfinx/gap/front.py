@@ -17,6 +17,7 @@ from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.metric import FLAT
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.rim import through
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
@@ -34,6 +35,9 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
+PARALLEL = 1e-2
+"""The same where edges would have to be straight: a cell between two edges that are parallel but
+for what they are curved is turned over, and a cone in its place is not."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -54,6 +58,8 @@ class Problem:
     """Unit normals of the vertices, from Γ0 to Γ1."""
     rims: list[Rim]
     """Boundaries that face each other; none of closed surfaces."""
+    curved: bool = False
+    """Whether a side is."""
 
     @classmethod
     def between(cls, side0: Side, side1: Side) -> "Problem":
@@ -73,7 +79,8 @@ class Problem:
                 edges.append(np.column_stack((*three, np.full(len(loop), -1))))
         normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
         x = np.vstack((side0.x, side1.x))
-        return cls(x, n0, facets, np.vstack(edges), normals, pairs)
+        curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
+        return cls(x, n0, facets, np.vstack(edges), normals, pairs, curved)
 
     @cached_property
     def size(self) -> float:
@@ -276,6 +283,8 @@ class Filling:
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges through the gap in walls, if the surfaces are curved, ``(num_edges, 2)``."""
 
     @property
     def cells(self) -> npt.NDArray[np.integer]:
@@ -308,7 +317,7 @@ class _Workshop:
         made = cavity.fill(filling.with_cells(filling.cells[~gone]).mesh, self.outer, self.place)
         if made is None or not cavity.is_whole(made[0].cells, self.outer):
             return None
-        return Filling(made[0], filling.hosts + made[1])
+        return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])
 
     def swapped(self, filling: Filling) -> Filling:
         """Other cells where some are turned over."""
@@ -355,6 +364,9 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
     """
     for flat in (THIN, FLAT):
         filling = _construct(problem, place, margins, flat)
+        if filling and len(filling.straight):
+            other = _construct(problem, place, margins, PARALLEL)
+            filling = filling if other is None or len(other.straight) else other
         if filling:
             return filling
     return None
@@ -377,11 +389,15 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         if front is None:
             continue
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
+        filling = Filling(mesh, [])
+        if problem.curved:
+            walls = through(front.walls, problem.x, problem.n0, problem.rims)
+            filling = replace(filling, walls=walls)
         if not front.is_valid:
-            fronts.append((front, Filling(mesh, [])))
+            fronts.append((front, filling))
             continue
         shop = workshop(front)
-        filling = shop.swapped(Filling(mesh, []))
+        filling = shop.swapped(filling)
         found.append((shop.num_bad(filling), filling, shop))
         if not found[-1][0]:
             return filling

@@ -25,6 +25,10 @@ PAIRS = 1_000_000
 """Pairs that are looked at in one go."""
 ROUND_OFF = 1e-12
 """How negative the weight of a vertex may be at a point inside of its triangle."""
+CONVERGED = 1e-9
+"""The same of a curved triangle, where the weights come from Newton's method."""
+BESIDE = 0.5
+"""The same of a straight triangle, for points that may be inside of the curved one."""
 
 
 class Rim:
@@ -244,11 +248,20 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     host, weights = np.full(len(points), -1), np.zeros((len(points), 3))
     p, f = side.tree.candidates(points, normals)
     at, t = _feet(side, f, points[p])
-    inside = at.min(axis=1, initial=np.inf) >= -ROUND_OFF
-    p, f, at, t = p[inside], f[inside], at[inside], np.abs(t[inside])
-    order = np.lexsort((t, p))
+    curved = bool(side.surface.curved[side.facets].any())
+    least = at.min(axis=1, initial=np.inf)
+    near = least >= -(BESIDE if curved else ROUND_OFF)
+    p, f, at, t, least = p[near], f[near], at[near], np.abs(t[near]), least[near]
+    order = np.lexsort((t, np.maximum(-ROUND_OFF - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]
-    host[p[first]], weights[p[first]] = f[first], at[first]
+    p, f, at = p[first], f[first], at[first]
+    if curved and len(p):
+        f, xi = side.project(points[p], f)
+        at = np.column_stack((1 - xi.sum(axis=1), xi))
+        inside = at.min(axis=1, initial=np.inf) >= -CONVERGED
+        p, f, at = p[inside], f[inside], np.maximum(at[inside], 0)
+        at /= at.sum(axis=1)[:, None]
+    host[p], weights[p] = f, at
     return host, weights
 
 

@@ -23,6 +23,7 @@ from hypergap_dolfinx.gap.surface import Surface, lengths, unit_normals
 from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
+GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,11 @@ class Side:
     """The facet of the surface that hosts each triangle, ``(num_triangles,)``."""
     X: npt.NDArray[np.float64]
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
+    bends: npt.NDArray[np.float64] | None = None
+    """By what edges leave the straight line between their ends in it; None if none does.
+
+    ``(num_triangles, 3, num_terms, 2)``: edge k from corner k to the next one m is off by
+    λ_k λ_m Σ_j b_kj (λ_m − λ_k)^j, with the weights λ of the corners."""
 
     @classmethod
     def of(
@@ -94,13 +100,13 @@ class Side:
         return degree if quarters.all() else 2 * degree
 
     @property
-    def arrays(self) -> tuple[npt.NDArray, ...]:
+    def arrays(self) -> tuple[npt.NDArray | None, ...]:
         """All but the surface."""
-        return self.x, self.triangles, self.facets, self.X
+        return self.x, self.triangles, self.facets, self.X, self.bends
 
     @property
     def shares(self) -> npt.NDArray[np.float64]:
-        """Part of its facet that each triangle is, ``(num_triangles,)``."""
+        """Part of its facet that each triangle is, edges taken straight, ``(num_triangles,)``."""
         e, f = self.X[:, 1] - self.X[:, 0], self.X[:, 2] - self.X[:, 0]
         facet = self.surface.geometry.cell_type
         whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
@@ -109,7 +115,8 @@ class Side:
     @cached_property
     def is_whole(self) -> bool:
         """Whether each triangle is a facet with the same coordinates."""
-        return self.surface.facets.shape[1] == 3 and bool((self.X == CORNERS).all())
+        whole = self.surface.facets.shape[1] == 3 and self.bends is None
+        return whole and bool((self.X == CORNERS).all())
 
     @cached_property
     def behind(self) -> npt.NDArray[np.intp]:
@@ -156,22 +163,28 @@ class Side:
             seed: Triangle where the search starts, ``(num_points,)``.
         """
         curved = self.surface.curved[self.facets].any()
-        refine = self._on_curved if curved else None
+        refine = self.on_curved if curved else None
         return project(self.x, self.triangles, self.behind, points, seed, refine)
 
-    def _on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
+    def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
         """Where points project on the curved facets, not to jump from one to the next."""
-        element = self.surface.geometry
-        nodes = self.surface.nodes[self.facets[triangle]]
-        edges = self.X[triangle, 1:] - self.X[triangle, :1]  # (point, ξ_j, X_i)
-
-        def geometry(xi):
-            values = element.tabulate(1, self.in_facets(triangle, xi))[..., 0]  # (1 + i, p, node)
-            x, *dx = (np.einsum("pa,pai->pi", value, nodes) for value in values)
-            return x, edges @ np.stack(dx, axis=1)
-
         normals = self.vertex_normals[self.triangles[triangle]]
-        return along_normals(geometry, normals, points, xi)
+        return along_normals(lambda xi: self.geometry(triangle, xi), normals, points, xi)
+
+    def geometry(self, triangle, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Places on the (curved) surface and their derivatives.
+
+        Args:
+            triangle: ``(num_points,)``.
+            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
+
+        Returns:
+            ``(num_points, 3)``, and by both of xi, ``(num_points, 2, 3)``.
+        """
+        nodes = self.surface.nodes[self.facets[triangle]]
+        values = self.surface.geometry.tabulate(1, self.in_facets(triangle, xi))[..., 0]
+        x, *dx = (np.einsum("pa,pai->pi", value, nodes) for value in values)
+        return x, self.slopes(triangle, xi) @ np.stack(dx, axis=1)
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Reference coordinates in the host facet of points of triangles.
@@ -186,8 +199,42 @@ class Side:
         if self.is_whole:
             return np.array(xi)
         X = self.X[triangle]
-        return X[:, 0] + np.einsum("pj,pji->pi", xi, X[:, 1:] - X[:, :1])
+        places = X[:, 0] + np.einsum("pj,pji->pi", xi, X[:, 1:] - X[:, :1])
+        return places if self.bends is None else places + bent(self.bends[triangle], xi)[0]
+
+    def slopes(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Derivatives of :meth:`in_facets` by both of xi, ``(num_points, 2, 2)``."""
+        X = self.X[triangle]
+        straight = X[:, 1:] - X[:, :1]  # (point, ξ_j, X_i)
+        return straight if self.bends is None else straight + bent(self.bends[triangle], xi)[1]
 
     def points(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Coordinates of reference points of triangles on the (curved) surface."""
         return self.surface.points(self.facets[triangle], self.in_facets(triangle, xi))
+
+
+def bent(bends, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """By what points of triangles move where edges are bent, and its derivatives by xi.
+
+    Args:
+        bends: As of :class:`Side`, ``(num_points, 3, num_terms, 2)``.
+        xi: Reference coordinates, ``(num_points, 2)``.
+
+    Returns:
+        ``(num_points, 2)`` and ``(num_points, 2, 2)``.
+    """
+    off, slopes = np.zeros((len(xi), 2)), np.zeros((len(xi), 2, 2))
+    some = np.flatnonzero(bends.any(axis=(1, 2, 3)))
+    weights = np.column_stack((1 - xi[some].sum(axis=1), xi[some]))
+    for k in range(3):
+        m = (k + 1) % 3
+        both, apart = weights[:, k] * weights[:, m], weights[:, m] - weights[:, k]
+        d_both = weights[:, [k]] * GRADIENTS[m] + weights[:, [m]] * GRADIENTS[k]  # (point, ξ_j)
+        d_apart = GRADIENTS[m] - GRADIENTS[k]
+        for j in range(bends.shape[2]):
+            b, power = bends[some, k, j], apart**j
+            off[some] += (both * power)[:, None] * b
+            d_power = j * apart ** max(j - 1, 0)
+            slope = power[:, None] * d_both + (both * d_power)[:, None] * d_apart
+            slopes[some] += slope[:, :, None] * b[:, None]
+    return off, slopes

@@ -79,7 +79,8 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
     f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
     X0, X1 = (np.array([h[2][i] for h in filling.hosts]).reshape(1, -1, 2) for i in (0, 1))
-    return Slab(sides, filling.cells, Hosts(alpha, (f0, f1), (X0, X1)), filling.straight)
+    hosts = Hosts(alpha, (f0, f1), (X0, X1))
+    return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
 
 
 def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
@@ -128,7 +129,9 @@ class _Margins:
         self._lots = lots if lot == len(self._lots) else self._lots
         cells = filling.cells
         inner = (cells >= self._num_vertices).any(axis=1)
-        data = np.column_stack((cells, np.where(inner, lot + 1, 0))).astype(np.int64).tobytes()
+        walls = marked(cells, filling.walls) @ (1 << np.arange(6))  # other fronts have others
+        kind = 64 * np.where(inner, lot + 1, 0) + walls
+        data = np.column_stack((cells, kind)).astype(np.int64).tobytes()
         keys = [data[i : i + 40] for i in range(0, len(data), 40)]
         at = np.array([self._number.get(key, -1) for key in keys], dtype=np.intp)
         new = np.flatnonzero(at < 0)
@@ -324,7 +327,7 @@ def share(
             slabs = make()
             arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
             result = [
-                (*part, slab.cells, slab.inner, slab.straight)
+                (*part, slab.cells, slab.inner, slab.straight, slab.walls)
                 for part, slab in zip(arrays, slabs, strict=True)
             ]
         except (InterfaceError, RuntimeError) as e:

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.jit import as_ints, library
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.straight import NONE, have
+from hypergap_dolfinx.gap.rim import Outline
+from hypergap_dolfinx.gap.straight import NONE, across, have
 from hypergap_dolfinx.gap.surface import lengths
 
 
@@ -29,6 +30,8 @@ class Slab:
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges through the gap along the curved outlines of both sides, ``(num_edges, 2)``."""
     known: dict[bytes, Hosts] = field(default_factory=dict, init=False)
     """Hosts of all cells' points, by :func:`key_of` points: each is asked for twice or more."""
 
@@ -133,7 +136,8 @@ class Slab:
         """Where points of the reference tetrahedron lie on both surfaces.
 
         Nodes of Γ0 and Γ1 are found in their own facet. A node between them or on a straight edge
-        is projected: a walk over the surface, from a facet at the cell, ends in the nearest one.
+        is projected: a walk over the surface, from a facet at the cell, ends in the nearest one. In
+        a wall it is projected to the outlines.
 
         Args:
             points: Reference points, ``(num_points, 3)``.
@@ -159,6 +163,10 @@ class Slab:
         if np.array_equal(cells, np.arange(len(self.cells))):
             self.known[key] = found
         return found
+
+    @cached_property
+    def _outlines(self) -> tuple[Outline, Outline]:
+        return Outline(self.sides[0]), Outline(self.sides[1])
 
     @cached_property
     def _vertices(self) -> Hosts:
@@ -215,6 +223,7 @@ class Slab:
         v, w, cell = v[first], w[first], np.repeat(cells, some.sum())[first]
         shape = len(cells), int(some.sum())
         alpha, moved = self.alpha[v], have(v, self.straight)
+        wall = across(v, alpha, self.walls) & ~moved
         x = np.einsum("nv,nvi->ni", w, self.x[v])
         found.alpha[:, some] = np.einsum("nv,nv->n", w, alpha)[which].reshape(shape)
         for i, side in enumerate(self.sides):
@@ -223,10 +232,13 @@ class Slab:
             triangle[on], xi[on] = self._own_facet(i, v[on], w[on])
             # From what lies around the point: other cells that have it find the same
             seed = self.seeds[i][v].max(axis=1)
-            away = ~on & ~off
+            away = ~on & ~off & ~wall
             triangle[away], xi[away] = side.project(
                 x[away], np.where(seed >= 0, seed, triangle)[away]
             )
+            if wall.any():
+                first = np.where(alpha[wall] == i, v[wall], -1).max(axis=1) - self.offsets[i]
+                triangle[wall], xi[wall] = self._outlines[i].project(x[wall], first)
             found.facets[i][:, some] = side.facets[triangle][which].reshape(shape)
             found.X[i][:, some] = side.in_facets(triangle, xi)[which].reshape(*shape, 2)
 

@@ -93,7 +93,7 @@ def _follow(slabs, surfaces) -> list[Slab] | None:
         if any(differing(*sides)):
             return None
         hosts = _hosted(slab, sides)
-        found.append(Slab((sides[0], sides[1]), slab.cells, hosts, slab.straight))
+        found.append(Slab((sides[0], sides[1]), slab.cells, hosts, slab.straight, slab.walls))
     return found
 
 

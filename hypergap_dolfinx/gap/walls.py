@@ -17,6 +17,7 @@ from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
 
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
+APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges
 REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
 
 
@@ -132,6 +133,8 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
     size = np.ptp(x0, axis=0).max()
     shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
+    if any(side.surface.curved[side.facets].any() for side in (side0, side1)):
+        shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
     first = int(distance.argmin())
     start = int(nearest[first])
     loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
@@ -153,6 +156,12 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         t = x0[1] - x0[0]
         s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
     return loop0, loop1, s0, s1, ends
+
+
+def _shortest(x) -> npt.NDArray[np.float64]:
+    """The shorter edge at each node of a closed loop."""
+    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+    return np.minimum(edges, np.roll(edges, 1))
 
 
 def _arc(x) -> npt.NDArray[np.float64]:

@@ -20,8 +20,9 @@ from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
 from hypergap_dolfinx.solve.compliances import Compliances
-from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.matrices import nonzero_columns
 from hypergap_dolfinx.solve.multipliers import Choice, Columns, choose
 
 UNTIED = 1e-12
@@ -122,6 +123,18 @@ class ConstraintBlocks:
             for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
         ]
 
+    def carried(self) -> list[npt.NDArray[np.bool_]]:
+        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        found = []
+        for g, row in enumerate(self._full):
+            rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
+            for tie, E in zip(self._ties, self._rows, strict=True):
+                if tie.motion is not None and g in E:
+                    own = E[g]
+                    rows[slice(None) if own is None else nonzero_columns(own)] = True
+            found.append(rows)
+        return found
+
     @property
     def prescribed(self) -> list[npt.NDArray[np.bool_]]:
         """Which owned dofs (unrolled) of each body are prescribed."""
@@ -183,19 +196,17 @@ class ConstraintBlocks:
             jump = tie.nodal_jump()
             if t not in self._pairs:
                 self._pairs[t] = Coincidences(tie)
-            pairs, comm, both, given = self._pairs[t], tie.sigma.comm, [], []
-            for part, body, dofs in zip(tie.components, bodies, pairs.dofs, strict=True):
-                shape, start = (-1, tie.block_size), part.space.dofmap.index_map.local_range[0]
-                held = part.of_body(self._held[body]).reshape(shape).astype(np.int8)
-                both.append(look_up(comm, held, start, dofs).astype(bool))
-                value = part.of_body(values[body].array_r).reshape(shape)
-                given.append(look_up(comm, value, start, dofs))
+            pairs, both, given = self._pairs[t], [], []
+            for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
+                part = tie.components[i]
+                both.append(prescribed_dofs(tie, i, part.of_body(self._held[body]), dofs))
+                owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
+                given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
             at = None
             if jump is not None:
                 side, nodal = jump
-                start = tie.spaces[side].dofmap.index_map.local_range[0]
-                at = look_up(comm, nodal, start, pairs.dofs[side])
+                at = values_at(tie, side, nodal, pairs.dofs[side])
             pairs.check(self._names[t], both, given, size, at)
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:

@@ -210,7 +210,7 @@ class Coincidences:
     def __init__(self, tie: Interface):
         """Find them, on every rank alike."""
         x, dofs = [], []
-        for surface in tie.surfaces:
+        for surface in tie.domain.surfaces:
             every, first = np.unique(surface.dofs, return_index=True)
             facet, local = np.divmod(first, surface.dofs.shape[1])
             x.append(surface.points(facet, surface.element.points[local]))

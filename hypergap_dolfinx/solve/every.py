@@ -45,10 +45,23 @@ def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArra
 
 
 def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:
-    """Which components of dofs of one side are prescribed, on every rank. Collective."""
+    """Which components of dofs of one side are prescribed, on every rank. Collective.
+
+    Of Γ0's that turn, the components of R u₀.
+    """
     owned = prescribed.reshape(-1, tie.block_size).astype(np.int8)
     offset = tie.spaces[side].dofmap.index_map.local_range[0]
-    return look_up(tie.sigma.comm, owned, offset, dofs).astype(bool)
+    held = look_up(tie.sigma.comm, owned, offset, dofs).astype(bool)
+    if side == 0 and tie.turn is not None:
+        held = ~(~held @ (tie.turn != 0).T)
+    return held
+
+
+def values_at(tie: Interface, side: int, owned: npt.NDArray, dofs) -> npt.NDArray:
+    """Values at dofs of one side on every rank, as they are compared; R u₀ of Γ0. Collective."""
+    offset = tie.spaces[side].dofmap.index_map.local_range[0]
+    values = look_up(tie.sigma.comm, owned, offset, dofs)
+    return values if side or tie.turn is None else values @ tie.turn.T
 
 
 class Every:

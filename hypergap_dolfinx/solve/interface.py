@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.compliance import Compliance
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
@@ -43,7 +44,7 @@ class Interface(Protocol):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1."""
+        """Γ0 and Γ1, where they are on the bodies."""
 
     @property
     def block_size(self) -> int:
@@ -60,6 +61,14 @@ class Interface(Protocol):
     @property
     def closes_gap(self) -> bool:
         """Whether the constraint is on positions."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """What carries Γ0 to Γ1, of a tie across a distance."""
+
+    @property
+    def turn(self) -> npt.NDArray | None:
+        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""

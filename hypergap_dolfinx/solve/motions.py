@@ -50,7 +50,8 @@ def free_motions(
     Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
     moves together if nothing else holds it. Where tied surfaces nearly coincide, such a rotation
     strains the tie a little; that is an error of the meshes and holds nothing. Where they are apart
-    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it.
+    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie whose
+    motion carries one side to the other is across a distance, however short.
 
     Args:
         spaces: Space of each body.
@@ -161,7 +162,10 @@ def tied_groups(
     """
     num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
     sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
-    apart = [_apart(fields, num_bodies, sizes, row) for row in constraints.full]
+    apart = [
+        _apart(fields, num_bodies, sizes, row) | carried
+        for row, carried in zip(constraints.full, constraints.carried(), strict=True)
+    ]
     comm = fields[0][1].space.mesh.comm
     starts = np.cumsum([0, *(num for _, num in in_part)])
     # One displacement of several may be tied to a scalar: these don't move as one

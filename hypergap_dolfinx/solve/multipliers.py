@@ -116,7 +116,7 @@ class _Smooth:
         """The piece of Γ0's body that is nearest to a multiplier."""
         multipliers, local = self._every.local(m)
         t = self._every.tie[m]
-        x = self._every.ties[t].surfaces[0].nodes.mean(axis=1)
+        x = self._every.ties[t].domain.surfaces[0].nodes.mean(axis=1)
         facet = np.linalg.norm(x - multipliers.x[local], axis=1).argmin()
         return {self._piece(0, t)[facet]}
 
@@ -125,11 +125,12 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
     """Rule 1: the number of the class that each multiplier is in."""
     ties, bodies = every.ties, every.bodies
     smooth = _Smooth(every)
+    alike = [(tie.closes_gap, tie.motion and tie.motion.key) for tie in ties]
 
     def may(a: int, b: int, side: int) -> bool:
         """Whether two ties with the same body on one side act as one interface at a place."""
         s, t = every.tie[a], every.tie[b]
-        if s == t or ties[s].closes_gap != ties[t].closes_gap:
+        if s == t or alike[s] != alike[t]:
             return False
         if ties[s].free_interior or ties[t].free_interior:
             return False
