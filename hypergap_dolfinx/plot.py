@@ -34,6 +34,8 @@ PARTS = 8
 """Straight parts that an edge of Γ1 is drawn with."""
 LIFT = 0.01
 """How far from Γ0's body Γ1 is drawn in space, in its extent."""
+SEEN_THROUGH = 0.3
+"""Opacity of a body in space that is in contact with itself."""
 CLOSED = 0.5
 """Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
 0, half a circle 0.64, half a sphere 0.5."""
@@ -250,7 +252,8 @@ def contact(
 ) -> pyvista.Plotter | None:
     """Bodies where they are in contact, with its pressure on Γ1 as colour and as arrows.
 
-    In 3D without Γ1's body, which would hide it. Points are the vertices of Γ1 that are in contact.
+    In 3D without Γ1's body, which would hide it; a body in contact with itself is translucent.
+    Points are the vertices of Γ1 that are in contact.
 
     Args:
         contact: The contact.
@@ -264,12 +267,13 @@ def contact(
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
     surface, p = contact.displaced(problem)[1], contact.pressures(problem)
-    plotter = _plotter(comm, window)
+    plotter, itself = _plotter(comm, window), contact.spaces[0] == contact.spaces[1]
     for u in problem.every_u:
         body = _with_values(u, "displacement")
-        if plotter and body is not None and (dim == 2 or u.function_space != contact.spaces[1]):
+        hides = dim == 3 and u.function_space == contact.spaces[1]
+        if plotter and body is not None and (itself or not hides):
             body.points += body["displacement"]
-            _add(plotter, body, color=_BODY)
+            _add(plotter, body, color=_BODY, opacity=SEEN_THROUGH if hides else 1.0)
     if plotter:
         largest = (p.max(initial=0) or 1.0) if largest is None else largest
         extent = np.ptp(surface.x, axis=0).max()
