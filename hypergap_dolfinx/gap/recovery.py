@@ -197,6 +197,8 @@ class Unknowns:
             pairs = facet_pairs(surface)
             for patch, some in self._in_patches(side, surface, pairs):
                 mine = np.array_split(some, comm.size)[comm.rank]
+                if not len(mine):  # fewer pairs than ranks
+                    continue
                 dofs = self._number(side, surface.dofs[mine].reshape(len(mine), -1), patch)
                 S = distances_from_polynomials(surface, mine)
                 i, j = (np.broadcast_to(d, S.shape) for d in (dofs[:, :, None], dofs[:, None]))
