@@ -15,7 +15,7 @@ from helpers import close, comm, dense, interpolated, residual, skew, two_blocks
 
 import dolfinx
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Tie
 from hypergap_dolfinx.gap.constraint import expand
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
@@ -291,7 +291,9 @@ def prescribed(V, components, where):
     """Zero at the dofs of some components on some edges."""
     facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 1, where)
     return [
-        fem.dirichletbc(0.0, fem.locate_dofs_topological(V.sub(c), 1, facets), V.sub(c))
+        fem.dirichletbc(
+            default_scalar_type(0), fem.locate_dofs_topological(V.sub(c), 1, facets), V.sub(c)
+        )
         for c in components
     ]
 

@@ -254,7 +254,10 @@ LONG = (
     *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
-AS_OTHERS = ("gap_domain", "kernel_speed", "periodic_cell_3d", "pressurised_cylinder")
+AS_OTHERS = (
+    *("contact_patch", "gap_domain", "incompressible", "kernel_speed", "periodic_cell"),
+    *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
+)
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
 
