@@ -282,10 +282,12 @@ if args.plot:
     import pyvista
 
     import dolfinx.plot
+    from hypergap_dolfinx import display
 
     strain = 0.12 * (np.eye(dim, k=1) + np.eye(dim, k=-1)) + 0.1 * np.diag((1, -1, 0)[:dim])
     bodies = grids(drawn.solve(strain))
     if comm.rank == 0:
+        display.prepare()
         plotter = pyvista.Plotter(off_screen=True, window_size=(1100, 960))
         plotter.background_color = "white"
         for place in np.ndindex((3,) * dim):
