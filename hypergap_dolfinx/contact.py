@@ -20,7 +20,7 @@ from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.strip import turns
-from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface
+from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface, facet_pairs
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -364,10 +364,6 @@ def _is_round(surface: Surface) -> bool:
     if surface.gdim == 2:
         turn, corner = turns(surface)
         return bool(((turn > 0) & ~corner).any())
-    edges = np.sort(np.concatenate([surface.facets[:, [k, k - 1]] for k in range(3)]), axis=1)
-    facet = np.tile(np.arange(len(surface.facets)), 3)
-    order = np.lexsort(edges.T)
-    first = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=1))
-    n0, n1 = (surface.normals[facet[order[first + i]]] for i in (0, 1))
+    n0, n1 = surface.normals[facet_pairs(surface).T]
     turn = np.linalg.norm(n0 - n1, axis=1)
     return bool(((turn > FLAT) & (turn < KINK)).any())

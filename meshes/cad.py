@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import dolfinx
+from meshes.session import gmsh_session
 from meshes.structured import coordinate_element
 
 AROUND = 12
@@ -94,12 +95,7 @@ def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, h
     """Names of the parts, all nodes, and each part's cells; None where Gmsh isn't to run."""
     if not here:
         return None
-    import gmsh
-
-    gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)
+    with gmsh_session() as gmsh:
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", AROUND / factor)
         gmsh.option.setNumber("Mesh.ElementOrder", degree)
         gmsh.option.setNumber("Mesh.HighOrderOptimize", 1)  # else curved cells may be folded
@@ -122,8 +118,6 @@ def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, h
         tags, x, _ = model.mesh.getNodes()
         kind = model.mesh.getElementType("Tetrahedron", degree)
         cells = [model.mesh.getElementsByType(kind, tag)[1] for _, tag in volumes]
-    finally:
-        gmsh.finalize()
     order, nodes = np.argsort(tags), _NODES[degree]
     cells = [
         np.searchsorted(tags, c, sorter=order).reshape(-1, len(nodes))[:, nodes] for c in cells

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
+from meshes.session import gmsh_session
 from meshes.solids import HOLE
 from meshes.structured import BOTTOM, LEFT, RIGHT, TOP, coordinate_element
 
@@ -65,12 +66,7 @@ def _triangles(h: float, radius: float, degree: int, matching: bool, here: bool)
     """Nodes, and the cells of the matrix and of the fibre; None elsewhere."""
     if not here:
         return None
-    import gmsh
-
-    gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)
+    with gmsh_session() as gmsh:
         gmsh.option.setNumber("Mesh.MeshSizeMin", h)
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
         gmsh.option.setNumber("Mesh.ElementOrder", degree)
@@ -92,8 +88,6 @@ def _triangles(h: float, radius: float, degree: int, matching: bool, here: bool)
         for _, face in model.getEntities(2):
             around = model.getBoundary([(2, face)], combined=False, oriented=False)
             parts[len(around)] = model.mesh.getElementsByType(kind, face)[1]
-    finally:
-        gmsh.finalize()
     order, nodes = np.argsort(tags), _NODES[degree]
     return x.reshape(-1, 3)[order], [
         np.searchsorted(tags, parts[k], sorter=order).reshape(-1, len(nodes))[:, nodes]

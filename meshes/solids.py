@@ -17,6 +17,7 @@ import basix.ufl
 import dolfinx
 from dolfinx import fem, la
 from hypergap_dolfinx import compat
+from meshes.session import gmsh_session
 from meshes.structured import (
     BACK,
     BOTTOM,
@@ -48,12 +49,7 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
     """
     x, cells = np.empty((0, 3)), np.empty((0, 4), dtype=np.int64)
     if comm.rank == 0:
-        import gmsh
-
-        gmsh.initialize(argv=[], readConfigFiles=False, run=False, interruptible=False)
-        try:
-            gmsh.option.setNumber("General.Terminal", 0)
-            gmsh.option.setNumber("General.NumThreads", 1)
+        with gmsh_session() as gmsh:
             if callable(h):
                 gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
                 gmsh.option.setNumber("Mesh.Algorithm", 6)
@@ -70,8 +66,6 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
             gmsh.model.mesh.generate(3)
             tags, x, _ = gmsh.model.mesh.getNodes()
             _, cells = gmsh.model.mesh.getElementsByType(4)
-        finally:
-            gmsh.finalize()
         order = np.argsort(tags)
         cells = np.searchsorted(tags[order], cells)
         used, cells = np.unique(cells, return_inverse=True)  # without the centres of arcs

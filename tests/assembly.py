@@ -145,6 +145,17 @@ def tie(bodies: Sequence[Body], side0, side1, **options) -> Tie:
     return Tie(*((bodies[i].V, bodies[i].facets(tag)) for i, tag in (side0, side1)), **options)
 
 
+def in_halves(bodies: Sequence[Body], sides: Sequence[tuple[int, object]], x: float) -> list:
+    """An interface's sides (body, tag) as those of two ties, with what is left and right of x."""
+    pieces: list[list] = [[], []]
+    for i, tag in sides:
+        facets = bodies[i].facets(tag)
+        right = dolfinx.mesh.compute_midpoints(bodies[i].mesh, 1, facets)[:, 0] > x
+        for piece, chosen in zip(pieces, (~right, right), strict=True):
+            piece.append((bodies[i].V, facets[chosen]))
+    return pieces
+
+
 def problem(
     bodies: Sequence[Body],
     ties: Sequence[Tie],

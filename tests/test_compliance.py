@@ -13,6 +13,7 @@ from assembly import (
     SOLVED,
     comm,
     exact_stress,
+    in_halves,
     is_regular,
     linear,
     problem,
@@ -22,7 +23,6 @@ from assembly import (
 )
 from helpers import interpolated, raises, two_ranks
 
-import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
@@ -211,14 +211,8 @@ def test_pieces(same):
 
     block = rectangle((4, 2), (0, 1), (2, 2), cell="triangle")
     bodies = [bodies[0], block]
-    ties = []
-    for k, value in enumerate(c):
-        sides = []
-        for body, tag in zip(bodies, (TOP, BOTTOM), strict=True):
-            facets = body.facets(tag)
-            x = dolfinx.mesh.compute_midpoints(body.mesh, 1, facets)[:, 0]
-            sides.append((body.V, facets[(x < 1) == (k == 0)]))
-        ties.append(Tie(*sides, compliance=value))
+    pieces = zip(in_halves(bodies, TIED, 1), c, strict=True)
+    ties = [Tie(*sides, compliance=value) for sides, value in pieces]
     p = problem(bodies, ties, TIED, HELD)
     p.solve()
     assert error(p, linear, lambda x: opening[:, None]) <= SOLVED

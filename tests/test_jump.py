@@ -15,6 +15,7 @@ from assembly import (
     SOLVED,
     Body,
     comm,
+    in_halves,
     is_regular,
     linear,
     problem,
@@ -24,7 +25,6 @@ from assembly import (
 )
 from helpers import interpolated, raises, two_ranks
 
-import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
@@ -138,14 +138,8 @@ def test_pieces(same):
         rectangle((4, 2), (0, 1), (2, 2), cell="triangle"),
     ]
     jumps = [turned] * 2 if same else [lambda x: turned(x), lambda x: 1 * turned(x)]
-    ties = []
-    for k, jump in enumerate(jumps):
-        sides = []
-        for body, tag in zip(bodies, (TOP, BOTTOM), strict=True):
-            facets = body.facets(tag)
-            x = dolfinx.mesh.compute_midpoints(body.mesh, 1, facets)[:, 0]
-            sides.append((body.V, facets[(x < 1) == (k == 0)]))
-        ties.append(Tie(*sides, jump=jump))
+    pieces = zip(in_halves(bodies, TIED, 1), jumps, strict=True)
+    ties = [Tie(*sides, jump=jump) for sides, jump in pieces]
     p = problem(bodies, ties, TIED, HELD)
     p.solve()
     assert is_regular(p)

@@ -38,7 +38,7 @@ from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, triplets
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.faces import Faces
 from hypergap_dolfinx.gap.fields import nodal_values
-from hypergap_dolfinx.gap.surface import Surface, tabulate
+from hypergap_dolfinx.gap.surface import Surface, facet_pairs, tabulate
 
 AGREE = 200.0
 """κ: weight of the difference of both sides' tractions. Errors over λ's on spheres of tetrahedra,
@@ -211,21 +211,6 @@ class Unknowns:
             key = surface.dofs * self._num_patches + patch
             has = np.isin(key, self._keys[side]).all(axis=1)
             yield patch, pairs[has[pairs].all(axis=1)]
-
-
-def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
-    """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
-    v = surface.polygons
-    if surface.gdim == 2:
-        key = v.ravel().astype(np.int64)
-    else:
-        ends = np.sort(np.stack((v, np.roll(v, -1, axis=1)), axis=2).astype(np.int64), axis=2)
-        key = (ends[..., 0] * len(surface.x) + ends[..., 1]).ravel()
-    facet = np.repeat(np.arange(len(v)), v.shape[1])
-    order = np.argsort(key, kind="stable")
-    _, start, count = np.unique(key[order], return_index=True, return_counts=True)
-    start = start[count == 2]
-    return np.column_stack((facet[order[start]], facet[order[start + 1]]))
 
 
 def distances_from_polynomials(surface: Surface, pairs) -> npt.NDArray[np.float64]:

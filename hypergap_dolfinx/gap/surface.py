@@ -397,3 +397,18 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
             "on the boundary of its body (split the mesh along it)."
         )
     return None
+
+
+def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
+    """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
+    v = surface.polygons
+    if surface.gdim == 2:
+        key = v.ravel().astype(np.int64)
+    else:
+        ends = np.sort(np.stack((v, np.roll(v, -1, axis=1)), axis=2).astype(np.int64), axis=2)
+        key = (ends[..., 0] * len(surface.x) + ends[..., 1]).ravel()
+    facet = np.repeat(np.arange(len(v)), v.shape[1])
+    order = np.argsort(key, kind="stable")
+    _, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    start = start[count == 2]
+    return np.column_stack((facet[order[start]], facet[order[start + 1]]))
