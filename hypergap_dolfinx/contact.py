@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.friction import Friction, Value
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
@@ -65,7 +66,14 @@ class Contact:
         True
     """
 
-    def __init__(self, side0: Side, side1: Side, *, sliding: str = "finite"):
+    def __init__(
+        self,
+        side0: Side,
+        side1: Side,
+        *,
+        sliding: str = "finite",
+        friction: Value | None = None,
+    ):
         """Find the two surfaces. Collective.
 
         Args:
@@ -74,10 +82,13 @@ class Contact:
             side1: Γ1, which carries the pressures: the same.
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
                 stay what they are at the start, the constraints are linear.
+            friction: Coulomb's coefficient: a number, a ``fem.Constant``, or a scalar Lagrange
+                function on Γ1's mesh, of which values at vertices are taken. What it holds may
+                change between load steps. None for no friction.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
-                unknown.
+                unknown; a coefficient of friction that is negative, no number, or elsewhere.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
         if sliding not in ("finite", "small"):
@@ -116,6 +127,7 @@ class Contact:
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
+        self._friction = None if friction is None else Friction(friction, *side1)
         self.rows: ContactRows | None = None
         """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
@@ -193,6 +205,11 @@ class Contact:
     def sliding(self) -> str:
         """``"finite"`` or ``"small"``."""
         return self._sliding
+
+    @property
+    def friction(self) -> Friction | None:
+        """The coefficient of friction."""
+        return self._friction
 
     @property
     def finer(self) -> float:
@@ -325,8 +342,7 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        rows = problem.rows(self)
-        return rows.forces(rows.now.p)[1].sum(axis=0)
+        return problem.rows(self).acting()[1].sum(axis=0)
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
+import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
@@ -118,6 +119,19 @@ class Gaps(Protocol):
     def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
         """Σ_a p_a ∂²g_a/∂u²."""
 
+    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other."""
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray) -> Sparse:
+        """∂(Tᵀq)/∂u."""
+
+
+class Coefficient(Protocol):
+    """Of friction."""
+
+    def at_vertices(self) -> npt.NDArray[np.float64]:
+        """At Γ1's vertices, the same on every rank. Collective."""
+
 
 class ContactInterface(Protocol):
     """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
@@ -129,6 +143,10 @@ class ContactInterface(Protocol):
     @property
     def sides(self) -> tuple[MovingSurface, MovingSurface]:
         """Γ0 and Γ1."""
+
+    @property
+    def friction(self) -> Coefficient | None:
+        """The coefficient of friction, if there is any."""
 
     @property
     def follows(self) -> bool:
