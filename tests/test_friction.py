@@ -38,7 +38,7 @@ def test_slip(options):
 
     difference = (8 * (at(STEP) - at(-STEP)) - at(2 * STEP) + at(-2 * STEP)) / (12 * STEP)
     close(difference[: len(g)], S @ flat, DIFFERENCE)
-    H = dense(opening.slip_curvature(u, q), shape[1:] * 2)
+    H = dense(opening.slip_curvature(u, q[None]), shape[1:] * 2)
     close(difference[len(g) :], H @ flat, DIFFERENCE)
     x = np.concatenate([_positions(side, part) for side, part in zip(sides, u, strict=True)])
     assert np.abs(T @ x.ravel()).max() <= 1e-14

@@ -238,19 +238,19 @@ class PlaneOpening:
 
         Args:
             u: Displacements.
-            q: ``(num_multipliers,)``.
+            q: ``(1, num_multipliers)``.
         """
         state = self._at(u)
         i, j, values = [], [], []
         for cells in state.cells:
-            traction = 0.5 * q[cells.vertices].sum(axis=1)
+            traction = 0.5 * q[0, cells.vertices].sum(axis=1)
             on = np.flatnonzero(traction)
             elements, *places = cells.places
             block = slips.slopes(elements, *(part[on] for part in places))
             numbers = cells.numbers[on]
             i.append(np.broadcast_to(numbers[:, : block.shape[1], None], block.shape).ravel())
             j.append(np.broadcast_to(numbers[:, None], block.shape).ravel())
-            values.append((traction[:, None, None] * block).ravel())
+            values.append((traction[on, None, None] * block).ravel())
         sizes = state.num, state.num
         H = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
         product = H.ptap(self._to_dofs(state))

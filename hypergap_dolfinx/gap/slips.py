@@ -52,7 +52,7 @@ def slips(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> npt.NDArray
     along = 0.5 * (width[:, None] * weights)[..., None] * dx
     base = -np.einsum("cpa,cpi->cai", N + tau[..., None] * dN, along)
     apex = M[:, :, None] * along.sum(axis=1)[:, None]
-    return np.hstack((base.reshape(len(X), -1), apex.reshape(len(X), -1)))
+    return np.hstack((base, apex)).reshape(len(X), 2 * (X.shape[1] + Q.shape[1]))
 
 
 def slopes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> npt.NDArray[np.float64]:
@@ -67,8 +67,9 @@ def slopes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> npt.NDArra
     Returns:
         ``(num_cells, num, num + 3)`` with num = 2 (num_nodes + num_apex_nodes).
     """
-    flat = np.hstack((X.reshape(len(X), -1), Q.reshape(len(X), -1), s))
     split = 2 * X.shape[1], 2 * (X.shape[1] + Q.shape[1])
+    nodes = np.hstack((X, Q)).reshape(len(X), split[1])
+    flat = np.hstack((nodes, s))
     result = np.empty((len(X), split[1], flat.shape[1]))
     for k in range(flat.shape[1]):
         moved = flat.astype(complex)

@@ -114,7 +114,9 @@ class FrictionRows(ContactRows):
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
             bound = self.mu * np.maximum(now.p - c * gap, 0)
-            now.sticks = (size <= bound) & (self.mu > 0)
+            # What slips the other way sticks first: else all could turn to and fro
+            turned = ~now.sticks & ((self.s * now.way).sum(axis=0) > 0)
+            now.sticks = ((size <= bound) | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
         self._stiffness, self._c = stiffness, c
