@@ -28,6 +28,7 @@ from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.friction import FrictionRows
 from hypergap_dolfinx.solve.path import LoadPath
 from hypergap_dolfinx.tie import Tie
 
@@ -274,9 +275,11 @@ class ContactProblem(ContactSystem):
             sum(int(part.sum()) for part in parts)
             for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
         )
+        rubbing = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
+        sticking = f", {sum(rows.stuck.sum() for rows in rubbing)} of them stick"
         return (
             f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
-            f"{num} of {every} vertices in contact"
+            f"{num} of {every} vertices in contact{sticking if rubbing else ''}"
         )
 
     def _warn_of_reach(self, comm):

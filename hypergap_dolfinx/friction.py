@@ -22,18 +22,25 @@ Value = float | fem.Constant | fem.Function
 class Friction:
     """Coulomb's coefficient μ: one number, or one for each place on Γ1."""
 
-    def __init__(self, value: Value, V: fem.FunctionSpace, facets: npt.NDArray):
+    def __init__(
+        self, value: Value, elastic_slip: float, V: fem.FunctionSpace, facets: npt.ArrayLike
+    ):
         """Check what is given. Collective.
 
         Args:
             value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
                 which values at vertices are taken.
+            elastic_slip: Slip up to which friction grows to μ p; 0 if nothing slips before.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
 
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
         """
+        if not (np.isfinite(elastic_slip) and elastic_slip >= 0):
+            raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip}.")
+        self.elastic_slip = float(elastic_slip)
+        """Slip up to which friction grows to μ p."""
         self._comm = V.mesh.comm
         self._at: MovingSurface | None = None
         if isinstance(value, fem.Function):
@@ -82,6 +89,27 @@ class Friction:
             bad = f"the coefficient of friction is {wrong[0]:.6g} on Γ1; it is a number from 0 on."
         raise_on_all(self._comm, bad, ValueError)
         return mu
+
+
+def friction_of(
+    value: Value | None, elastic_slip: float, V: fem.FunctionSpace, facets: npt.ArrayLike
+) -> Friction | None:
+    """Friction as given to a contact, or None. Collective.
+
+    Args:
+        value: The coefficient, or None.
+        elastic_slip: As for :class:`Friction`.
+        V: The space of Γ1's body.
+        facets: This rank's facets of Γ1.
+
+    Raises:
+        ValueError: As :class:`Friction`; an elastic slip without friction.
+    """
+    if value is not None:
+        return Friction(value, elastic_slip, V, facets)
+    if elastic_slip:
+        raise ValueError("elastic_slip is for contact with friction: give friction too.")
+    return None
 
 
 def _unfit(f: fem.Function, V: fem.FunctionSpace) -> str | None:

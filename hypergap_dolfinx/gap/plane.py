@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.gap import fans, slips
+from hypergap_dolfinx.gap import fans, slip_fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
@@ -56,6 +56,8 @@ class _State:
     """Number of variables: the nodes' and the parameters."""
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
+    slopes: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    """Derivatives of slips by both sides' variables, likewise."""
 
 
 @dataclass
@@ -214,10 +216,10 @@ class PlaneOpening:
         moves = [a - b for a, b in zip(u, since, strict=True)]
         nodes = np.concatenate([self._at_nodes(i, part).ravel() for i, part in enumerate(moves)])
         found: list[list] = [[], [], []]
-        for cells in state.cells:
-            T = slips.slips(*cells.places)
+        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
+            T = slip_fans.slips(*cells.places)
             numbers = cells.numbers[:, : T.shape[1]]
-            slope = np.einsum("cij,ci->cj", slips.slopes(*cells.places), nodes[numbers])
+            slope = np.einsum("cij,ci->cj", slopes, nodes[numbers])
             slope[:, : T.shape[1]] += T
             T = np.hstack((T, np.zeros((len(T), 3))))
             for k in (0, 1):
@@ -242,12 +244,10 @@ class PlaneOpening:
         """
         state = self._at(u)
         i, j, values = [], [], []
-        for cells in state.cells:
+        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
             traction = 0.5 * q[0, cells.vertices].sum(axis=1)
             on = np.flatnonzero(traction)
-            elements, *places = cells.places
-            block = slips.slopes(elements, *(part[on] for part in places))
-            numbers = cells.numbers[on]
+            block, numbers = slopes[on], cells.numbers[on]
             i.append(np.broadcast_to(numbers[:, : block.shape[1], None], block.shape).ravel())
             j.append(np.broadcast_to(numbers[:, None], block.shape).ravel())
             values.append((traction[on, None, None] * block).ravel())
@@ -256,6 +256,12 @@ class PlaneOpening:
         product = H.ptap(self._to_dofs(state))
         H.destroy()
         return Sparse.of(product)
+
+    def _slopes(self, state: _State) -> tuple[npt.NDArray, npt.NDArray]:
+        if state.slopes is None:
+            below, above = state.cells
+            state.slopes = slip_fans.slopes(*below.places), slip_fans.slopes(*above.places)
+        return state.slopes
 
     def _at_nodes(self, i: int, u) -> npt.NDArray[np.float64]:
         """Displacements of a side's dofs at its facets' nodes, ``(num_nodes, 2)``."""

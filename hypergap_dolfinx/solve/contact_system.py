@@ -90,6 +90,8 @@ class ContactSystem(NonlinearSystem):
         """Once: what nothing but contact holds. Collective."""
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
+        for rows in self._rows:
+            rows.begin()
         if self._free is None:
             self.assemble_matrix()
             self._scales_fixed = True

@@ -120,6 +120,9 @@ class ContactRows:
         u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
         return u0, u1
 
+    def begin(self):
+        """A solve begins."""
+
     def set_out(self):
         """Read what a user may have changed. Collective."""
 

@@ -32,7 +32,7 @@ class Rubbed(Pressed):
 
 
 class FrictionRows(ContactRows):
-    """Contact with friction: tractions q with \\|q\\| ≤ μ p, against the slip s of a load step.
+    """Contact with friction: tractions q with |q| ≤ μ p, against the slip s of a load step.
 
     Rows and unknowns of q_k are behind those of p: number k num_multipliers + a.
     """
@@ -45,6 +45,7 @@ class FrictionRows(ContactRows):
         num, across = len(self.now.p), self._n - 1
         assert touching.contact.friction is not None
         self._friction = touching.contact.friction
+        self._soft = self._friction.elastic_slip
         self.now = Rubbed(
             **vars(self.now),
             q=np.zeros((across, num)),
@@ -53,8 +54,13 @@ class FrictionRows(ContactRows):
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
+        self._elastic = np.zeros((across, num))  # part of slip that would go back
+
+    def begin(self):
+        """A solve begins: what it dissipates, and by how much bodies slip in it, is counted."""
+        super().begin()
         self.dissipated = 0.0
-        """Energy that accepted load steps have dissipated."""
+        self.slipped = np.zeros((len(self.now.p), self._n))
 
     def set_out(self):
         """Read the coefficient of friction. Collective."""
@@ -91,8 +97,38 @@ class FrictionRows(ContactRows):
     def accept(self):
         """The state is that from which the next load step starts."""
         super().accept()
-        self.dissipated -= float((self.now.q * self.now.on * self.s).sum())
+        now, lost = self.now, self.slip
+        if self._soft:
+            before, self._elastic = self._elastic, self._shortened() * now.on
+            lost = lost + before - self._elastic
+        self.dissipated -= float((now.q * now.on * self.m * lost).sum())
+        self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
         self._since = self.u
+
+    @property
+    def _reach(self) -> npt.NDArray[np.float64]:
+        """Elastic slip if all of it were elastic, ``(n - 1, num_multipliers)``."""
+        return self._elastic + self.slip
+
+    def _shortened(self) -> npt.NDArray[np.float64]:
+        """What is elastic of it."""
+        size = np.linalg.norm(self._reach, axis=0)
+        return self._reach * np.minimum(1, self._soft / np.maximum(size, 1e-300))
+
+    @property
+    def tangents(self) -> npt.NDArray[np.float64]:
+        """Mean directions in which q acts on Γ1's body, ``(n - 1, num_multipliers, n)``."""
+        num, start = len(self.g), len(self.sides[0].dofs) * self._n
+        on = self.T.j >= start
+        number = self.T.i[on] * self._n + (self.T.j[on] - start) % self._n
+        size = (self._n - 1) * num * self._n
+        total = np.bincount(number, self.T.values[on], size).reshape(-1, num, self._n)
+        return total * (self.valid / np.where(self.valid, self.m, 1))[:, None]
+
+    @property
+    def shears(self) -> npt.NDArray[np.float64]:
+        """Tractions on Γ1's body, ``(num_multipliers, n)``."""
+        return np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
 
     # Sets
 
@@ -109,6 +145,11 @@ class FrictionRows(ContactRows):
         self._surplus = np.where(stuck, -np.inf, 0)
         if anew:
             now.sticks |= now.p <= 0
+        elif self._soft:
+            size = np.linalg.norm(self._reach, axis=0)
+            now.sticks = (size <= self._soft) & (self.mu > 0)
+            now.way = -self._reach / np.where(size > 0, size, 1)
+            self._surplus = np.where(stuck, -np.inf, size)
         else:
             trial = now.q - c * self.slip
             size = np.linalg.norm(trial, axis=0)
@@ -172,46 +213,63 @@ class FrictionRows(ContactRows):
 
     def linearised(self, stiffness: float, moves: Displacements) -> Linear:
         """Equations of gaps and slips. Collective."""
-        now, num, across = self.now, len(self.g), self._n - 1
+        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+        by_slip, by_q, by_p, start = self._law(scale)
         gaps = self.g + self.times(moves)
-        slips = self.s + self._times(self.S, moves)
-        # q = μ p way of what slips; across its way it turns with the slip
-        trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
-        force = self.mu * np.maximum(now.p, 0)
-        share = np.minimum(force / np.maximum(trial, 1e-300), 1)
-        turn = np.eye(across)[..., None] - now.way[:, None] * now.way[None]
-        turn = np.where(self.stuck, 0, share) * turn
-        by_slip = np.where(self.stuck, scale, 0) * np.eye(across)[..., None] - self._c * turn
-        by_q = stiffness * (~self.stuck * np.eye(across)[..., None] - turn)
-        by_p = -stiffness * self.mu * now.way * ~self.stuck
+        slips = start + self._times(self.S, moves)
+        right = np.concatenate((scale * gaps, np.einsum("kla,la->ka", by_slip, slips).ravel()))
+        normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         # Row k of q is Σ_l by_slip[k, l] S_l
-        l, a = np.divmod(self.S.i, num)
-        parts = [
-            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, l, a])
+        part, a = np.divmod(self.S.i, num)
+        along = [
+            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, part, a])
             for k in range(across)
         ]
-        rows = joined(Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i]), *parts)
-        a = self.T.i % num
-        columns = joined(
-            Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i]),
-            Sparse(num + self.T.i, self.T.j, self.T.values * scale[a]),
-        )
-        i, j, values = [], [], []
-        on = np.flatnonzero(now.on)
+        forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
+        corner = []
         for k in range(across):
-            i.append(num * (k + 1) + on)
-            j.append(on)
-            values.append(by_p[k, on])
-            for other in range(across):
-                i.append(num * (k + 1) + on)
-                j.append(num * (other + 1) + on)
-                values.append(by_q[k, other, on])
-        corner = Sparse(*(np.concatenate(part) for part in (i, j, values)))
-        right = np.concatenate(
-            (scale * gaps, np.einsum("kla,la->ka", by_slip, slips).ravel())
+            row = num * (k + 1) + on
+            corner.append(Sparse(row, on, stiffness * by_p[k, on]))
+            corner += [
+                Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
+                for other in range(across)
+            ]
+        return self._linear(
+            joined(normal, *along),
+            joined(normal, forces),
+            joined(*corner),
+            right,
+            np.tile(scale, self._n),
         )
-        return self._linear(rows, columns, corner, right, np.tile(scale, self._n))
+
+    def _law(self, scale):
+        """The law of friction as by_slip s + m (by_q q + by_p p) = 0 to first order.
+
+        Args:
+            scale: Factor of rows of what is closed, ``(num_multipliers,)``.
+
+        Returns:
+            ``(n - 1, n - 1, num_multipliers)`` for slips and for q, ``(n - 1, num_multipliers)``
+            for p; and what slips start from, of which rows are to be zero.
+        """
+        now, one = self.now, np.eye(self._n - 1)[..., None]
+        across = one - now.way[:, None] * now.way  # what slips turns by
+        force = self.mu * np.maximum(now.p, 0)
+        if self._soft:
+            # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
+            size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
+            soft = now.on & (force > 0)
+            turn = np.where(now.sticks, one, across)
+            by_slip = np.where(soft, -force / size * turn, scale * one)
+            by_p = np.where(soft, self.mu * self._reach / size, 0)
+            return by_slip, soft * one, by_p, np.where(soft, 0, self.s)
+        trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
+        share = np.minimum(force / np.maximum(trial, 1e-300), 1)
+        turn = np.where(now.sticks, 0, share * across)
+        by_slip = np.where(now.sticks, scale * one, -self._c * turn)
+        by_q = np.where(now.sticks, 0, one - turn)
+        return by_slip, by_q, np.where(now.sticks, 0, -self.mu * now.way), self.s
 
     def _take(self, values: npt.NDArray[np.float64]):
         self.now.p, self.now.q = values[: len(self.g)], values[len(self.g) :].reshape(-1, len(self.g))
@@ -234,16 +292,15 @@ class FrictionRows(ContactRows):
         Args:
             tolerance: Length that is none.
         """
-        now = self.now
-        slip = np.abs(self.slip[:, self.stuck]).max(initial=0)
-        slips = now.on & ~now.sticks
-        error = now.q[:, slips] - (self.mu * now.p * now.way)[:, slips]
+        now, rigid = self.now, self.stuck
+        target = self.mu * now.p * now.way
+        if self._soft:
+            rigid = np.zeros_like(now.on)
+            target = -self.mu * now.p * self._shortened() / self._soft
+        slip = np.abs(self.slip[:, rigid]).max(initial=0)
+        error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
         largest = np.abs(self.mu * now.p).max(initial=0)
-        return (
-            super().is_closed(tolerance)
-            and slip <= tolerance
-            and np.abs(error).max(initial=0) <= EXCEEDS * largest
-        )
+        return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
 
     @property
     def holds_too_much(self) -> bool:

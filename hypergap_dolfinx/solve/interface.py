@@ -126,11 +126,15 @@ class Gaps(Protocol):
         """∂(Tᵀq)/∂u."""
 
 
-class Coefficient(Protocol):
-    """Of friction."""
+class Coulomb(Protocol):
+    """Friction of a contact."""
+
+    @property
+    def elastic_slip(self) -> float:
+        """Slip up to which friction grows to μ p."""
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
-        """At Γ1's vertices, the same on every rank. Collective."""
+        """The coefficient at Γ1's vertices, the same on every rank. Collective."""
 
 
 class ContactInterface(Protocol):
@@ -145,8 +149,8 @@ class ContactInterface(Protocol):
         """Γ0 and Γ1."""
 
     @property
-    def friction(self) -> Coefficient | None:
-        """The coefficient of friction, if there is any."""
+    def friction(self) -> Coulomb | None:
+        """Friction, if there is any."""
 
     @property
     def follows(self) -> bool:
