@@ -417,10 +417,13 @@ class Contact:
         return displaced(self._sides, problem.rows(self).u)
 
     def force(self, problem) -> npt.NDArray[np.float64]:
-        """The force on Γ1's body, with friction; Γ0's feels the opposite. ``(n,)``, the same on every rank.
+        """The force on Γ1's body, friction's too; Γ0's feels the opposite.
 
         Args:
             problem: A solved problem with this contact.
+
+        Returns:
+            ``(n,)``, the same on every rank.
         """
         return problem.rows(self).acting()[1].sum(axis=0)
 

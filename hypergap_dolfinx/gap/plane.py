@@ -215,22 +215,22 @@ class PlaneOpening:
         state = self._at(u)
         moves = [a - b for a, b in zip(u, since, strict=True)]
         nodes = np.concatenate([self._at_nodes(i, part).ravel() for i, part in enumerate(moves)])
-        found: list[list] = [[], [], []]
+        i, j, values = [], [], []
         for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
             T = slip_fans.slips(*cells.places)
-            numbers = cells.numbers[:, : T.shape[1]]
-            slope = np.einsum("cij,ci->cj", slopes, nodes[numbers])
-            slope[:, : T.shape[1]] += T
-            T = np.hstack((T, np.zeros((len(T), 3))))
+            num = T.shape[1]
+            S = np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :num]])
+            S[:, :num] += T
+            both = np.stack((np.pad(T, ((0, 0), (0, 3))), S), axis=-1)
             for k in (0, 1):
-                rows = np.broadcast_to(cells.vertices[:, k, None], cells.numbers.shape)
-                for part, value in zip(found, (rows, cells.numbers, np.stack((T, slope))), strict=True):
-                    part.append(value.reshape(*value.shape[:-2], -1))
-        i, j, values = (np.concatenate(part, axis=-1) for part in found)
+                i.append(np.broadcast_to(cells.vertices[:, k, None], cells.numbers.shape).ravel())
+                j.append(cells.numbers.ravel())
+                values.append(0.5 * both.reshape(-1, 2))
+        rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
         sizes = self.num_multipliers, state.num
         results = []
-        for part in values:
-            matrix = coo_matrix(MPI.COMM_SELF, sizes, i, j, 0.5 * part)
+        for part in entries.T:
+            matrix = coo_matrix(MPI.COMM_SELF, sizes, rows, columns, part.copy())
             results.append(Sparse.of(matrix.matMult(self._to_dofs(state))))
             matrix.destroy()
         return results[0], results[1]

@@ -116,9 +116,7 @@ def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
     return result
 
 
-def seeded(
-    active, distance, valid, holds, load, across=()
-) -> tuple[npt.NDArray[np.bool_], int]:
+def seeded(active, distance, valid, holds, load, across=()) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
 
     What the shortest way closes comes first; last what would have to pull against the load.
@@ -181,7 +179,7 @@ def _unit(rows) -> npt.NDArray[np.float64]:
 
 
 def _extended(basis, rows) -> tuple[npt.NDArray[np.float64], list[int]]:
-    """An orthonormal basis with what of rows of length 1 is not in its span, and which these are."""
+    """An orthonormal basis enlarged by rows of length 1 that aren't in its span, and which."""
     taken = []
     for k, row in enumerate(rows):
         if len(basis) == rows.shape[1]:

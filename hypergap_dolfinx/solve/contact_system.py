@@ -262,9 +262,7 @@ class ContactSystem(NonlinearSystem):
     def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
         """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
         for rows in self._rows:
-            for i, (body, force) in enumerate(
-                zip(rows.bodies, rows.acting(), strict=True)
-            ):
+            for i, (body, force) in enumerate(zip(rows.bodies, rows.acting(), strict=True)):
                 if body is not None:
                     dofs, values = rows.owned(i, force)
                     free = True if all_dofs else ~self._constraints.prescribed[body][dofs]

@@ -54,6 +54,7 @@ class FrictionRows(ContactRows):
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
+        self._carried = False
         self._elastic = np.zeros((across, num))  # part of slip that would go back
 
     def begin(self):
@@ -103,6 +104,7 @@ class FrictionRows(ContactRows):
             lost = lost + before - self._elastic
         self.dissipated -= float((now.q * now.on * self.m * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
+        now.sticks |= ~now.on
         self._since = self.u
 
     @property
@@ -137,14 +139,15 @@ class FrictionRows(ContactRows):
 
         Args:
             stiffness: Of the bodies' nodes.
-            anew: Whether no step was taken yet: what was in contact goes on as it was.
+            anew: Whether no step was taken yet: what was in contact goes on as it was, and what
+                comes to it sticks.
         """
         now = self.now
         c = stiffness / self.typical_area
         stuck = self.stuck
         self._surplus = np.where(stuck, -np.inf, 0)
-        if anew:
-            now.sticks |= now.p <= 0
+        if anew or self._carried:
+            self._carried = False
         elif self._soft:
             size = np.linalg.norm(self._reach, axis=0)
             now.sticks = (size <= self._soft) & (self.mu > 0)
@@ -155,9 +158,12 @@ class FrictionRows(ContactRows):
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
             bound = self.mu * np.maximum(now.p - c * gap, 0)
+            none = EXCEEDS * bound[now.on].max(initial=0)
+            # What is at both limits stays what it is
+            sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
             # What slips the other way sticks first: else all could turn to and fro
-            turned = ~now.sticks & ((self.s * now.way).sum(axis=0) > 0)
-            now.sticks = ((size <= bound) | turned) & (self.mu > 0)
+            turned = ~now.sticks & (c * (self.slip * now.way).sum(axis=0) > none)
+            now.sticks = (sticks | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
         self._stiffness, self._c = stiffness, c
@@ -272,11 +278,13 @@ class FrictionRows(ContactRows):
         return by_slip, by_q, np.where(now.sticks, 0, -self.mu * now.way), self.s
 
     def _take(self, values: npt.NDArray[np.float64]):
-        self.now.p, self.now.q = values[: len(self.g)], values[len(self.g) :].reshape(-1, len(self.g))
+        p, *q = values.reshape(-1, len(self.g))
+        self.now.p, self.now.q = p, np.array(q)
 
     def forget(self):
         """No pressures, no tractions."""
         super().forget()
+        self._carried = True
         self.now.q = np.zeros_like(self.now.q)
 
     def _curvature(self) -> Sparse:
