@@ -253,7 +253,7 @@ def draw(x, contact, pair, exact, inner, picture):
     ):
         axes.plot(x[which] / a, q[which] / scale, marker, ms=3, label=name)
     axes.set(xlim=(-1.3, 1.3), xlabel="x / a", ylabel="traction over μ p₀")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="center")
     picture.parent.mkdir(parents=True, exist_ok=True)
     fig.savefig(picture, dpi=150)
 

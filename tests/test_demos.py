@@ -66,6 +66,20 @@ DEMOS = {
         below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11},
         pictures=("contact_patch",),
     ),
+    "friction": Demo(
+        "--scene wedge --scene cattaneo --cells 6",
+        {"rows.1.l2_shear": 0.2, "rows.1.q_over_mu_p": 0.326},
+        {"rows.0.error": 1e-5, "rows.1.off": 1.0},
+        pictures=("friction",),
+        needs=("matplotlib",),
+    ),
+    "friction_exact": Demo(
+        "--scene block --scene twist",
+        {"rows.0.told": 1, "rows.1.told": 1, "rows.2.told": 1, "rows.3.told": 1},
+        {"rows.0.error": 1e-11, "rows.1.error": 1e-11, "rows.2.error": 1e-11}
+        | {"rows.3.error": 1e-11, "rows.4.error": 1e-2},
+        script="friction",
+    ),
     "gap_domain": Demo(
         pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
         pictures=("apart", "gap_domain", "tetrahedra"),
