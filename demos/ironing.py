@@ -7,9 +7,10 @@
 # Large deformation, finite sliding, no friction unless it is asked for. The die is ten times as
 # stiff as the foundation, both are neo-Hookean. First it goes down in a few load steps, then along.
 # Without friction its reaction should be vertical but for the foundation's far ends; what comes and
-# goes as the nodes pass each other is the ripple of the method. All is conservative: the reaction is the derivative
-# of the energy that is stored. Each step is followed by one of a thousandth of a cell to see that:
-# over a third of a cell the mean of two forces isn't their work to more than two or three digits.
+# goes as the nodes pass each other is the ripple of the method. All is conservative: the reaction
+# is the derivative of the energy that is stored. Each step is followed by one of a thousandth of a
+# cell to see that: over a third of a cell the mean of two forces isn't their work to more than two
+# or three digits.
 #
 # With friction (`--friction 0.3`) work is also dissipated, horizontal and vertical force have its
 # coefficient as their ratio, nearly, once all of the die slips; and at the end it is drawn back

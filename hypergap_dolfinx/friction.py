@@ -5,8 +5,6 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The coefficient of friction of a contact, as a user gives it."""
 
-from numbers import Real
-
 import numpy as np
 import numpy.typing as npt
 
@@ -43,23 +41,24 @@ class Friction:
         """Slip up to which friction grows to μ p."""
         self._comm = V.mesh.comm
         self._at: MovingSurface | None = None
+        self._value: npt.NDArray | fem.Constant | fem.Function
         if isinstance(value, fem.Function):
-            bad = _unfit(value, V)
-            raise_on_all(self._comm, bad, ValueError)
+            raise_on_all(self._comm, _unfit(value, V), ValueError)
             self._at = MovingSurface(create_surface(value.function_space, facets, "Γ1"))
+            self._value = value
         elif isinstance(value, fem.Constant):
             if value.value.shape:
                 raise ValueError(
                     f"the coefficient of friction is a scalar, not of shape {value.value.shape}."
                 )
-        elif isinstance(value, Real):
-            value = np.array(float(value))
+            self._value = value
+        elif isinstance(value, int | float | np.number):
+            self._value = np.array(float(value))
         else:
             raise ValueError(
                 "friction is a number, a fem.Constant or a fem.Function on Γ1's mesh, not "
                 f"{type(value).__name__}."
             )
-        self._value = value
         self._num = len(create_surface(V, facets, "Γ1").x)
         self.at_vertices()
 
@@ -76,9 +75,10 @@ class Friction:
         Raises:
             ValueError: A value that is negative or no number.
         """
-        if self._at is None:
+        if not isinstance(self._value, fem.Function):
             mu = np.full(self._num, float(self.array))
         else:
+            assert self._at is not None
             dofmap = self._value.function_space.dofmap
             owned = self.array[: dofmap.index_map.size_local, None]
             offset = dofmap.index_map.local_range[0]

@@ -15,7 +15,7 @@ from hypergap_dolfinx.gap.moving import Displacements, Sparse
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touching
 
-EXCEEDS = 1e-8
+EXCEEDS = 1e-7
 """Traction of what sticks beyond what friction can hold, over the largest, that is none."""
 
 
