@@ -80,6 +80,7 @@ class Tie(disposal.Owner):
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
         compliance: soft.Given | None = None,
+        discontinuous: bool = False,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -119,6 +120,10 @@ class Tie(disposal.Owner):
                 ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
                 of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
                 loop that sets it and solves again.
+            discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
+                Where both sides consist of several materials, traction jumps from one to the next:
+                give a tie for each material then, with this, its two surfaces ending at one place.
+                Without it λ is as smooth as Γ1, however many ties it is given as.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -163,6 +168,7 @@ class Tie(disposal.Owner):
         self._turn = motion.of_components(V1.value_shape) if motion else None
         self._interior = interior
         self._close_gap = close_gap
+        self._discontinuous = discontinuous
         self._swapped = False
         self._components = Component.of(V0), Component.of(V1)
         self._spaces = self._components[0].space, self._components[1].space
@@ -373,6 +379,11 @@ class Tie(disposal.Owner):
     def closes_gap(self) -> bool:
         """Whether the constraint is on positions."""
         return self._close_gap
+
+    @property
+    def discontinuous(self) -> bool:
+        """Whether λ ends where Γ1 does, though other ties go on there."""
+        return self._discontinuous
 
     @property
     def motion(self) -> Motion | None:

@@ -132,7 +132,7 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
         s, t = every.tie[a], every.tie[b]
         if s == t or alike[s] != alike[t]:
             return False
-        if ties[s].free_interior or ties[t].free_interior:
+        if any(ties[i].free_interior or ties[i].discontinuous for i in (s, t)):
             return False
         if every.body(s, side) != every.body(t, side):
             return False
