@@ -19,7 +19,8 @@ Three rules lead there:
 
 1. λ belongs to a surface. Where several ties lie on one smooth piece of a body's surface, and the
    bodies opposite are one or tied to each other there, the multipliers at one place are *one*.
-   So pieces between the same two bodies are one interface, however many ties it is given as.
+   So pieces between the same two bodies are one interface, however many ties it is given as,
+   unless they are said to be discontinuous: then their ends are as cross points.
 2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
    that is prescribed, or that another interface uses too: there λ follows its neighbours, as in
    mortar methods with cross points.
