@@ -105,7 +105,9 @@ class Tie(disposal.Owner):
                 its radius): locate that face's facets before. Make a tie that adjusts before others
                 on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
-                or overlaps is pulled together, as in an interference fit. Needs displacements.
+                or overlaps is pulled together, as in an interference fit. Needs displacements. Of
+                curved surfaces with straight edges that is the gap between two polygons too; take
+                curved cells, or a jump of the interference.
             jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
                 ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
                 ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
@@ -116,7 +118,9 @@ class Tie(disposal.Owner):
             compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
                 thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
                 gives way, however little; a body that nothing else holds is held by it. One value,
-                or a pair: along Σ's normal and across it (0 ties across). Each is ≥ 0: a number, a
+                or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
+                lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
+                ≥ 0: a number, a
                 ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
                 of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
                 loop that sets it and solves again.

@@ -169,6 +169,22 @@ def test_springs(c, interior):
     assert traction_error(p, t, bodies) <= 10 * SOLVED
 
 
+@two_ranks()
+def test_both_sides_prescribed():
+    """λ is what makes the interface give way so; it can't be without a compliance."""
+    bodies = blocks(degree=2)
+    c = fem.Constant(bodies[0].mesh, default_scalar_type(2.0))
+    t = tie(bodies, *TIED, compliance=(0.5, c), jump=(0.1, 0.2))
+    p = problem(bodies, [t], TIED, [(0, TOP, (0, 1)), (1, BOTTOM, (0, 1))])
+    p.solve()
+    q = t.quadrature(2)
+    exact = np.broadcast_to((-0.1 / 2.0, -0.2 / 0.5), q.x.shape)
+    np.testing.assert_allclose(q.evaluate(t.traction(p)), exact, atol=SOLVED)
+    c.value = 0.0
+    with raises(SolveError, "singular"):
+        p.solve()
+
+
 @two_ranks(how=["pair"], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("how", ("function", "callable", "pair"))

@@ -8,6 +8,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -170,6 +171,11 @@ class Compliance:
             found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
         raise_on_all(self._domain.mesh.comm, error, ValueError)
         return found
+
+    def gives_way(self) -> bool:
+        """Whether none is zero anywhere now. Collective."""
+        least = self.values().min(initial=np.inf)
+        return bool(self._domain.mesh.comm.allreduce(least, MPI.MIN) > 0)
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; of a function collective."""
