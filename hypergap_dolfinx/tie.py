@@ -26,7 +26,8 @@ from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
+from hypergap_dolfinx.gap.given import Given
+from hypergap_dolfinx.gap.jump import Jump, gaping, right_side
 from hypergap_dolfinx.gap.recovery import Recovery
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
@@ -175,6 +176,11 @@ class Tie(disposal.Owner):
         self._discontinuous = discontinuous
         self._swapped = False
         self._components = Component.of(V0), Component.of(V1)
+        if motion is not None and motion.turns and any(p.of_vector for p in self._components):
+            raise InterfaceError(
+                "a rotation turns vectors as a whole: tie the vector, not a component such as "
+                "V.sub(0)."
+            )
         self._spaces = self._components[0].space, self._components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:

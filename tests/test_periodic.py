@@ -13,6 +13,7 @@ from helpers import interpolated, raises, residual, two_ranks
 import dolfinx
 import meshes
 import ufl
+from basix.ufl import mixed_element
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
@@ -297,6 +298,17 @@ def test_a_scalar_stays():
     T = interpolated(V, lambda x: (x.T - centre) @ axis)
     assert tie.turn is None
     assert residual(tie, T, T) <= 1e-13
+
+
+def test_components_turn_together():
+    body = sector((2, 3), 1.0, degree=1)
+    for V in (
+        body.V,
+        fem.functionspace(body.mesh, mixed_element([body.V.ufl_element()] * 2)).sub(0),
+    ):
+        sides = (V.sub(0), body.facets(BOTTOM)), (V.sub(0), body.facets(TOP))
+        with raises(InterfaceError, "a rotation turns vectors as a whole"):
+            Tie.periodic(*sides, rotation=1.0)
 
 
 def num_free(body, ties):
