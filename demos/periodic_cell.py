@@ -250,8 +250,8 @@ if args.fibres:
     }
     if comm.rank == 0:
         print(
-            "fibres: shear modulus {shear:.2f}, error {error:.1e}; stiffness {matching:.1e} off that "
-            "with matching faces".format(**result["fibres"])
+            "fibres: shear modulus {shear:.2f}, error {error:.1e}; stiffness {matching:.1e} off "
+            "that with matching faces".format(**result["fibres"])
         )
 if comm.rank == 0 and args.json:
     args.json.write_text(json.dumps(result, indent=1))
