@@ -89,7 +89,7 @@ class Slab:
         return flux, wrong / size
 
 
-@pytest.mark.ranks(unit=[1.0])
+@two_ranks(unit=[1.0])
 @pytest.mark.parametrize("unit", (1e-9, 1.0, 1e9))
 def test_thermal_resistance(unit):
     """From tied to free in one problem; Γ1 is the side that conducts less, as advised."""
@@ -100,14 +100,12 @@ def test_thermal_resistance(unit):
             assert max(errors) <= 1e-12, (k, c, errors)
 
 
-@pytest.mark.ranks(2)
 def test_in_space():
     slab = Slab(3)
     for c in (0, 0.5, 1e12):
         assert max(slab.errors((1.0, 3.0), c)) <= 1e-12
 
 
-@two_ranks()
 def test_held_by_the_compliance():
     """A body that nothing else holds; its digits go as a motion's stiffness in K's round-off."""
     slab = Slab(flux=True)
@@ -206,7 +204,7 @@ def test_fields(how, swap):
     assert error(p, stretched, turn) <= SOLVED
 
 
-@pytest.mark.ranks(same=[False])
+@two_ranks(same=[False])
 @pytest.mark.parametrize("same", (True, False))
 def test_pieces(same):
     """One interface in two pieces, and bodies that are tied to each other where these meet."""

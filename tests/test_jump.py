@@ -64,7 +64,7 @@ def error(p, jump):
     return comm.allreduce(wrong, MPI.MAX)
 
 
-@two_ranks(how=["callable", "below"])
+@two_ranks(how=["callable", "below"], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("how", ("array", "constant", "function", "below", "callable"))
 def test_slip(how, swap):
@@ -94,7 +94,6 @@ def test_slip(how, swap):
         np.testing.assert_allclose(q.evaluate(slip)[..., 0], sign * SLIP[0], atol=1e-11)
 
 
-@two_ranks(solver=["bodies"])
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
 def test_load_steps_factorise_once(solver):
     bodies = blocks()
@@ -115,7 +114,6 @@ def test_load_steps_factorise_once(solver):
     assert counts[0] == counts[-1] > 0
 
 
-@two_ranks()
 def test_between_keeps_the_direction():
     """The jump is the second side's over the first's, whichever becomes Γ1."""
     bodies = blocks()
@@ -147,7 +145,6 @@ def test_pieces(same):
     assert max(traction_error(p, t, bodies) for t in ties) <= 10 * SOLVED
 
 
-@pytest.mark.ranks(2)
 def test_solids():
     """Scalars in space: temperatures with a jump."""
     V, sides, a = [], [], []
@@ -228,7 +225,6 @@ def dislocated(n, tied=True):
     return comm.allreduce(error) ** 0.5
 
 
-@pytest.mark.ranks(2)
 def test_dislocation():
     """As exact as both halves with their exact displacements; those at the cut's ends jump too."""
     errors = [dislocated(n) for n in (4, 8)]

@@ -34,8 +34,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
@@ -271,7 +269,7 @@ def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
         i, j, _ = triplets(tie.constraint.B[side])
         m = order[np.searchsorted(tie.constraint.rows[order], i)]
         np.logical_or.at(moves, m, free[np.searchsorted(dofs, j)])
-    return ~tie.sigma.comm.allreduce(moves, MPI.LOR)
+    return ~tie.sigma.comm.allreduce(moves)  # of truth values the sum is "or"
 
 
 class _Assembly:
