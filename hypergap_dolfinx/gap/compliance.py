@@ -26,19 +26,19 @@ Given = Part | Sequence[Part]
 """What a compliance can be: one for all components, or the normal one and the tangential one."""
 
 
-def parts(value: Given) -> tuple[Part, ...]:
+def parts(value: Any) -> tuple[Part, ...]:  # Given, and what is none
     """The compliances: one, or the normal and the tangential one.
 
     Raises:
         ValueError: Other numbers of them.
     """
     several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
-    found = tuple(value) if several else (value,)  # type: ignore[arg-type]
+    found = tuple(value) if several else (value,)
     if several and len(found) != 2:
         raise ValueError("compliance is one value, or a pair: the normal and the tangential one.")
     for part in found:
         given.check(part, "a compliance")
-    return found  # type: ignore[return-value]
+    return found
 
 
 def key(value: Given) -> Hashable:

@@ -43,7 +43,7 @@ class Jump:
         """Equal for jumps that are the same, whatever becomes of them."""
         if given.is_read(self.value):
             return self.sign, id(self.value)
-        return self.sign, tuple(np.ravel(self.value).tolist())
+        return self.sign, tuple(np.ravel(np.asarray(self.value)).tolist())
 
     @property
     def arrays(self) -> list[npt.NDArray]:
