@@ -63,6 +63,10 @@ class Interface(Protocol):
         """Whether the constraint is on positions."""
 
     @property
+    def discontinuous(self) -> bool:
+        """Whether λ ends where Γ1 does, though other ties go on there."""
+
+    @property
     def motion(self) -> Motion | None:
         """What carries Γ0 to Γ1, of a tie across a distance."""
 
