@@ -125,7 +125,7 @@ def test_cut_ends():
         np.sin(np.radians(25)),
     ]
     assert (m > 0).all() and abs(m.sum() - 1.9998) <= 1e-12
-    sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((0.2, 2), (0, 2)))
+    sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((0.2, 2.5), (0, 2)))
     opening = PlaneOpening.between(sides, u, free(sides))
     _, m, _ = opening.gap(u)
     assert m[x.argmin()] == 0 and abs(m.sum() - 1.8) <= 1e-12

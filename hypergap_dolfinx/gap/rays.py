@@ -226,7 +226,7 @@ class _Covered:
 
 
 def _cover(fans: Fans, rays: _Rays, f: int, least: float) -> _Covered | None:
-    """What of an edge of Γ1 is covered, and whether by more than the least that both vertices want."""
+    """What of an edge of Γ1 is covered; by more than the least both vertices have a weight."""
     position, cut = [0.0, 1.0], [rays.cut[1].get(f), rays.cut[0].get(f)]
     if cut[0] is not None and cut[1] is not None and cut[0][1] >= cut[1][1]:
         # Two parts of Γ0 with a hole between them: the larger counts
