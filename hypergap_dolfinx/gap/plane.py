@@ -151,10 +151,14 @@ class PlaneOpening:
             self._last = last = _place(self.sides, u, self._walls, whole)
         return last
 
-    def _to_dofs(self, state: _State) -> PETSc.Mat:
-        """Derivatives of all variables by both sides' dofs, all components."""
-        if state.to_dofs is not None:
-            return state.to_dofs
+    @cached_property
+    def _nodes_by_dofs(self):
+        """Derivatives of the geometry's nodes by dofs, which stay the same.
+
+        Returns:
+            Rows, columns and values for each component; for each side the number of its first
+            node, values at a facet's nodes ``(node, dof)`` and its facets' dofs.
+        """
         i, j, values = [], [], []
         offset, start = 0, 0
         locals_ = []
@@ -175,10 +179,16 @@ class PlaneOpening:
         rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
         i = [(2 * rows + component) for component in (0, 1)]
         j = [(2 * columns + component) for component in (0, 1)]
-        values = [entries, entries]
+        return i, j, [entries, entries], locals_
+
+    def _to_dofs(self, state: _State) -> PETSc.Mat:
+        """Derivatives of all variables by both sides' dofs, all components."""
+        if state.to_dofs is not None:
+            return state.to_dofs
+        i, j, values, locals_ = ([*part] for part in self._nodes_by_dofs)
         first = state.crossings.first.reshape(len(state.numbers), -1, 2)
         at = 0
-        number = 2 * offset + len(Fixed) + np.arange(len(first))
+        number = state.num - len(first) + np.arange(len(first))
         for begin, table, dofs in locals_:
             some = slice(at, at + len(table))
             by = np.einsum("kmi,ma->kai", first[:, some], table)  # (crossing, dof, component)
@@ -188,7 +198,7 @@ class PlaneOpening:
                 j.append((2 * dofs[facet] + component).ravel())
                 values.append(by[..., component].ravel())
             at += len(table)
-        sizes = state.num, 2 * start
+        sizes = state.num, 2 * sum(len(side.dofs) for side in self.sides)
         parts = (np.concatenate(part) for part in (i, j, values))
         state.to_dofs = coo_matrix(MPI.COMM_SELF, sizes, *parts)
         return state.to_dofs

@@ -162,8 +162,8 @@ class _Rays:
         self.last = np.array([e[1] for e in open_ends], dtype=np.intp)
         t0 = v0[:, 1] - v0[:, 0]
         size0 = np.linalg.norm(t0, axis=1)
-        self.hit = np.full((num, 3), -1)  # facet of Γ0 at the start, the end and the middle
-        self.t = np.zeros((num, 3))  # where on it
+        hit = np.full((num, 3), -1)  # facet of Γ0 at the start, the end and the middle
+        at_hit = np.zeros((num, 3))  # where on it
         best = [np.full((num, len(ends)), np.inf) for ends in (self.first, self.last)]
         foot = [np.zeros((num, len(ends))) for ends in (self.first, self.last)]
         for start in range(0, num, CHUNK):
@@ -185,14 +185,15 @@ class _Rays:
                 far = np.linalg.norm(x - a[row] - tau * c[row], axis=1)
                 order = np.lexsort((far, row))
                 rows, index = np.unique(row[order], return_index=True)
-                self.hit[start + rows, k] = facet[order[index]]
-                self.t[start + rows, k] = t[order[index]]
+                hit[start + rows, k] = facet[order[index]]
+                at_hit[start + rows, k] = t[order[index]]
             for i, ends in enumerate((self.first, self.last)):
                 at = s[i][:, ends]
                 x = v0[ends, i][None] - a[:, None] - at[..., None] * c[:, None]
                 far = np.linalg.norm(x, axis=2)
                 far[~faces[:, ends] | (at <= END) | (at >= 1 - END)] = np.inf
                 best[i][some], foot[i][some] = far, at
+        self.hit, self.t = hit.tolist(), at_hit.tolist()
         # What is opposite of both ends of a facet of Γ1, where that is known
         self.walls: dict[tuple[int, int], Place] = {}
         # The facet of Γ1 that is nearest to each end of Γ0, and where its foot is
@@ -205,10 +206,10 @@ class _Rays:
 
     def at_end(self, facet: int, k: int) -> int:
         """Whether Γ0 ends where a ray meets it, and how: the parameter, or −1."""
-        e, t = self.hit[facet, k], self.t[facet, k]
-        if t == 0 and e in self.first:
+        e, t = self.hit[facet][k], self.t[facet][k]
+        if t == 0 and (self.first == e).any():
             return Fixed.START
-        return Fixed.END if t == 1 and e in self.last else -1
+        return Fixed.END if t == 1 and (self.last == e).any() else -1
 
 
 @dataclass
@@ -241,18 +242,18 @@ def _cover(fans: Fans, rays: _Rays, f: int, least: float) -> _Covered | None:
             position[k] = there[1]
             limits[k] = fans.crossing((there[0], f), 1, 1.0 - k, there[1])
             places.append((there[0], (Fixed.END, Fixed.START)[k]))
-        elif rays.hit[f, k] < 0:
+        elif rays.hit[f][k] < 0:
             return None
         else:
-            e = int(rays.hit[f, k])
+            e = rays.hit[f][k]
             parameter = rays.at_end(f, k)
             if parameter < 0:
-                parameter = fans.crossing((e, f), 0, float(k), float(rays.t[f, k]))
+                parameter = fans.crossing((e, f), 0, float(k), rays.t[f][k])
             places.append((e, parameter))
-    middle, e = None, int(rays.hit[f, Fixed.MIDDLE])
+    middle, e = None, rays.hit[f][Fixed.MIDDLE]
     if position[1] - position[0] > least and e >= 0:
         fans.whole.add(f)
-        middle = e, fans.crossing((e, f), 0, 0.5, float(rays.t[f, Fixed.MIDDLE]))
+        middle = e, fans.crossing((e, f), 0, 0.5, rays.t[f][Fixed.MIDDLE])
     owner = int(position[0] > 1 - position[1])
     return _Covered((limits[0], limits[1]), (places[0], places[1]), middle, owner)
 
@@ -298,7 +299,7 @@ def cast(
         fans.add(1, f, place[0], (*part.limits, place[1]), vertices)
     before, behind = (np.full(len(surface1.x), -1) for _ in range(2))
     before[end], behind[start] = np.arange(len(end)), np.arange(len(start))
-    kinks = _kinks(surface1)
+    before, behind, kinks = before.tolist(), behind.tolist(), _kinks(surface1).tolist()
     for a in range(len(surface1.x)):
         # Γ0 runs against Γ1: a fan goes from what is behind the vertex to what is before it
         ends: list[Place | None] = [None, None]
@@ -308,7 +309,7 @@ def cast(
                 ends[i] = part.middle
             elif part is not None and part.owner == 1 - i:
                 ends[i] = part.places[i]
-        _fan(fans, rays, covered, a, (int(before[a]), int(behind[a])), ends, bool(kinks[a]))
+        _fan(fans, rays, covered, a, (before[a], behind[a]), ends, kinks[a])
     return fans
 
 
