@@ -298,15 +298,15 @@ class PlaneOpening:
         )
 
 
-def _place(sides: Sides, u: Displacements, ends: list[_Wall], whole: frozenset[int]) -> _State:
+def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[int]) -> _State:
     """Find Σ at displacements, and its derivatives; the last one's whole edges have a say.
 
     Raises:
         InterfaceError: There is none.
     """
     surfaces = displaced(sides, u)
-    walls = [wall.ends for wall in ends if wall.is_between(surfaces)]
-    found = cast(*surfaces, whole, walls)
+    at_walls = [wall.ends for wall in walls if wall.is_between(surfaces)]
+    found = cast(*surfaces, whole, at_walls)
     if not found.base:
         mesh_strip(*surfaces)  # says why
         raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")

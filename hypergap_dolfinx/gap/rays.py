@@ -299,17 +299,17 @@ def cast(
         fans.add(1, f, place[0], (*part.limits, place[1]), vertices)
     before, behind = (np.full(len(surface1.x), -1) for _ in range(2))
     before[end], behind[start] = np.arange(len(end)), np.arange(len(start))
-    before, behind, kinks = before.tolist(), behind.tolist(), _kinks(surface1).tolist()
-    for a in range(len(surface1.x)):
+    kinks = _kinks(surface1).tolist()
+    for a, beside in enumerate(zip(before.tolist(), behind.tolist(), strict=True)):
         # Γ0 runs against Γ1: a fan goes from what is behind the vertex to what is before it
         ends: list[Place | None] = [None, None]
-        for i, f in enumerate((before[a], behind[a])):
+        for i, f in enumerate(beside):
             part = covered[f] if f >= 0 else None
             if part is not None and part.middle is not None:
                 ends[i] = part.middle
             elif part is not None and part.owner == 1 - i:
                 ends[i] = part.places[i]
-        _fan(fans, rays, covered, a, (before[a], behind[a]), ends, kinks[a])
+        _fan(fans, rays, covered, a, beside, ends, kinks[a])
     return fans
 
 
