@@ -76,6 +76,9 @@ class GapCells:
     piece."""
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets1,)``; see
+    :mod:`~hypergap_dolfinx.gap.coverage`."""
     degree: int
     """Degree of the φ_a that have on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]

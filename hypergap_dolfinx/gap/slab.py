@@ -26,6 +26,7 @@ from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.clip import COARSER, SNAP, TRIES, clip
+from hypergap_dolfinx.gap.coverage import covered_parts
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
@@ -342,10 +343,12 @@ def share(
             Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
             for own, other, *part in result
         ]
-    covered = np.zeros(len(surfaces[1].facets))
-    for slab in slabs:
-        facet = slab.sides[1].facets
-        covered += np.bincount(facet, slab.sides[1].shares, minlength=len(covered))
+    covered, least = covered_parts(
+        surfaces[1],
+        np.concatenate([slab.sides[1].facets for slab in slabs]),
+        np.vstack([slab.sides[1].X for slab in slabs]),
+        np.concatenate([slab.sides[1].shares for slab in slabs]),
+    )
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
@@ -367,6 +370,7 @@ def share(
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=patch,
         covered=covered,
+        least=least,
         degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
         straight=straight if straight.any() else None,
