@@ -249,7 +249,7 @@ def test_curved_outline(centre):
         ((pair),) = clip(*(Side.of(s, np.arange(len(s.facets))) for s in tie.domain.surfaces))
         for part in pair:
             each = np.repeat(np.arange(len(part.X)), len(points))
-            tangents = part.geometry(each, np.tile(points, (len(part.X), 1)))[1]
+            tangents = part.geometry(each)(np.tile(points, (len(part.X), 1)))[1]
             areas.append(
                 np.linalg.norm(np.cross(*np.moveaxis(tangents, 1, 0)), axis=1)
                 @ np.tile(weights, len(part.X))

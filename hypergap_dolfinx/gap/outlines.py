@@ -90,7 +90,17 @@ class Rim:
         if off.max() <= OFF:
             return True
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        return paired and bool(to_node.max() <= NEARLY)
+        return paired and bool(to_node.max() <= NEARLY) and not self._is_moved(other, nearest)
+
+    def _is_moved(self, other: "Rim", twin) -> bool:
+        """Whether its nodes are off their twins by one affine map: what a shift does, not noise."""
+        apart = other.x[twin] - self.x
+        terms = np.ones((len(self.x), 1))
+        if len(self.x) > 4:  # or an affine map could do whatever it is
+            middle = self.x - self.x.mean(axis=0)
+            terms = np.column_stack((terms, middle / np.abs(middle).max()))
+        left = apart - terms @ np.linalg.lstsq(terms, apart)[0]
+        return bool((_along(left, self.normal)[1] <= OFF * self.length).all())
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
