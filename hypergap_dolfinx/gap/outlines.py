@@ -87,20 +87,15 @@ class Rim:
         edge, s, off, nearest, to_node = self.off(other)
         if is_along(self.x, other.x, edge, s):
             return False
-        if off.max() <= OFF:
-            return True
-        paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        return paired and bool(to_node.max() <= NEARLY) and not self._is_moved(other, nearest)
+        return bool(off.max() <= OFF) or self._pairs(other, nearest, to_node) is not None
 
-    def _is_moved(self, other: "Rim", twin) -> bool:
-        """Whether its nodes are off their twins by one affine map: what a shift does, not noise."""
-        apart = other.x[twin] - self.x
-        terms = np.ones((len(self.x), 1))
-        if len(self.x) > 4:  # or an affine map could do whatever it is
-            middle = self.x - self.x.mean(axis=0)
-            terms = np.column_stack((terms, middle / np.abs(middle).max()))
-        left = apart - terms @ np.linalg.lstsq(terms, apart)[0]
-        return bool((_along(left, self.normal)[1] <= OFF * self.length).all())
+    def twins(self, other: "Rim") -> npt.NDArray[np.intp] | None:
+        """The node of another one that lies beside each of its nodes, None if they aren't pairs."""
+        return self._pairs(other, *self.off(other)[3:])
+
+    def _pairs(self, other: "Rim", nearest, to_node) -> npt.NDArray[np.intp] | None:
+        paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
+        return nearest if paired and to_node.max() <= NEARLY else None
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
@@ -129,21 +124,35 @@ def _along(apart, normal):
     return np.abs(height), np.linalg.norm(apart - height[:, None] * normal, axis=1)
 
 
-def differing(side0: Side, side1: Side) -> tuple[list[npt.NDArray[np.intp]], ...]:
+Loops = list[npt.NDArray[np.intp]]
+
+
+def differing(side0: Side, side1: Side) -> tuple[Loops, Loops]:
     """Loops of each side that have no counterpart on the other one."""
+    return compared(side0, side1)[:2]
+
+
+def compared(side0: Side, side1: Side) -> tuple[Loops, Loops, list[tuple[npt.NDArray, ...]]]:
+    """Loops of each side that have no counterpart on the other one, and the others of both.
+
+    Returns:
+        Those of Γ0, those of Γ1, and pairs of loops whose nodes lie beside each other.
+    """
     loops = [side.loops() for side in (side0, side1)]
     rims = [
         [Rim(side, loop) for loop in own] for side, own in zip((side0, side1), loops, strict=True)
     ]
     left = list(range(len(rims[1])))
-    alone = []
+    alone, paired = [], []
     for i, rim in enumerate(rims[0]):
         twin = next((j for j in left if rim.is_on(rims[1][j]) and rims[1][j].is_on(rim)), None)
         if twin is None:
             alone.append(loops[0][i])
         else:
             left.remove(twin)
-    return alone, [loops[1][j] for j in left]
+            if (nodes := rim.twins(rims[1][twin])) is not None:
+                paired.append((loops[0][i], loops[1][twin][nodes]))
+    return alone, [loops[1][j] for j in left], paired
 
 
 @dataclass(frozen=True)
