@@ -66,7 +66,9 @@ def aligned(side0: Side, side1: Side, loops: list[Loops]) -> tuple[Side, Side]:
         for place, own, nodes in zip(places, x, loop, strict=True):
             place[nodes] = own + _across(common - own, normal)
     vertices = zip(*loops, strict=True)
-    moved = [_with(*part) for part in zip(sides, map(np.concatenate, vertices), places, strict=True)]
+    moved = [
+        _with(*part) for part in zip(sides, map(np.concatenate, vertices), places, strict=True)
+    ]
     return moved[0], moved[1]
 
 

@@ -84,7 +84,9 @@ class Outline:
         both = np.concatenate((start, self.before[start]))
         edge, s = self._walk(both, np.tile(points, (2, 1)))
         triangle, places = self.triangle[edge], self._places(edge, s)
-        away = lengths((self.side.points(triangle, places).reshape(2, -1, 3) - points).reshape(-1, 3))
+        away = lengths(
+            (self.side.points(triangle, places).reshape(2, -1, 3) - points).reshape(-1, 3)
+        )
         n = len(points)
         nearer = np.arange(n) + np.where(away[n:] < away[:n], n, 0)
         return triangle[nearer], places[nearer]
