@@ -30,11 +30,15 @@ Loops = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
 def are_moved(side0: Side, side1: Side, loops: Loops) -> bool:
     """Whether one affine map takes a loop's nodes to those beside them: noise does not.
 
+    Curved pieces stay as they are: their outlines would also have to be bent alike.
+
     Args:
         side0: A piece of Γ0.
         side1: The one of Γ1 that faces it.
         loops: A loop of both.
     """
+    if any(side.surface.curved[side.facets].any() for side in (side0, side1)):
+        return False
     x, y = side0.x[loops[0]], side1.x[loops[1]]
     limit = OFF * lengths(np.roll(x, -1, axis=0) - x)
     apart, normal = y - x, side0.vertex_normals[loops[0]]

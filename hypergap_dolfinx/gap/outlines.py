@@ -78,24 +78,21 @@ class Rim:
             found.append((edge, s[each, edge], (distance - explained) / length, near, to_node))
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
-    def is_on(self, other: "Rim") -> bool:
+    def is_on(self, other: "Rim") -> tuple[bool, npt.NDArray[np.intp] | None]:
         """Whether its nodes lie on another one's edges, as far as straight edges can tell.
 
         It goes the other way round, as outlines of surfaces do that face each other: else these lie
         beside each other.
+
+        Returns:
+            That; and the other one's node beside each of its nodes, None if they aren't pairs.
         """
         edge, s, off, nearest, to_node = self.off(other)
         if is_along(self.x, other.x, edge, s):
-            return False
-        return bool(off.max() <= OFF) or self._pairs(other, nearest, to_node) is not None
-
-    def twins(self, other: "Rim") -> npt.NDArray[np.intp] | None:
-        """The node of another one that lies beside each of its nodes, None if they aren't pairs."""
-        return self._pairs(other, *self.off(other)[3:])
-
-    def _pairs(self, other: "Rim", nearest, to_node) -> npt.NDArray[np.intp] | None:
+            return False, None
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        return nearest if paired and to_node.max() <= NEARLY else None
+        twins = nearest if paired and to_node.max() <= NEARLY else None
+        return twins is not None or bool(off.max() <= OFF), twins
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
@@ -145,13 +142,15 @@ def compared(side0: Side, side1: Side) -> tuple[Loops, Loops, list[tuple[npt.NDA
     left = list(range(len(rims[1])))
     alone, paired = [], []
     for i, rim in enumerate(rims[0]):
-        twin = next((j for j in left if rim.is_on(rims[1][j]) and rims[1][j].is_on(rim)), None)
-        if twin is None:
-            alone.append(loops[0][i])
+        for j in left:
+            is_on, nodes = rim.is_on(rims[1][j])
+            if is_on and rims[1][j].is_on(rim)[0]:
+                left.remove(j)
+                if nodes is not None:
+                    paired.append((loops[0][i], loops[1][j][nodes]))
+                break
         else:
-            left.remove(twin)
-            if (nodes := rim.twins(rims[1][twin])) is not None:
-                paired.append((loops[0][i], loops[1][twin][nodes]))
+            alone.append(loops[0][i])
     return alone, [loops[1][j] for j in left], paired
 
 
