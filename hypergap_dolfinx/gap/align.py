@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.outlines import OFF
+from hypergap_dolfinx.gap.outlines import OFF, Beside
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.surface import lengths
 
@@ -23,11 +23,8 @@ CORNER = 0.1
 """Sine of an outline's turn from which it is a corner, where both its edges tell a node's place."""
 NEWTON = 4  # steps to a place in a bilinear facet
 
-Loops = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
-"""A loop of Γ0's outline, counterclockwise, and the node of Γ1 beside each of its nodes."""
 
-
-def are_moved(side0: Side, side1: Side, loops: Loops) -> bool:
+def are_moved(side0: Side, side1: Side, loops: Beside) -> bool:
     """Whether one affine map takes a loop's nodes to those beside them: noise does not.
 
     Curved pieces stay as they are: their outlines would also have to be bent alike.
@@ -52,7 +49,7 @@ def are_moved(side0: Side, side1: Side, loops: Loops) -> bool:
     return bool((lengths(_across(left, normal)) <= limit).all())
 
 
-def aligned(side0: Side, side1: Side, loops: list[Loops]) -> tuple[Side, Side]:
+def aligned(side0: Side, side1: Side, loops: list[Beside]) -> tuple[Side, Side]:
     """Both pieces with the nodes of some loops at the same places.
 
     Args:
@@ -66,7 +63,7 @@ def aligned(side0: Side, side1: Side, loops: list[Loops]) -> tuple[Side, Side]:
         x = [side.x[nodes] for side, nodes in zip(sides, loop, strict=True)]
         normal = side0.vertex_normals[loop[0]] - side1.vertex_normals[loop[1]]
         normal /= lengths(normal)[:, None]
-        common = _common(*x, normal)
+        common = _common(x[0], x[1], normal)
         for place, own, nodes in zip(places, x, loop, strict=True):
             place[nodes] = own + _across(common - own, normal)
     vertices = zip(*loops, strict=True)

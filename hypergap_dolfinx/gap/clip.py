@@ -146,7 +146,8 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
         NotFacingError: They have nothing in common.
         InterfaceError: Other parts are left of one than of the other.
     """
-    *alone, paired = compared(side0, side1)
+    alone0, alone1, paired = compared(side0, side1)
+    alone = alone0, alone1
     if not any(alone):
         moved = [loops for loops in paired if are_moved(side0, side1, loops)]
         return [aligned(side0, side1, moved) if moved else (side0, side1)]

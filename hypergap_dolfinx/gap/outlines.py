@@ -121,15 +121,17 @@ def _along(apart, normal):
     return np.abs(height), np.linalg.norm(apart - height[:, None] * normal, axis=1)
 
 
-Loops = list[npt.NDArray[np.intp]]
+Loop = npt.NDArray[np.intp]
+Beside = tuple[Loop, Loop]
+"""A loop of Γ0's outline, and the node of Γ1 beside each of its nodes."""
 
 
-def differing(side0: Side, side1: Side) -> tuple[Loops, Loops]:
+def differing(side0: Side, side1: Side) -> tuple[list[Loop], list[Loop]]:
     """Loops of each side that have no counterpart on the other one."""
     return compared(side0, side1)[:2]
 
 
-def compared(side0: Side, side1: Side) -> tuple[Loops, Loops, list[tuple[npt.NDArray, ...]]]:
+def compared(side0: Side, side1: Side) -> tuple[list[Loop], list[Loop], list[Beside]]:
     """Loops of each side that have no counterpart on the other one, and the others of both.
 
     Returns:
@@ -140,7 +142,8 @@ def compared(side0: Side, side1: Side) -> tuple[Loops, Loops, list[tuple[npt.NDA
         [Rim(side, loop) for loop in own] for side, own in zip((side0, side1), loops, strict=True)
     ]
     left = list(range(len(rims[1])))
-    alone, paired = [], []
+    alone: list[Loop] = []
+    paired: list[Beside] = []
     for i, rim in enumerate(rims[0]):
         for j in left:
             is_on, nodes = rim.is_on(rims[1][j])
