@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from mpi4py import MPI
 
@@ -21,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+import basix.ufl
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, raise_on_all, spot
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
@@ -84,6 +86,13 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
 
 
+@cache
+def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
+    """Of the geometry, at the points of a Gauss rule: small scenes ask for it more than they do."""
+    element = geometry.basix_element
+    return GapElement.with_quadrature(element, element, degree)
+
+
 def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
     """The least N · n of each cell with the surfaces' curved geometry, over its longest edge².
 
@@ -93,14 +102,14 @@ def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
     """
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
-    geometry = geometry_element(surfaces, k).basix_element
-    space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
+    element = geometry_element(surfaces, k)
+    points = element.basix_element.points
     v = slab.x[slab.cells]
     if nodes is None:
         each = np.arange(len(slab.cells))
-        nodes = interpolate_geometry(surfaces, slab.hosts(geometry.points, each))
-    x = straightened(nodes, geometry.points, marked(slab.cells, slab.straight), v)
-    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
+        nodes = interpolate_geometry(surfaces, slab.hosts(points, each))
+    x = straightened(nodes, points, marked(slab.cells, slab.straight), v)
+    tables = _tables(element, curved_rule(3, k, element.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
     return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
