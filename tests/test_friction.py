@@ -61,7 +61,7 @@ def slip_of(opening, sides, u, rng, positions):
 def test_slip(options):
     """A rotation's slip is the gap: so moments of friction balance where it is closed."""
     sides, u, rng = plane.scene(**options)
-    opening = PlaneOpening.between(comm, sides, u)
+    opening = PlaneOpening.between(sides, u, plane.free(sides))
     turned = slip_of(opening, sides, u, rng, plane._positions)
     close(turned[0], -opening.gap(u)[0], 1e-12)
 

@@ -22,6 +22,8 @@ from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
 
+CLOSED = 1e-9
+"""Gap of what is in contact, in sizes of facets, that is none."""
 FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
 
@@ -87,6 +89,8 @@ class ContactRows:
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        self.apart: npt.NDArray[np.float64] | None = None
+        """:attr:`distance` where the load step starts, if nothing pushes there."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
@@ -137,7 +141,7 @@ class ContactRows:
             self._follow()
         else:
             if self._first is None:
-                self.now.opening = self._contact.gaps(self.at)
+                self.now.opening = self._contact.gaps(self.at, self._held)
                 self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
@@ -154,7 +158,7 @@ class ContactRows:
         now = self.now
         try:  # the same on all ranks
             if now.opening is None:
-                now.opening = self._contact.gaps(self.u)
+                now.opening = self._contact.gaps(self.u, self._held)
             self.g, self.m, self.C = now.opening.gap(self.u)
         except NotFacingError:
             none = np.zeros(len(self._area))
@@ -195,6 +199,11 @@ class ContactRows:
     def distance(self) -> npt.NDArray[np.float64]:
         """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
         return np.divide(self.g, self.m, out=np.full_like(self.g, np.inf), where=self.valid)
+
+    @property
+    def closed(self) -> float:
+        """The length of gaps that are none."""
+        return CLOSED * float(self.sides[1].reference.size.max())
 
     @property
     def typical_area(self) -> float:
