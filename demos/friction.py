@@ -258,7 +258,7 @@ def draw(x, contact, pair, exact, inner, picture):
     fig.savefig(picture, dpi=150)
 
 
-def twist(comm, n=4):
+def twist(comm, n=3):
     """The torque of a cylinder that is turned on another one."""
     bodies = []
     for i in (0, 1):
