@@ -248,7 +248,7 @@ class Contact:
         rows = problem.rows(self)
         if rows.now.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.at, rows.now.p)
+        return self._opening(rows).smoothed(rows.at, rows.spread(rows.now.p))
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """The pressure between the bodies. Collective.
@@ -269,7 +269,7 @@ class Contact:
         rows = problem.rows(self)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.now.p * rows.now.on)
+        cells = self._opening(rows).cells(rows.at, rows.spread(rows.now.p * rows.now.on))
         return on_sigma(self._comm, cells, "pressure")
 
     def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:

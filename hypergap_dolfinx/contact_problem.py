@@ -209,7 +209,8 @@ class ContactProblem(ContactSystem):
         Where Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
         that was found remains. The first load step starts with the values at construction: set the
-        load after that.
+        load after that. In a time loop what is known of the last time step is among the values:
+        states between are on the way to the new one, they are none in time.
 
         Returns:
             The displacement of each body, the same functions as in ``u``.
