@@ -6,6 +6,7 @@
 """Contact between two surfaces: the user's door to gaps, pressures and forces."""
 
 import logging
+from collections.abc import Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -84,14 +85,7 @@ class Contact:
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
-        for side in (side0, side1):
-            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
-                raise ValueError("each side of a contact is a pair: a function space and facets.")
-            if not isinstance(side[0], fem.FunctionSpace):
-                raise ValueError(
-                    f"a contact's side is (function space, facets), not "
-                    f"({type(side[0]).__name__}, …)."
-                )
+        _check_sides(side0, side1)
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
@@ -137,11 +131,19 @@ class Contact:
             stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
                 facets differ by less than a tenth.
             options: Of the constructor.
+
+        Raises:
+            ValueError: A side that is no pair of a space and facets; moduli that are none.
+            InterfaceError: As the constructor.
         """
+        _check_sides(a, b)
         size = [_size(create_surface(*side, "a side")) for side in (a, b)]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
-            contrast = stiffness[1] / stiffness[0]
+            moduli = np.asarray(stiffness, dtype=float)
+            if moduli.shape != (2,) or not (np.isfinite(moduli) & (moduli > 0)).all():
+                raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
+            contrast = moduli[1] / moduli[0]
         if max(contrast, 1 / contrast) >= STIFF:
             swapped, why = contrast > 1, "far softer"
         elif max(ratio, 1 / ratio) > ALIKE:
@@ -286,6 +288,8 @@ class Contact:
             ValueError: A displacement that is not on its side's space.
             InterfaceError: Nothing of Γ1 is opposite Γ0.
         """
+        if not all(isinstance(u, fem.Function) for u in (u0, u1)):
+            raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
         if u0.function_space != self._spaces[0]:  # `between` may have swapped them
             u0, u1 = u1, u0
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
@@ -339,6 +343,17 @@ class Contact:
         f.x.array[at[mine] - start] = values[mine]
         f.x.scatter_forward()
         return f
+
+
+def _check_sides(*sides):
+    """Raise if they are no pairs of a space and facets."""
+    for side in sides:
+        if not isinstance(side, Sequence) or len(side) != 2:
+            raise ValueError("each side of a contact is a pair: a function space and facets.")
+        if not isinstance(side[0], fem.FunctionSpace):
+            raise ValueError(
+                f"a contact's side is (function space, facets), not ({type(side[0]).__name__}, …)."
+            )
 
 
 def _size(surface: Surface) -> float:

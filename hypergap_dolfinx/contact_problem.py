@@ -8,6 +8,7 @@
 import logging
 from collections.abc import Sequence
 from itertools import combinations
+from numbers import Real
 
 from mpi4py import MPI
 
@@ -99,15 +100,24 @@ class ContactProblem(ContactSystem):
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
-                condition on a space that belongs to no body; a rigid Γ1 that is finer than Γ0.
+            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
+                a test function; no contacts; a contact, tie or boundary condition on a space that
+                belongs to no body; a rigid Γ1 that is finer than Γ0; an rtol that is no number.
             InterfaceError: The same facets in two contacts, or in a contact and a tie.
         """
-        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+        if not all(isinstance(given, Sequence) for given in (F, u)) or not all(
+            isinstance(f, fem.Function) for f in u
+        ):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         if len(F) != len(u):
             raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
-        contacts = [contacts] if isinstance(contacts, Contact) else contacts
+        contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
+        if not contacts:
+            raise ValueError(
+                "there are no contacts; bodies without any are a NonlinearTiedProblem."
+            )
+        if not (isinstance(rtol, Real) and rtol >= 0):
+            raise ValueError(f"rtol is a number ≥ 0, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
         wrong = next((c for c in contacts if not isinstance(c, Contact)), None)

@@ -63,7 +63,7 @@ DEMOS = {
     ),
     "bouncing": Demo(
         "--height 0.1 --time 1.4 --step 0.02",
-        {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.12e-3},
+        {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.0915e-3},
         {"rows.*.iterations": 5, "bounces.*.gained": 0},
         accuracy=1e-2,
         pictures=("bouncing",),

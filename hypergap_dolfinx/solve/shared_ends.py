@@ -41,7 +41,7 @@ Sides = tuple[EndingSide, EndingSide]
 class _Places:
     """Nodes that are one, by ties or because nothing can move them."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._parent: dict[Hashable, Hashable] = {}
 
     def find(self, node: Hashable) -> Hashable:
@@ -69,7 +69,8 @@ def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArra
         For each contact the vertex that has each vertex's pressure, ``(num_vertices,)``; -1 if all
         of the surface is held.
     """
-    places, along = _Places(), {}
+    places = _Places()
+    along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
     for side in (side for sides in contacts for side in sides):
         normals = _vertex_normals(side.surface)
         for v in _ends(side.surface).tolist():
