@@ -8,7 +8,6 @@
 import logging
 from collections.abc import Sequence
 from itertools import combinations
-from numbers import Real
 
 from mpi4py import MPI
 
@@ -116,7 +115,7 @@ class ContactProblem(ContactSystem):
             raise ValueError(
                 "there are no contacts; bodies without any are a NonlinearTiedProblem."
             )
-        if not (isinstance(rtol, Real) and rtol >= 0):
+        if not (isinstance(rtol, float | int | np.floating) and rtol >= 0):
             raise ValueError(f"rtol is a number ≥ 0, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
