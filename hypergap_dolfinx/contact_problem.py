@@ -16,7 +16,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import progress
-from hypergap_dolfinx.contact import ALIKE, Contact
+from hypergap_dolfinx.contact import ALIKE, STIFF, Contact
 from hypergap_dolfinx.errors import (
     InterfaceError,
     InvertedCellError,
@@ -28,6 +28,7 @@ from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.matrices import mean_diagonal
 from hypergap_dolfinx.solve.path import LoadPath
 from hypergap_dolfinx.tie import Tie
 
@@ -235,6 +236,8 @@ class ContactProblem(ContactSystem):
         changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0
         self._prepare()
+        if not self._num_steps:
+            self._warn_of_stiffness(comm)
         done, size = 0.0, 1.0
         while done < 1:
             before = self._state()
@@ -287,6 +290,19 @@ class ContactProblem(ContactSystem):
             f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
             f"{num} of {every} vertices in contact"
         )
+
+    def _warn_of_stiffness(self, comm):
+        """Say which Γ1 is far stiffer than Γ0, and finer. Collective."""
+        size = [mean_diagonal(K) for K in self._K]
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            i, j = rows.bodies
+            if i is None or j is None or contact.finer <= ALIKE:
+                continue
+            if size[j] > STIFF * size[i] and comm.rank == 0:
+                LOG.warning(
+                    f"contact {c}: Γ1's body is far stiffer than Γ0's, with smaller facets; "
+                    "pressures will scatter: swap its sides (Contact.between with stiffness does)."
+                )
 
     def _warn_of_reach(self, comm):
         """Say which surfaces have nothing opposite."""

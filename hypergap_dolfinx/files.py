@@ -57,11 +57,9 @@ def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
         Functions on ``tie.sigma`` with one element, discontinuous: for ``VTXWriter`` and
         ``VTKFile``.
     """
-    u0, u1 = (
-        next(u for u in problem.u if u.function_space.contains(part.given))
-        for part in tie.components
-    )
-    gap, slip = tie.gap(u0, u1)
+    spaces = [u.function_space for u in problem.u]
+    bodies = (part.among(spaces) for part in tie.components)
+    gap, slip = tie.gap(*(problem.u[i] for i in bodies if i is not None))
     alpha = fem.Function(gap.function_space, name="alpha")
     alpha.interpolate(tie.alpha)
     fields = [alpha, tie.traction(problem), gap]

@@ -109,7 +109,7 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for t, tie in enumerate(ties):
         # The first tie on the same spaces: each has collapsed a component by itself
         first = next(s for s, other in enumerate(ties) if _on_the_same(tie, other))
-        if not tie.free_interior:
+        if not (tie.free_interior or tie.discontinuous):
             jump = tie.jump and tie.jump.key
             motion = tie.motion and tie.motion.key
             law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion

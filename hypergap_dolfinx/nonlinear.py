@@ -130,6 +130,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True  # a residual that is compared with others keeps its units
             self._check_motions()
+        self._constraints.read_jumps()
         self._constraints.compliances.update()  # the first residual comes before the first matrix
         with self._solver.options.in_use():
             self._snes.solve(None, self._x)

@@ -150,6 +150,7 @@ class TiedProblem(TiedSystem):
             prescribed.append(g)
         checks.check_finite(self._b_bodies, "the load")
         self._constraints.check_prescribed(prescribed)
+        self._constraints.read_jumps()
         for t, c in enumerate(self._b_ties):
             self._constraints.apply(t, prescribed, c)
             c.scale(-1.0)

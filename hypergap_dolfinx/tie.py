@@ -26,7 +26,8 @@ from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.gap.jump import Given, Jump, gaping, right_side
+from hypergap_dolfinx.gap.given import Given
+from hypergap_dolfinx.gap.jump import Jump, gaping, right_side
 from hypergap_dolfinx.gap.recovery import Recovery
 from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
 
@@ -80,6 +81,7 @@ class Tie(disposal.Owner):
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
         compliance: soft.Given | None = None,
+        discontinuous: bool = False,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -104,7 +106,9 @@ class Tie(disposal.Owner):
                 its radius): locate that face's facets before. Make a tie that adjusts before others
                 on the same mesh: they know where nodes are.
             close_gap: Whether the constraint is on positions instead of displacements: what gapes
-                or overlaps is pulled together, as in an interference fit. Needs displacements.
+                or overlaps is pulled together, as in an interference fit. Needs displacements. Of
+                curved surfaces with straight edges that is the gap between two polygons too; take
+                curved cells, or a jump of the interference.
             jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
                 ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
                 ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
@@ -115,10 +119,16 @@ class Tie(disposal.Owner):
             compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
                 thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
                 gives way, however little; a body that nothing else holds is held by it. One value,
-                or a pair: along Σ's normal and across it (0 ties across). Each is ≥ 0: a number, a
+                or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
+                lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
+                ≥ 0: a number, a
                 ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
                 of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
                 loop that sets it and solves again.
+            discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
+                Where both sides consist of several materials, traction jumps from one to the next:
+                give a tie for each material then, with this, its two surfaces ending at one place.
+                Without it λ is as smooth as Γ1, however many ties it is given as.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -163,8 +173,14 @@ class Tie(disposal.Owner):
         self._turn = motion.of_components(V1.value_shape) if motion else None
         self._interior = interior
         self._close_gap = close_gap
+        self._discontinuous = discontinuous
         self._swapped = False
         self._components = Component.of(V0), Component.of(V1)
+        if motion is not None and motion.turns and any(p.of_vector for p in self._components):
+            raise InterfaceError(
+                "a rotation turns vectors as a whole: tie the vector, not a component such as "
+                "V.sub(0)."
+            )
         self._spaces = self._components[0].space, self._components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
@@ -373,6 +389,11 @@ class Tie(disposal.Owner):
     def closes_gap(self) -> bool:
         """Whether the constraint is on positions."""
         return self._close_gap
+
+    @property
+    def discontinuous(self) -> bool:
+        """Whether λ ends where Γ1 does, though other ties go on there."""
+        return self._discontinuous
 
     @property
     def motion(self) -> Motion | None:

@@ -89,7 +89,7 @@ class Slab:
         return flux, wrong / size
 
 
-@pytest.mark.ranks(unit=[1.0])
+@two_ranks(unit=[1.0])
 @pytest.mark.parametrize("unit", (1e-9, 1.0, 1e9))
 def test_thermal_resistance(unit):
     """From tied to free in one problem; Γ1 is the side that conducts less, as advised."""
@@ -100,14 +100,12 @@ def test_thermal_resistance(unit):
             assert max(errors) <= 1e-12, (k, c, errors)
 
 
-@pytest.mark.ranks(2)
 def test_in_space():
     slab = Slab(3)
     for c in (0, 0.5, 1e12):
         assert max(slab.errors((1.0, 3.0), c)) <= 1e-12
 
 
-@two_ranks()
 def test_held_by_the_compliance():
     """A body that nothing else holds; its digits go as a motion's stiffness in K's round-off."""
     slab = Slab(flux=True)
@@ -169,6 +167,22 @@ def test_springs(c, interior):
     assert traction_error(p, t, bodies) <= 10 * SOLVED
 
 
+@two_ranks()
+def test_both_sides_prescribed():
+    """λ is what makes the interface give way so; it can't be without a compliance."""
+    bodies = blocks(degree=2)
+    c = fem.Constant(bodies[0].mesh, default_scalar_type(2.0))
+    t = tie(bodies, *TIED, compliance=(0.5, c), jump=(0.1, 0.2))
+    p = problem(bodies, [t], TIED, [(0, TOP, (0, 1)), (1, BOTTOM, (0, 1))])
+    p.solve()
+    q = t.quadrature(2)
+    exact = np.broadcast_to((-0.1 / 2.0, -0.2 / 0.5), q.x.shape)
+    np.testing.assert_allclose(q.evaluate(t.traction(p)), exact, atol=SOLVED)
+    c.value = 0.0
+    with raises(SolveError, "singular"):
+        p.solve()
+
+
 @two_ranks(how=["pair"], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("how", ("function", "callable", "pair"))
@@ -190,7 +204,7 @@ def test_fields(how, swap):
     assert error(p, stretched, turn) <= SOLVED
 
 
-@pytest.mark.ranks(same=[False])
+@two_ranks(same=[False])
 @pytest.mark.parametrize("same", (True, False))
 def test_pieces(same):
     """One interface in two pieces, and bodies that are tied to each other where these meet."""
@@ -271,8 +285,9 @@ def test_bad_input():
         (np.nan, "the compliance is nan"),
         (np.inf, "leave the tie out"),
         ((1, 2, 3), "one value, or a pair"),
-        ({"normal": 1.0}, "one value, or a pair"),
-        ("soft", "one value, or a pair"),
+        ({"normal": 1.0}, "given as numbers, a fem.Constant, .*, not as dict"),
+        ((1.0, None), "not as NoneType"),
+        (lambda x: None, "the callable gives NoneType, not numbers"),
         (fem.Constant(mesh, default_scalar_type((1.0, 2.0))), "the compliance is no number on Γ1"),
         (lambda x: 1 / 0, "no number on Γ1: division by zero"),
         (lambda x: 1 + 1j * x[0], "it has an imaginary part; a compliance is real"),

@@ -6,6 +6,7 @@
 """What contact can't do anything with gets one line that says what and how, on every rank."""
 
 import logging
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -121,7 +122,7 @@ def test_given_twice():
 
 
 @pytest.mark.ranks(2)
-def test_problem():
+def test_problem(caplog):
     scene = two()
     contact = Contact(*faces(scene))
     with raises(ValueError, "the contact is in no problem"):
@@ -159,6 +160,12 @@ def test_problem():
         contact.gap(scene.u[0], scene.u[0])
     with raises(ValueError, "not one of this problem's"):
         Contact(*faces(scene)).force(problem)
+    stiff = Assembly([scene.bodies[0], replace(scene.bodies[1], E=1e4)])
+    for i, tag in enumerate((meshes.BOTTOM, meshes.TOP)):
+        for component in (0, 1):
+            stiff.hold(i, component, tag)
+    stiff.problem([contact]).solve()
+    assert comm.rank > 0 or "contact 0: Γ1's body is far stiffer than Γ0's" in caplog.text
 
 
 @pytest.mark.ranks(2)

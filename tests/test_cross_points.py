@@ -72,7 +72,7 @@ def test_four_blocks(name, cells):
         for n, (x, y) in zip(cells, corners, strict=True)
     ]
     every = name in ALL_SIDES and cells in ((1, 1, 1, 1), (2, 3, 4, 5))
-    for swaps in sweep(sides(4), 3 if every else 7):
+    for swaps in sweep(sides(4), 5 if every else 11):
         check_ties(bodies, FOUR, swaps, [(0, BOTTOM, (0, 1))], degree)
 
 
@@ -106,7 +106,7 @@ def test_t_junction(name, cells, cut):
     all_fixed = ([(0, BOTTOM, (0, 1))], [(2, TOP, (0, 1)), (0, LEFT, (0,)), (2, LEFT, (0,))])
     every = list(product(sides(3), all_fixed))
     more = name in ALL_SIDES and cut == 0.5 and cells in ((1, 1, 1), (2, 3, 4))
-    for swaps, fixed in sweep(every, 3 if more else 7):
+    for swaps, fixed in sweep(every, 7 if more else 13):
         check_ties(bodies, pairs, swaps, fixed, degree)
 
 
@@ -124,7 +124,7 @@ def test_chain_of_ten(name, cells):
     all_swaps = ([False] * 9, [True] * 9, [False, True] * 4 + [False])
     all_held = (fixed[:1], fixed[:2], fixed[:1] + fixed[2:])
     every = list(product(all_swaps, all_held))
-    for swaps, held in sweep(every, 4 if name in ALL_SIDES and cells == (1, 2) else 8):
+    for swaps, held in sweep(every, 7 if name in ALL_SIDES and cells == (1, 2) else 13):
         check_ties(bodies, pairs, swaps, held, degree)
 
 

@@ -77,7 +77,7 @@ def relative_errors(us):
     for u in us:
         mesh = u.function_space.mesh
         exact, dx = field(ufl.SpatialCoordinate(mesh), ufl), ufl.dx(mesh, {"quadrature_degree": 6})
-        for i, f in enumerate((u - exact, exact)):
+        for i, f in enumerate((u - exact, fem.Function(u.function_space) - exact)):
             for j, g in enumerate((ufl.grad(f), f)):
                 squares[i, j] += fem.assemble_scalar(fem.form(ufl.inner(g, g) * dx))
     squares = comm.allreduce(squares)

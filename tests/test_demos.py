@@ -239,7 +239,7 @@ DEMOS = {
     "wave": Demo(
         "--degrees 1 2",
         {"0.error": 0.31441, "1.error": 2.0665e-3, "1.reflected": 7.980e-5},
-        {"*.ratio": 1.05},
+        {"*.ratio": 1.03},
         complex_numbers=True,
     ),
     "write_files": Demo("FOLDER", {"force.1": -0.1}, accuracy=1e-10, pictures=("write_files",)),

@@ -64,7 +64,7 @@ def error(p, jump):
     return comm.allreduce(wrong, MPI.MAX)
 
 
-@two_ranks(how=["callable", "below"])
+@two_ranks(how=["callable", "below"], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("how", ("array", "constant", "function", "below", "callable"))
 def test_slip(how, swap):
@@ -94,7 +94,6 @@ def test_slip(how, swap):
         np.testing.assert_allclose(q.evaluate(slip)[..., 0], sign * SLIP[0], atol=1e-11)
 
 
-@two_ranks(solver=["bodies"])
 @pytest.mark.parametrize("solver", ("direct", "bodies", "iterative"))
 def test_load_steps_factorise_once(solver):
     bodies = blocks()
@@ -115,7 +114,6 @@ def test_load_steps_factorise_once(solver):
     assert counts[0] == counts[-1] > 0
 
 
-@two_ranks()
 def test_between_keeps_the_direction():
     """The jump is the second side's over the first's, whichever becomes Γ1."""
     bodies = blocks()
@@ -147,7 +145,6 @@ def test_pieces(same):
     assert max(traction_error(p, t, bodies) for t in ties) <= 10 * SOLVED
 
 
-@pytest.mark.ranks(2)
 def test_solids():
     """Scalars in space: temperatures with a jump."""
     V, sides, a = [], [], []
@@ -228,7 +225,6 @@ def dislocated(n, tied=True):
     return comm.allreduce(error) ** 0.5
 
 
-@pytest.mark.ranks(2)
 def test_dislocation():
     """As exact as both halves with their exact displacements; those at the cut's ends jump too."""
     errors = [dislocated(n) for n in (4, 8)]
@@ -248,7 +244,11 @@ def test_bad_input():
         (1.0, "1 component given, the space has 2"),
         ((1, 2, 3), "3 components given"),
         ((np.nan, 0), r"the jump is .*nan.* it must be finite"),
-        ("wide", "the jump is no value on V₁"),
+        ("wide", "the jump is given as numbers, .*, not as str"),
+        (ufl.SpatialCoordinate(V.mesh), "not as a UFL expression; interpolate"),
+        ((fem.Function(V), 0), "not as a tuple with a Function"),
+        (lambda x: (None, 0), "the callable gives a tuple with NoneType, not numbers"),
+        (lambda x: (x[0], np.append(x[1], (0, 0))), "the callable gives .* values at .* points"),
         (fem.Constant(V.mesh, default_scalar_type(1.0)), "1 component given"),
         (lambda x: x, "3 components given"),
         (lambda x: 1 / 0, "no value on V₁: division by zero"),

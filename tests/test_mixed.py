@@ -127,7 +127,7 @@ def channel():
     return body((4, 3), (0, 0), slant=0.3), body((3, 5), (1, 0), slant=-0.3)
 
 
-@pytest.mark.ranks(swap=[False])
+@two_ranks(swap=[False])
 @pytest.mark.parametrize("swap", (False, True))
 def test_flow_through_a_channel(swap):
     """The parabola is in the space of the velocities; pressures aren't tied."""
@@ -188,7 +188,6 @@ def test_cross_point_of_bodies_with_and_without_pressure():
     assert np.linalg.svd(dense(problem.A), compute_uv=False).min() >= 1e-6
 
 
-@pytest.mark.ranks(2, interior=["interpolated"])
 @pytest.mark.parametrize("interior", ("interpolated", "free"))
 def test_displacement_and_temperature(interior):
     """A tie for each field of the same bodies, with different degrees and sides."""
@@ -292,7 +291,6 @@ def two_blocks():
     return blocks, [(blocks[0].V, blocks[0].facets(TOP)), (blocks[1].V, blocks[1].facets(BOTTOM))]
 
 
-@pytest.mark.ranks(2)
 def test_blocks_that_slide():
     """A tie of the normal displacements alone, between blocks that are pressed together."""
     blocks, ((V0, f0), (V1, f1)) = two_blocks()

@@ -20,7 +20,7 @@ from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 from meshes import BOTTOM, END, INNER, OUTER, START, TOP
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, cells=[(2, 5)])
 @pytest.mark.parametrize(
     "cells, degrees, stiffness, swapped, why",
     (
@@ -47,7 +47,7 @@ def test_between(cells, degrees, stiffness, swapped, why, caplog):
         assert why in caplog.text
 
 
-@pytest.mark.ranks(cell=["triangle"])
+@pytest.mark.ranks(2, cell=["triangle"], thin=[0])
 @pytest.mark.parametrize("thin", (0, 1))
 @pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
 def test_between_a_thin_layer_and_a_block(cell, thin, caplog):
@@ -114,7 +114,7 @@ def press(delta, degree, swap, n=8, *, jump=False, **options):
     return np.array([*radial, pressure])
 
 
-@pytest.mark.ranks(2, degree=[1])
+@pytest.mark.ranks(2, degree=[1], swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_interference_fit(degree, swap):
@@ -129,7 +129,7 @@ def test_interference_fit(degree, swap):
     assert np.abs(rates - 1).max() < 0.05
 
 
-@pytest.mark.ranks(2, swap=[True])
+@pytest.mark.ranks(2, swap=[True], bed=[5e-3])
 @pytest.mark.parametrize("swap, bed", ((False, 0), (True, 0), (False, 5e-3), (True, 5e-3)))
 def test_interference_as_a_jump(swap, bed):
     """First order in δ without a limit, also on a bed of springs: what is left is the meshes'."""

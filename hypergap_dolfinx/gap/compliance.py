@@ -8,6 +8,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
-from hypergap_dolfinx.gap import kernel
+from hypergap_dolfinx.gap import given, kernel
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.gap.surface import Surface, create_surface, lagrange_element
@@ -25,24 +26,25 @@ Given = Part | Sequence[Part]
 """What a compliance can be: one for all components, or the normal one and the tangential one."""
 
 
-def parts(value: Given) -> tuple[Part, ...]:
+def parts(value: Any) -> tuple[Part, ...]:  # Given, and what is none
     """The compliances: one, or the normal and the tangential one.
 
     Raises:
         ValueError: Other numbers of them.
     """
-    single = isinstance(value, fem.Constant | fem.Function) or callable(value)
-    if single or (np.ndim(value) == 0 and not isinstance(value, str | dict)):  # type: ignore[arg-type]
-        return (value,)  # type: ignore[return-value]
-    if isinstance(value, str | dict) or len(value) != 2:  # type: ignore[arg-type]
+    several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
+    found = tuple(value) if several else (value,)
+    if several and len(found) != 2:
         raise ValueError("compliance is one value, or a pair: the normal and the tangential one.")
-    return tuple(value)  # type: ignore[arg-type]
+    for part in found:
+        given.check(part, "a compliance")
+    return found
 
 
 def key(value: Given) -> Hashable:
     """Equal for compliances that are the same, whatever becomes of them."""
     return tuple(
-        id(part) if isinstance(part, fem.Constant | fem.Function) or callable(part) else float(part)
+        id(part) if given.is_read(part) else float(part)  # type: ignore[arg-type]
         for part in parts(value)
     )
 
@@ -165,11 +167,16 @@ class Compliance:
                     f"the compliance is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
                     f"finite{advice}."
                 )
-            varies = callable(part) and not isinstance(part, fem.Constant)  # UFL's are callable
+            varies = given.is_read(part) and not isinstance(part, fem.Constant)
             # Between nodes a polynomial may be negative
             found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
         raise_on_all(self._domain.mesh.comm, error, ValueError)
         return found
+
+    def gives_way(self) -> bool:
+        """Whether none is zero anywhere now. Collective."""
+        least = self.values().min(initial=np.inf)
+        return bool(self._domain.mesh.comm.allreduce(least, MPI.MIN) > 0)
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; of a function collective."""
@@ -182,8 +189,8 @@ class Compliance:
             return comm.allreduce(values)
         if isinstance(part, fem.Constant):
             return part.value
-        if callable(part):
-            return part(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
+        if given.is_read(part):
+            return given.each(given.at_points(part, x), len(x))
         return part
 
     def _along_normals(self, nodal: npt.NDArray, surface: Surface) -> npt.NDArray[np.float64]:

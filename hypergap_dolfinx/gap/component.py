@@ -9,6 +9,7 @@ All of ``gap/`` and most of ``solve/`` work on that space, with its own numberin
 where the body's numbering comes in.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -63,6 +64,16 @@ class Component:
     def overlaps(self, other: "Component") -> bool:
         """Whether one is a part of the other, or the same."""
         return self.given.contains(other.given) or other.given.contains(self.given)
+
+    def among(self, spaces: Iterable[fem.FunctionSpace]) -> int | None:
+        """Number of the body whose space has it, None if none has."""
+        return next((i for i, V in enumerate(spaces) if V.contains(self.given)), None)
+
+    @property
+    def of_vector(self) -> bool:
+        """Whether it is one component of a vector."""
+        of_blocks = self.given.dofmap.index_map_bs > self.space.dofmap.index_map_bs
+        return of_blocks or (len(self.given.component()) > 1 and self.given.value_shape == ())
 
     def of_body(self, values: npt.NDArray) -> npt.NDArray:
         """The field's among a body's owned values, ``(num_dofs_of_body, ...)``."""

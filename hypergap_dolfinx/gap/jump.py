@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """A prescribed jump, u₁ − u₀ = g: from what a user gives to values at the dofs of a side."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,21 +16,23 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.gap import given
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.surface import Surface
-
-Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
-"""What a jump can be: numbers, or what is read anew for each right-hand side."""
 
 
 @dataclass(frozen=True)
 class Jump:
     """A jump as it was given."""
 
-    value: Given
+    value: given.Given
     """Of the second side over the first."""
     sign: float = 1.0
     """−1 where the first side became Γ1."""
+
+    def __post_init__(self):
+        """Raise for what is no jump."""
+        given.check(self.value, "the jump")
 
     def reversed(self) -> "Jump":
         """The same jump, with the sides swapped."""
@@ -39,9 +41,9 @@ class Jump:
     @property
     def key(self) -> Hashable:
         """Equal for jumps that are the same, whatever becomes of them."""
-        if isinstance(self.value, fem.Constant | fem.Function) or callable(self.value):
+        if given.is_read(self.value):
             return self.sign, id(self.value)
-        return self.sign, tuple(np.ravel(self.value).tolist())
+        return self.sign, tuple(np.ravel(np.asarray(self.value)).tolist())
 
     @property
     def arrays(self) -> list[npt.NDArray]:
@@ -71,14 +73,14 @@ class Jump:
         value: Any = self.value
         side, error = 1, None
         if isinstance(value, fem.Function):
-            given = [part.own_function(value) for part in sides]
-            side = next((i for i in (1, 0) if given[i] is not None), -1)
+            functions = [part.own_function(value) for part in sides]
+            side = next((i for i in (1, 0) if functions[i] is not None), -1)
             if side < 0:
                 raise ValueError(
                     "the jump is a function on a space of neither side; interpolate it into one on "
                     "tie.spaces[1] first."
                 )
-            value = given[side]
+            value = functions[side]
         V, surface = sides[side].space, surfaces[side]
         start, end = surface.dof_range[V.mesh.comm.rank : V.mesh.comm.rank + 2]
         dofs, first = np.unique(surface.dofs, return_index=True)
@@ -109,24 +111,24 @@ class Jump:
             return value.x.array.reshape(-1, block_size)[own]
         if isinstance(value, fem.Constant):
             value = value.value
-        elif callable(value):
+        elif given.is_read(value):
             if not len(x):
                 return np.zeros((0, block_size))
-            value = value(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
+            value = given.at_points(value, x)
             if len(V.value_shape) == 2:
                 value = [component for row in value for component in row]
             scalar = V.value_shape == () and np.ndim(value) < 2
             parts = [value] if scalar else list(value)
             _check_number(len(parts), block_size)
-            return np.stack([np.broadcast_to(part, len(x)) for part in parts], axis=1)
+            return np.stack([given.each(part, len(x)) for part in parts], axis=1)
         flat = np.ravel(np.asarray(value))
         _check_number(len(flat), block_size)
         return np.broadcast_to(flat, (len(x), block_size))
 
 
-def _check_number(given: int, wanted: int):
-    if given != wanted:
-        raise ValueError(f"{given} component{'s'[: given > 1]} given, the space has {wanted}.")
+def _check_number(num: int, wanted: int):
+    if num != wanted:
+        raise ValueError(f"{num} component{'s'[: num > 1]} given, the space has {wanted}.")
 
 
 def gaping(B: Sequence[PETSc.Mat], sides: Sequence[Component], origin: npt.NDArray) -> npt.NDArray:

@@ -5,7 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Contact's Σ in the plane: the weighted gap of fans on the dofs of both sides."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,7 +20,7 @@ from hypergap_dolfinx.gap import fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
-from hypergap_dolfinx.gap.rays import Fixed, cast
+from hypergap_dolfinx.gap.rays import END, Fixed, cast
 from hypergap_dolfinx.gap.strip import mesh_strip
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
@@ -52,8 +54,28 @@ class _State:
     """Of the nodes at each crossing, ``(num_crossings, num_nodes0 + num_nodes1)``."""
     num: int
     """Number of variables: the nodes' and the parameters."""
+    whole: frozenset[int]
+    """Edges of Γ1 of which both vertices have a weight."""
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
+
+
+@dataclass(frozen=True)
+class _Wall:
+    """Ends of Γ0 and Γ1 that slide along one wall, as those of symmetry are."""
+
+    ends: tuple[int, int]
+    """Vertices of Γ1 and of Γ0."""
+    axis: int
+    """Coordinate in which both are held."""
+    size: float
+    """Of Γ1's facet there."""
+
+    def is_between(self, surfaces: tuple[Surface, Surface]) -> bool:
+        """Whether it is one wall where the surfaces are."""
+        a, b = self.ends
+        apart = surfaces[0].x[b, self.axis] - surfaces[1].x[a, self.axis]
+        return abs(apart) <= END * self.size
 
 
 @dataclass
@@ -65,23 +87,56 @@ class PlaneOpening:
     """
 
     sides: Sides
+    held: Sequence[npt.NDArray[np.bool_]]
+    """Which dofs of both sides are prescribed, ``(num_dofs_i, 2)`` each."""
     _last: _State | None = field(default=None, repr=False)
 
     @classmethod
-    def between(cls, comm: MPI.Comm, sides: Sides, u: Displacements) -> "PlaneOpening":
+    def between(
+        cls, sides: Sides, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]
+    ) -> "PlaneOpening":
         """Σ where the bodies are.
 
         Args:
-            comm: Communicator.
             sides: Γ0 and Γ1.
             u: Their displacements.
+            held: Which of them are prescribed.
 
         Raises:
             InterfaceError: They don't face each other.
         """
-        opening = cls(sides)
+        opening = cls(sides, held)
         opening._at(u)
         return opening
+
+    @cached_property
+    def _walls(self) -> list[_Wall]:
+        """Where ends of both sides are held in the coordinate along which their surfaces go."""
+        side0, side1 = self.sides
+        surfaces = side0.reference, side1.reference
+        (starts0, ends0), (starts1, ends1) = (
+            (np.setdiff1d(*s.facets.T), np.setdiff1d(*s.facets.T[::-1])) for s in surfaces
+        )
+        found = []
+        # Γ0 runs against Γ1
+        for mine, others in ((starts1, ends0), (ends1, starts0)):
+            for a in mine.tolist() if len(others) else ():
+                (f,) = np.nonzero((surfaces[1].facets == a).any(axis=1))[0]
+                edge = np.abs(np.diff(surfaces[1].x[surfaces[1].facets[f]], axis=0)[0])
+                axis = int(edge.argmax())
+                if not self._held_at(1, a)[axis]:
+                    continue
+                apart = np.abs(surfaces[0].x[others] - surfaces[1].x[a])
+                can = self._held_at(0, others)[:, axis] & (apart[:, axis] <= END * edge[axis])
+                if can.any():
+                    b = int(others[np.where(can, apart.sum(axis=1), np.inf).argmin()])
+                    found.append(_Wall((a, b), axis, float(edge[axis])))
+        return found
+
+    def _held_at(self, i: int, vertex) -> npt.NDArray[np.bool_]:
+        """Which components are prescribed at vertices of a side, ``(..., 2)``."""
+        side = self.sides[i]
+        return self.held[i][np.searchsorted(side.dofs, side.vertex_dofs[vertex])]
 
     @property
     def num_multipliers(self) -> int:
@@ -92,13 +147,18 @@ class PlaneOpening:
         """Σ where the bodies are, the last one if they haven't moved."""
         last = self._last
         if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
-            self._last = last = _place(self.sides, u)
+            whole = last.whole if last else frozenset()
+            self._last = last = _place(self.sides, u, self._walls, whole)
         return last
 
-    def _to_dofs(self, state: _State) -> PETSc.Mat:
-        """Derivatives of all variables by both sides' dofs, all components."""
-        if state.to_dofs is not None:
-            return state.to_dofs
+    @cached_property
+    def _nodes_by_dofs(self):
+        """Derivatives of the geometry's nodes by dofs, which stay the same.
+
+        Returns:
+            Rows, columns and values for each component; for each side the number of its first
+            node, values at a facet's nodes ``(node, dof)`` and its facets' dofs.
+        """
         i, j, values = [], [], []
         offset, start = 0, 0
         locals_ = []
@@ -119,10 +179,16 @@ class PlaneOpening:
         rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
         i = [(2 * rows + component) for component in (0, 1)]
         j = [(2 * columns + component) for component in (0, 1)]
-        values = [entries, entries]
+        return i, j, [entries, entries], locals_
+
+    def _to_dofs(self, state: _State) -> PETSc.Mat:
+        """Derivatives of all variables by both sides' dofs, all components."""
+        if state.to_dofs is not None:
+            return state.to_dofs
+        i, j, values, locals_ = ([*part] for part in self._nodes_by_dofs)
         first = state.crossings.first.reshape(len(state.numbers), -1, 2)
         at = 0
-        number = 2 * offset + len(Fixed) + np.arange(len(first))
+        number = state.num - len(first) + np.arange(len(first))
         for begin, table, dofs in locals_:
             some = slice(at, at + len(table))
             by = np.einsum("kmi,ma->kai", first[:, some], table)  # (crossing, dof, component)
@@ -132,7 +198,7 @@ class PlaneOpening:
                 j.append((2 * dofs[facet] + component).ravel())
                 values.append(by[..., component].ravel())
             at += len(table)
-        sizes = state.num, 2 * start
+        sizes = state.num, 2 * sum(len(side.dofs) for side in self.sides)
         parts = (np.concatenate(part) for part in (i, j, values))
         state.to_dofs = coo_matrix(MPI.COMM_SELF, sizes, *parts)
         return state.to_dofs
@@ -232,14 +298,15 @@ class PlaneOpening:
         )
 
 
-def _place(sides: Sides, u: Displacements) -> _State:
-    """Find Σ at displacements, and its derivatives.
+def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[int]) -> _State:
+    """Find Σ at displacements, and its derivatives; the last one's whole edges have a say.
 
     Raises:
         InterfaceError: There is none.
     """
     surfaces = displaced(sides, u)
-    found = cast(*surfaces)
+    at_walls = [wall.ends for wall in walls if wall.is_between(surfaces)]
+    found = cast(*surfaces, whole, at_walls)
     if not found.base:
         mesh_strip(*surfaces)  # says why
         raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
@@ -282,7 +349,8 @@ def _place(sides: Sides, u: Displacements) -> _State:
         cells.append(_Cells(index, gap, m, vertices[mine], x, rank))
     at_crossings = np.hstack((numbers(0, facets[:, 0]), numbers(1, facets[:, 1])))
     copy = u[0].copy(), u[1].copy()
-    return _State(copy, (cells[0], cells[1]), crossings, at_crossings, 2 * num_nodes + len(at))
+    num, both = 2 * num_nodes + len(at), (cells[0], cells[1])
+    return _State(copy, both, crossings, at_crossings, num, frozenset(found.whole))
 
 
 def _points(surface: Surface, facet, t) -> npt.NDArray[np.float64]:

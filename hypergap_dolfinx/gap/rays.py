@@ -11,6 +11,7 @@ the base of a cell with the ray's end as apex, of which the foot is the edge's m
 half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -30,6 +31,8 @@ KINK = 0.5
 FARTHER = 8.0
 """Longest way on Γ0 between neighbouring rays, in lengths of their edges."""
 CHUNK = 256  # edges of Γ1 at a time
+REACHED = 0.999
+"""Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
 
 
 class Fixed(IntEnum):
@@ -64,6 +67,8 @@ class Fans:
     """Reference coordinate on the other side."""
     guess: list[float] = field(default_factory=list)
     """Reference coordinate of what moves, if facets were straight."""
+    whole: set[int] = field(default_factory=set)
+    """Edges of Γ1 of which both vertices have a weight."""
 
     def crossing(self, facets: tuple[int, int], unknown: int, given: float, guess: float) -> int:
         """Add one; returns the number of its parameter."""
@@ -157,8 +162,8 @@ class _Rays:
         self.last = np.array([e[1] for e in open_ends], dtype=np.intp)
         t0 = v0[:, 1] - v0[:, 0]
         size0 = np.linalg.norm(t0, axis=1)
-        self.hit = np.full((num, 3), -1)  # facet of Γ0 at the start, the end and the middle
-        self.t = np.zeros((num, 3))  # where on it
+        hit = np.full((num, 3), -1)  # facet of Γ0 at the start, the end and the middle
+        at_hit = np.zeros((num, 3))  # where on it
         best = [np.full((num, len(ends)), np.inf) for ends in (self.first, self.last)]
         foot = [np.zeros((num, len(ends))) for ends in (self.first, self.last)]
         for start in range(0, num, CHUNK):
@@ -180,14 +185,17 @@ class _Rays:
                 far = np.linalg.norm(x - a[row] - tau * c[row], axis=1)
                 order = np.lexsort((far, row))
                 rows, index = np.unique(row[order], return_index=True)
-                self.hit[start + rows, k] = facet[order[index]]
-                self.t[start + rows, k] = t[order[index]]
+                hit[start + rows, k] = facet[order[index]]
+                at_hit[start + rows, k] = t[order[index]]
             for i, ends in enumerate((self.first, self.last)):
                 at = s[i][:, ends]
                 x = v0[ends, i][None] - a[:, None] - at[..., None] * c[:, None]
                 far = np.linalg.norm(x, axis=2)
                 far[~faces[:, ends] | (at <= END) | (at >= 1 - END)] = np.inf
                 best[i][some], foot[i][some] = far, at
+        self.hit, self.t = hit.tolist(), at_hit.tolist()
+        # What is opposite of both ends of a facet of Γ1, where that is known
+        self.walls: dict[tuple[int, int], Place] = {}
         # The facet of Γ1 that is nearest to each end of Γ0, and where its foot is
         self.cut: list[dict[int, tuple[int, float]]] = [{}, {}]
         for i, ends in enumerate((self.first, self.last)):
@@ -198,10 +206,10 @@ class _Rays:
 
     def at_end(self, facet: int, k: int) -> int:
         """Whether Γ0 ends where a ray meets it, and how: the parameter, or −1."""
-        e, t = self.hit[facet, k], self.t[facet, k]
-        if t == 0 and e in self.first:
+        e, t = self.hit[facet][k], self.t[facet][k]
+        if t == 0 and (self.first == e).any():
             return Fixed.START
-        return Fixed.END if t == 1 and e in self.last else -1
+        return Fixed.END if t == 1 and (self.last == e).any() else -1
 
 
 @dataclass
@@ -218,8 +226,8 @@ class _Covered:
     """Number of the vertex (0 or 1) that has all, if only one has."""
 
 
-def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
-    """What of an edge of Γ1 is covered."""
+def _cover(fans: Fans, rays: _Rays, f: int, least: float) -> _Covered | None:
+    """What of an edge of Γ1 is covered; by more than the least both vertices have a weight."""
     position, cut = [0.0, 1.0], [rays.cut[1].get(f), rays.cut[0].get(f)]
     if cut[0] is not None and cut[1] is not None and cut[0][1] >= cut[1][1]:
         # Two parts of Γ0 with a hole between them: the larger counts
@@ -227,35 +235,58 @@ def _cover(fans: Fans, rays: _Rays, f: int) -> _Covered | None:
     limits: list[int] = [Fixed.START, Fixed.END]
     places: list[Place] = []
     for k in (0, 1):
-        if (there := cut[k]) is not None:
+        if (f, k) in rays.walls:
+            position[k] = float(k)
+            places.append(rays.walls[f, k])
+        elif (there := cut[k]) is not None:
             position[k] = there[1]
             limits[k] = fans.crossing((there[0], f), 1, 1.0 - k, there[1])
             places.append((there[0], (Fixed.END, Fixed.START)[k]))
-        elif rays.hit[f, k] < 0:
+        elif rays.hit[f][k] < 0:
             return None
         else:
-            e = int(rays.hit[f, k])
+            e = rays.hit[f][k]
             parameter = rays.at_end(f, k)
             if parameter < 0:
-                parameter = fans.crossing((e, f), 0, float(k), float(rays.t[f, k]))
+                parameter = fans.crossing((e, f), 0, float(k), rays.t[f][k])
             places.append((e, parameter))
-    middle, e = None, int(rays.hit[f, Fixed.MIDDLE])
-    if position[1] - position[0] > COVERED and e >= 0:
-        middle = e, fans.crossing((e, f), 0, 0.5, float(rays.t[f, Fixed.MIDDLE]))
+    middle, e = None, rays.hit[f][Fixed.MIDDLE]
+    if position[1] - position[0] > least and e >= 0:
+        fans.whole.add(f)
+        middle = e, fans.crossing((e, f), 0, 0.5, rays.t[f][Fixed.MIDDLE])
     owner = int(position[0] > 1 - position[1])
     return _Covered((limits[0], limits[1]), (places[0], places[1]), middle, owner)
 
 
-def cast(surface0: Surface, surface1: Surface) -> Fans:
+def cast(
+    surface0: Surface,
+    surface1: Surface,
+    whole: Collection[int] = (),
+    walls: Sequence[tuple[int, int]] = (),
+) -> Fans:
     """Find Σ's cells between two surfaces where they are.
+
+    With a vertex' weight the bodies move a little: that one comes and another goes at one place
+    would leave places where neither is right.
+
+    Args:
+        surface0: Γ0.
+        surface1: Γ1.
+        whole: Edges of Γ1 of which both vertices had a weight.
+        walls: Vertices of Γ1 and of Γ0 that are opposite whatever the rays say: the ends at a wall.
 
     Raises:
         InterfaceError: A surface branches.
     """
     fans, path = Fans(), _Path.on(surface0)
     rays = _Rays(surface0, surface1, path)
+    for a, b in walls:
+        (f,), (k,) = np.nonzero(surface1.facets == a)
+        (e,), (i,) = np.nonzero(surface0.facets == b)
+        rays.walls[int(f), int(k)] = int(e), int(i)
     start, end = surface1.facets.T
-    covered = [_cover(fans, rays, f) for f in range(len(start))]
+    least = np.where(np.isin(np.arange(len(start)), list(whole)), COVERED, REACHED).tolist()
+    covered = [_cover(fans, rays, f, least[f]) for f in range(len(start))]
     for f, part in enumerate(covered):
         if part is None:
             continue
@@ -268,17 +299,17 @@ def cast(surface0: Surface, surface1: Surface) -> Fans:
         fans.add(1, f, place[0], (*part.limits, place[1]), vertices)
     before, behind = (np.full(len(surface1.x), -1) for _ in range(2))
     before[end], behind[start] = np.arange(len(end)), np.arange(len(start))
-    kinks = _kinks(surface1)
-    for a in range(len(surface1.x)):
+    kinks = _kinks(surface1).tolist()
+    for a, beside in enumerate(zip(before.tolist(), behind.tolist(), strict=True)):
         # Γ0 runs against Γ1: a fan goes from what is behind the vertex to what is before it
         ends: list[Place | None] = [None, None]
-        for i, f in enumerate((before[a], behind[a])):
+        for i, f in enumerate(beside):
             part = covered[f] if f >= 0 else None
             if part is not None and part.middle is not None:
                 ends[i] = part.middle
             elif part is not None and part.owner == 1 - i:
                 ends[i] = part.places[i]
-        _fan(fans, rays, covered, a, (int(before[a]), int(behind[a])), ends, bool(kinks[a]))
+        _fan(fans, rays, covered, a, beside, ends, kinks[a])
     return fans
 
 

@@ -21,8 +21,8 @@ from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.solve.checks import Coincidences
 from hypergap_dolfinx.solve.compliances import Compliances
 from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
+from hypergap_dolfinx.solve.extension import Extension
 from hypergap_dolfinx.solve.interface import Interface
-from hypergap_dolfinx.solve.matrices import nonzero_columns
 from hypergap_dolfinx.solve.multipliers import Choice, Columns, choose
 
 UNTIED = 1e-12
@@ -83,13 +83,15 @@ class ConstraintBlocks:
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
         self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
         self._full = self._pulled_back()
+        self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self._free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
         ]
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
-        for obj in chain(*(row.values() for row in self._rows), *self._full, *self._free):
+        wanted = self._wanted or []
+        for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
             if obj is not None:
                 obj.destroy()
         self.compliances.destroy()
@@ -130,8 +132,7 @@ class ConstraintBlocks:
             rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
             for tie, E in zip(self._ties, self._rows, strict=True):
                 if tie.motion is not None and g in E:
-                    own = E[g]
-                    rows[slice(None) if own is None else nonzero_columns(own)] = True
+                    rows[E[g].reached()] = True
             found.append(rows)
         return found
 
@@ -158,7 +159,7 @@ class ConstraintBlocks:
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
 
-        What it is to be, of jumps and of positions, is subtracted.
+        What it is to be, of jumps and of positions, is subtracted, as :meth:`read_jumps` found it.
 
         Args:
             g: Number of the interface.
@@ -169,16 +170,28 @@ class ConstraintBlocks:
         for u, B in zip(fields, self._full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
+        if self._wanted is None:
+            self.read_jumps()
+        wanted = self._wanted and self._wanted[g]
+        if wanted:
+            c.axpy(-1.0, wanted)
+
+    def read_jumps(self):
+        """Take the jumps as they are now. Collective."""
+        for wanted in filter(None, self._wanted or []):
+            wanted.destroy()
+        self._wanted = [None] * len(self._interfaces)
         for tie, row in zip(self._ties, self._rows, strict=True):
-            offset = tie.offset() if g in row else None
+            offset = tie.offset()
             if offset is None:
                 continue
-            offset.scale(-1.0)
-            E = row[g]
-            if E is None:
-                c.axpy(1.0, offset)
-            else:
-                E.multTransposeAdd(offset, c, c)
+            for g, E in row.items():
+                wanted = self._wanted[g]
+                if wanted is None:
+                    wanted = next(B for B in self._full[g] if B).createVecLeft()
+                    wanted.set(0.0)
+                    self._wanted[g] = wanted
+                E.add_transposed(offset, wanted)
             offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
@@ -219,10 +232,7 @@ class ConstraintBlocks:
         full = self._ties[t].blocks()[0].createVecLeft()
         full.set(0.0)
         for g, E in self._rows[t].items():
-            if E is None:
-                full.axpy(1.0, x[g])
-            else:
-                E.multAdd(x[g], full, full)
+            E.add(x[g], full)
         values = full.array_r.copy()
         full.destroy()
         return values.reshape(-1, self._ties[t].block_size)
@@ -231,7 +241,7 @@ class ConstraintBlocks:
         """Numbers of the components on both sides of a tie, among those that ties have."""
         found = []
         for side, part in enumerate(tie.components):
-            body = next((i for i, W in enumerate(self._spaces) if W.contains(part.given)), None)
+            body = part.among(self._spaces)
             if body is None:
                 raise ValueError(
                     f"Γ{side} of {self._names[t]} is on a space that is in no form; make the tie "
@@ -267,14 +277,14 @@ class ConstraintBlocks:
             marker[dofs[dofs < len(marker)]] = True
         return marker
 
-    def _extensions(self, t: int, choice: Choice) -> dict[int, PETSc.Mat | None]:
-        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g; None is the identity. Collective.
+    def _extensions(self, t: int, choice: Choice) -> dict[int, Extension]:
+        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g. Collective.
 
         Free interior nodes have multipliers of their own, which always remain.
         """
         tie, own = self._ties[t], self._of_tie.get(t)
         if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
-            return {own: None}
+            return {own: Extension()}
         comm, block_size = tie.sigma.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
@@ -283,7 +293,7 @@ class ConstraintBlocks:
         here = (start <= row) & (row < end)
         interior = np.setdiff1d(np.arange(start, end), row) if tie.free_interior else row[:0]
         offset = np.append(0, np.cumsum(comm.allgather(len(interior))))
-        found: dict[int, PETSc.Mat | None] = {}
+        found = {}
         for g in sorted({*group.tolist(), *([] if own is None else [own])}):
             mine = here & (group == g)
             rank = choice.columns[g].rank
@@ -296,7 +306,7 @@ class ConstraintBlocks:
                 columns = np.concatenate((columns, last + np.arange(len(interior))))
                 values = np.concatenate((values, np.ones(len(interior))))
                 num += len(interior)
-            found[g] = coo_matrix(comm, (end - start, num), rows, columns, values)
+            found[g] = Extension(coo_matrix(comm, (end - start, num), rows, columns, values))
         return found
 
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
@@ -306,7 +316,7 @@ class ConstraintBlocks:
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
-                    product = B.copy() if E is None else E.transposeMatMult(B)
+                    product = E.rows_of(B)
                     before = full[g][i]
                     if before is None:
                         full[g][i] = product

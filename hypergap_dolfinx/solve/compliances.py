@@ -12,20 +12,19 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.solve.extension import Extension
 from hypergap_dolfinx.solve.interface import Interface
 
 
 class Compliances:
     """−C of all interfaces: Σ_t E_tgᵀ C_t E_th, with values that may change."""
 
-    def __init__(
-        self, ties: Sequence[Interface], rows: Sequence[dict[int, PETSc.Mat | None]], num: int
-    ):
+    def __init__(self, ties: Sequence[Interface], rows: Sequence[dict[int, Extension]], num: int):
         """Make the blocks, with the values of now. Collective.
 
         Args:
             ties: The ties.
-            rows: E of each tie by interface; None is the identity.
+            rows: E of each tie by interface.
             num: Number of interfaces.
         """
         self._soft = [(tie.compliance, row) for tie, row in zip(ties, rows) if tie.compliance]
@@ -58,14 +57,12 @@ class Compliances:
         for (soft, row), values in zip(self._soft, self._values, strict=True):
             C = soft.matrix(values)
             for g, E in row.items():
-                left = C if E is None else E.transposeMatMult(C)
+                left = E.rows_of(C)
                 for h, F in row.items():
-                    product = left if F is None else left.matMult(F)
+                    product = F.columns_of(left)
                     self._subtract(g, h, product)
-                    if F is not None:
-                        product.destroy()
-                if E is not None:
-                    left.destroy()
+                    product.destroy()
+                left.destroy()
             C.destroy()
 
     def _subtract(self, g: int, h: int, C: PETSc.Mat):

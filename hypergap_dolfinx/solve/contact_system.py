@@ -138,6 +138,7 @@ class ContactSystem(NonlinearSystem):
             SolveError: It failed.
         """
         self._assign(self._x)
+        self._constraints.read_jumps()
         before: list[npt.NDArray] = []
         for step in range(STEPS + 1):
             for rows in self._rows:

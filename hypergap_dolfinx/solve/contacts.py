@@ -115,7 +115,7 @@ class ContactRows:
             self._follow()
         else:
             if self._first is None:
-                self.now.opening = self._contact.gaps(self.at)
+                self.now.opening = self._contact.gaps(self.at, self._held)
                 self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
@@ -133,7 +133,7 @@ class ContactRows:
         now = self.now
         try:  # the same on all ranks
             if now.opening is None:
-                now.opening = self._contact.gaps(self.u)
+                now.opening = self._contact.gaps(self.u, self._held)
             self.g, self.m, self.C = now.opening.gap(self.u)
         except NotFacingError:
             none = np.zeros(len(self._area))

@@ -63,6 +63,10 @@ class Interface(Protocol):
         """Whether the constraint is on positions."""
 
     @property
+    def discontinuous(self) -> bool:
+        """Whether λ ends where Γ1 does, though other ties go on there."""
+
+    @property
     def motion(self) -> Motion | None:
         """What carries Γ0 to Γ1, of a tie across a distance."""
 
@@ -138,5 +142,5 @@ class ContactInterface(Protocol):
     def depth(self) -> float:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
 
-    def gaps(self, u: Displacements) -> Gaps:
-        """Find the gaps where the bodies are. Collective."""
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Gaps:
+        """Find the gaps where the bodies are, of which some displacements are prescribed."""

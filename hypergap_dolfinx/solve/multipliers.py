@@ -19,10 +19,12 @@ Three rules lead there:
 
 1. λ belongs to a surface. Where several ties lie on one smooth piece of a body's surface, and the
    bodies opposite are one or tied to each other there, the multipliers at one place are *one*.
-   So pieces between the same two bodies are one interface, however many ties it is given as.
+   So pieces between the same two bodies are one interface, however many ties it is given as,
+   unless they are said to be discontinuous: then their ends are as cross points.
 2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
    that is prescribed, or that another interface uses too: there λ follows its neighbours, as in
-   mortar methods with cross points.
+   mortar methods with cross points. (Where a compliance says what λ is between two sides that are
+   prescribed, no dof has to answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches.
 """
@@ -35,6 +37,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.constraint import triplets
 from hypergap_dolfinx.gap.multipliers import smooth_pieces
 from hypergap_dolfinx.graph import components
 from hypergap_dolfinx.solve.every import SAME_PLACE, Every, Pair, prescribed_dofs
@@ -132,7 +135,7 @@ def _merge(every: Every, users) -> npt.NDArray[np.int32]:
         s, t = every.tie[a], every.tie[b]
         if s == t or alike[s] != alike[t]:
             return False
-        if ties[s].free_interior or ties[t].free_interior:
+        if any(ties[i].free_interior or ties[i].discontinuous for i in (s, t)):
             return False
         if every.body(s, side) != every.body(t, side):
             return False
@@ -238,11 +241,35 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
             for tie, pair, lists in zip(ties, bodies, every.lists, strict=True)
         ]
     )
+    held &= ~np.vstack([_from_compliance(every, t, prescribed) for t in range(len(ties))])
     gone = _at_cross_points(every, users, label, members) | ~_covered(every, label, members)
     drop = held | gone[:, None]
     for same in members.values():
         drop[same] = held[same].all(axis=0) | gone[same].any()
     return _Assembly(every, groups, label, held, drop, prescribed).choice()
+
+
+def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
+    """Which multipliers of a tie −C λ alone says, since all else in their rows is prescribed.
+
+    Collective.
+
+    Returns:
+        ``(num_multipliers, block_size)``.
+    """
+    tie = every.ties[t]
+    fixed = np.zeros((len(every.lists[t].dofs), tie.block_size), dtype=bool)
+    if tie.free_interior or tie.compliance is None or not tie.compliance.gives_way():
+        return fixed
+    order = np.argsort(tie.constraint.rows)
+    moves = fixed.copy()
+    for side, body in enumerate(every.bodies[t]):
+        dofs = np.unique(every.touched[t][side])
+        free = ~prescribed_dofs(tie, side, prescribed[body], dofs)
+        i, j, _ = triplets(tie.constraint.B[side])
+        m = order[np.searchsorted(tie.constraint.rows[order], i)]
+        np.logical_or.at(moves, m, free[np.searchsorted(dofs, j)])
+    return ~tie.sigma.comm.allreduce(moves)  # of truth values the sum is "or"
 
 
 class _Assembly:

@@ -1,0 +1,83 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What users give as values on an interface: numbers, or what is read anew each time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem
+
+Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
+
+
+def is_read(value: Any) -> bool:
+    """Whether it is read anew each time: a function, a constant, or a callable of x."""
+    if isinstance(value, fem.Constant | fem.Function):
+        return True
+    return callable(value) and not isinstance(value, ufl.core.expr.Expr | type)  # UFL's are too
+
+
+def check(value: Any, what: str):
+    """Raise for what can't be values on an interface.
+
+    Args:
+        value: What was given.
+        what: What the message calls it.
+
+    Raises:
+        ValueError: With its type.
+    """
+    wrong = None if is_read(value) else _no_number(value)
+    if wrong:
+        raise ValueError(
+            f"{what} is given as numbers, a fem.Constant, a fem.Function or a callable of x, not "
+            f"as {wrong}; interpolate expressions into a function first."
+        )
+
+
+def at_points(function: Callable[[npt.NDArray], Any], x: npt.NDArray) -> Any:
+    """What a callable gives at points.
+
+    Args:
+        function: The callable.
+        x: ``(num_points, n)``.
+
+    Raises:
+        ValueError: It gives no numbers.
+    """
+    values = function(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
+    wrong = _no_number(values)
+    if wrong:
+        raise ValueError(f"the callable gives {wrong}, not numbers.")
+    return values
+
+
+def each(values: npt.ArrayLike, num: int) -> npt.NDArray:
+    """One value at all points, or one at each.
+
+    Raises:
+        ValueError: Other numbers of them.
+    """
+    values = np.asarray(values)
+    if values.shape not in ((), (1,), (num,)):
+        raise ValueError(f"the callable gives {values.shape} values at {num} points.")
+    return np.broadcast_to(values, num)
+
+
+def _no_number(value: Any) -> str | None:
+    """The type of something in a value that is no number. Entry by entry: NumPy tries UFL's."""
+    if isinstance(value, list | tuple):
+        wrong = next(filter(None, map(_no_number, value)), None)
+        return wrong and f"a {type(value).__name__} with {wrong}"
+    if isinstance(value, ufl.core.expr.Expr):
+        is_read = isinstance(value, fem.Constant | fem.Function)
+        return f"a {type(value).__name__}" if is_read else "a UFL expression"
+    dtype = value.dtype if isinstance(value, np.ndarray) else np.asarray(value).dtype
+    return None if np.issubdtype(dtype, np.number) else type(value).__name__
