@@ -8,7 +8,8 @@
 # tests and the pressurised cylinder are repeated along one axis after the other, in 2D and 3D, with
 # elements of degree 1 and 2 and both sides as Γ1. The same problem on one fused mesh tells what the
 # bodies' own conditioning costs: a row is met when its error is below its bound, or when the fused
-# mesh shows a tenth of it or more.
+# mesh shows a tenth of it or more. Contact has rows of its own: a block that nothing else holds,
+# and a die that irons.
 
 # +
 import argparse

@@ -18,16 +18,20 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Pressed, Touching, owned_values
+from hypergap_dolfinx.solve.contacts import (
+    ContactRows,
+    Pressed,
+    Touching,
+    owned_values,
+    share_ends,
+)
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.options import Options
-from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -80,31 +84,9 @@ class ContactSystem(NonlinearSystem):
         self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
         held = self._constraints.prescribed
         self._rows = [ContactRows(contact, held) for contact in touching]
-        self._share_ends(pieces)
+        share_ends(self._rows, pieces.interfaces)
         self._free: FreeMotions | None = None
         self._iterations = 0
-
-    def _share_ends(self, pieces: Pieces):
-        """Find vertices of Γ1 where ties, supports or other contacts hold the gap already."""
-        spaces: list[fem.FunctionSpace] = []
-
-        def number(V: fem.FunctionSpace) -> int:
-            if V not in spaces:
-                spaces.append(V)
-            return spaces.index(V)
-
-        contacts, ties = [], []
-        for rows in self._rows:
-            side0, side1 = (rows.ending(i, number(V)) for i, V in enumerate(rows.spaces))
-            contacts.append((side0, side1))
-        for tie in pieces.interfaces:
-            side0, side1 = (
-                EndingSide(number(V), surface, MovingSurface(surface).vertex_dofs)
-                for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
-            )
-            ties.append((side0, side1))
-        for rows, lender in zip(self._rows, lenders(contacts, ties), strict=True):
-            rows.lender = lender
 
     def _prepare(self):
         """Once: what nothing but contact holds. Collective."""

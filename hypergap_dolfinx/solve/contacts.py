@@ -16,12 +16,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import Displacements, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
-from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
-from hypergap_dolfinx.solve.shared_ends import EndingSide
+from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
+from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
@@ -287,6 +287,34 @@ class ContactRows:
         """This rank's active rows of values of all multipliers."""
         rows = self.order()
         return values[rows[self._rank[rows] == self._comm.rank]]
+
+
+def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
+    """Find vertices of Γ1 whose gap ties, supports or other contacts hold already.
+
+    Args:
+        contacts: The contacts of a problem; what they lend is set.
+        interfaces: Its ties.
+    """
+    spaces: list[fem.FunctionSpace] = []
+
+    def number(V: fem.FunctionSpace) -> int:
+        if V not in spaces:
+            spaces.append(V)
+        return spaces.index(V)
+
+    sides, tied = [], []
+    for rows in contacts:
+        side0, side1 = (rows.ending(i, number(V)) for i, V in enumerate(rows.spaces))
+        sides.append((side0, side1))
+    for tie in interfaces:
+        side0, side1 = (
+            EndingSide(number(V), surface, MovingSurface(surface).vertex_dofs)
+            for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
+        )
+        tied.append((side0, side1))
+    for rows, lender in zip(contacts, lenders(sides, tied), strict=True):
+        rows.lender = lender
 
 
 def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:

@@ -157,18 +157,21 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
 def _neighbours(surface: Surface, lost: Sequence[int]) -> npt.NDArray[np.intp]:
     """The nearest vertex that isn't lost for each that is, along the surface; -1 without any."""
     result = np.arange(len(surface.x))
+    if not lost:
+        return result
     result[list(lost)] = -1
-    pairs = {
-        tuple(edge) for f in surface.facets.tolist() for edge in ((a, b) for a in f for b in f)
-    }
-    open_, before = list(lost), -1
-    while open_ and len(open_) != before:
-        before, given = len(open_), {}
-        for v in open_:
-            around = [b for a, b in pairs if a == v and b != v and result[b] >= 0]
+    beside: dict[int, set[int]] = {v: set() for v in lost}
+    for facet in surface.facets[np.isin(surface.facets, lost).any(axis=1)].tolist():
+        for v in beside.keys() & set(facet):
+            beside[v].update(facet)
+    left, before = list(lost), -1
+    while left and len(left) != before:
+        before, given = len(left), {}
+        for v in left:
+            around = [b for b in sorted(beside[v]) if result[b] >= 0]
             if around:
                 away = np.linalg.norm(surface.x[around] - surface.x[v], axis=1)
-                given[v] = result[min(zip(away.tolist(), around, strict=True))[1]]
+                given[v] = result[around[int(away.argmin())]]
         result[list(given)] = list(given.values())
-        open_ = [v for v in open_ if v not in given]
+        left = [v for v in left if v not in given]
     return result
