@@ -118,6 +118,34 @@ def test_matching_outlines_are_not_cut():
     assert clip(*sides) == [sides]
 
 
+MOVED = {
+    "along edges": (placed(0, 1, (0.5 + 1e-6, 0.5)), 1 - 1e-6),
+    "shifted": (placed(0, 1, (0.5 + 1e-6, 0.5 - 4e-7)), (1 - 1e-6) * (1 - 4e-7)),
+    "stretched": (placed(0, (1 + 1e-6, 1 - 1e-6), (0.5, 0.5)), 1 - 1e-6),
+    "turned": (placed(np.degrees(1e-6), 1, (0.5, 0.5)), 1 - 5e-7),
+}
+
+
+@pytest.mark.parametrize("scene", MOVED)
+def test_matching_meshes_moved_by_next_to_nothing(scene):
+    """Outlines are made one without new nodes; the turned one's nodes are inside of both."""
+    place, exact = MOVED[scene]
+    one, other = square(4), square(4, place)
+    check(one, other, exact, 5.1e-7 if scene == "turned" else 1e-14)
+    (pair,) = clip(side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1]))
+    assert [len(piece.x) for piece in pair] == [25, 25]
+    assert len(slab.fill(pair).cells) == 3 * 32
+    apart = np.linalg.norm(pair[0].x[:, None] - pair[1].x, axis=2).min(axis=1)
+    assert (apart < 1e-15).sum() in (16, 17)  # the outlines' nodes, and what doesn't move
+
+
+def test_noise_is_not_cut_off():
+    noise = 1e-6 * np.random.default_rng(0).uniform(-1, 1, (25, 3))
+    one, other = square(4), square(4, lambda x: x + noise)
+    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
+    assert clip(*sides) == [sides]
+
+
 def test_two_patches_and_a_hole():
     x, t = square(6)
     low, high = x[t].min(axis=1)[:, :2], x[t].max(axis=1)[:, :2]

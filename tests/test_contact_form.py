@@ -154,6 +154,24 @@ def test_without_pull_on_surface():
     assert (active.without_pull_on_surface(before, before, facets, force) == before).all()
 
 
+def test_as_near():
+    """A sphere that touches where r < b instead of r < a, held by the same force."""
+    x = np.stack(np.meshgrid(*2 * [np.linspace(-2, 2, 81)]), axis=-1).reshape(-1, 2)
+    r, a, b = np.linalg.norm(x, axis=1), 0.61, 1.71
+    depth = np.sqrt(np.maximum(b**2 - r**2, 0))
+    before = depth > 0
+    force = np.where(before, depth - (b**3 - a**3) / (3 * b) / np.maximum(depth, 1e-3), 0)
+    scatter = np.random.default_rng(0).permutation(len(r)) % 7 == 0
+    now = before & (force > 0) & ~scatter
+    result = active.as_near(before, now, r**2, force, 1e-9)
+    assert (result == before & (r <= r[result].max())).all()  # whole again
+    assert abs(r[result].max() / a - 1) <= 0.05
+    assert active.as_near(before, now, 1e-12 * r**2, force, 1e-9) is now  # all as near
+    assert active.as_near(before, now, r**2, np.maximum(force, 0), 1e-9) is now
+    assert active.as_near(before, now, r**2, -before.astype(float), 1e-9) is now
+    assert active.as_near(before, now, np.full(len(r), np.inf), force, 1e-9) is now
+
+
 def test_without_pull():
     """An end that pulls takes with it what balances it, whatever scatters there."""
     facets = np.column_stack((np.arange(8), np.arange(1, 9)))

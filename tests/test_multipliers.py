@@ -13,6 +13,8 @@ from assembly import comm, dense, linear, problem, rectangle, tie
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
+from hypergap_dolfinx.gap.coverage import covered_parts
+from hypergap_dolfinx.gap.surface import create_surface
 from hypergap_dolfinx.solve.replacements import CONSISTENT, INDEPENDENT, Rows
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
@@ -109,3 +111,17 @@ def test_rows():
         assert rows.add(columns, row, np.linalg.norm(row), CONSISTENT) == (not taken)
     # What a row loses with its prescribed columns may leave nothing of it
     assert not Rows().add(columns, np.array((0.0, 0.0, 0.1)), 1.0)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("degree, least", ((1, 1.07e-2), (2, 1.6e-4), (3, 1.8e-6)))
+def test_least_share(degree, least):
+    """Of an edge that is covered up to .3, once in one piece and once in two; of whole edges."""
+    body = rectangle((4, 1), (0, 0), (1, 1), cell="quadrilateral", degree=degree)
+    surface = create_surface(body.V, body.facets(TOP), "Γ1")
+    ends = np.array([(0.0, 0.3), (0.3, 0.1), (0.1, 0.0), (0.0, 1.0)])
+    pieces, shares = np.array([0, 1, 1, 2]), np.array([0.3, 0.2, 0.1, 1.0])
+    covered, found = covered_parts(surface, pieces, ends[:, :, None], shares)
+    np.testing.assert_allclose(covered, (0.3, 0.3, 1, 0))
+    np.testing.assert_allclose(found, (least, least, 1, 0), rtol=0.05)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)

@@ -117,10 +117,7 @@ def test_patch(cells, scene, degree, swap):
     l2, s, traction = solve(SCENES[scene], degree, swap, cells, sheared)
     print(l2, s, traction)
     assert max(l2, s) <= 1e-11
-    # A Q2 facet covered by 31 %: its trace's mass there has eigenvalues 1e-5 apart, and λ is seen
-    # from 8.1e-10 to 1.26e-9
-    ill = (cells, scene, degree, swap) == ("on hexes", "over a corner", 2, True)
-    assert traction <= (3e-8 if ill else 1e-9)
+    assert traction <= 1e-9  # with multipliers on a corner with 31 % of a Q2 facet .8 to 1.3e-9
 
 
 CUTS = (1e-12, 1e-9, 5e-9, 1.1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.29, 0.31, 0.5, 0.9)
@@ -144,6 +141,17 @@ def test_narrow_cuts(cut, degree, swap, kind):
     print(cut, l2, s, traction)
     assert l2 <= 5e-10
     assert traction <= 1e-6
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("cells", sweep(list(CELLS), 2))
+def test_matching_meshes_moved_by_next_to_nothing(cells, shift=1e-7):
+    """Tied node to node they have errors of 0.3 times the shift."""
+    scene = 0, 1, (0.5 + 0.83 * shift / 4, 0.5 - 0.37 * shift / 4)
+    l2, s, traction = solve(scene, 2, False, cells, n=((4, 4, 1), (4, 4, 1)))
+    print(l2, s, traction)
+    assert l2 <= 6e-3 * shift
+    assert traction <= 6 * shift
 
 
 def on_cylinder(x):
@@ -249,7 +257,7 @@ def test_curved_outline(centre):
         ((pair),) = clip(*(Side.of(s, np.arange(len(s.facets))) for s in tie.domain.surfaces))
         for part in pair:
             each = np.repeat(np.arange(len(part.X)), len(points))
-            tangents = part.geometry(each, np.tile(points, (len(part.X), 1)))[1]
+            tangents = part.geometry(each)(np.tile(points, (len(part.X), 1)))[1]
             areas.append(
                 np.linalg.norm(np.cross(*np.moveaxis(tangents, 1, 0)), axis=1)
                 @ np.tile(weights, len(part.X))
@@ -274,7 +282,9 @@ def test_curved(surface, degree, swap):
     coarse, fine = (curved(SURFACES[surface], degree, swap, level) for level in (1, 2))
     whole = curved(SURFACES[surface], degree, swap, 2, (0, (1.2, 1.2), (0, 0)), 8)
     print(coarse, fine, np.log2(coarse / fine), fine / whole)
-    # Degree 1, the plate's face loaded, not held: 1.77 to 1.83, 1.86 on the next level
+    # Degree 1: 1.77 to 1.83 whichever side is Γ1, flat ones too, 1.86 on the next level. It is the
+    # scene: where pad and plate match, both are tied to the digits of one mesh of them, which has
+    # 1.87 to 1.90, then 1.91 to 1.93
     assert np.log2(coarse / fine)[0] >= (1.75, 2.8)[degree - 1]
     assert np.log2(coarse / fine)[1] >= (0.95, 1.8)[degree - 1]
     assert (fine <= 1.5 * whole).all()

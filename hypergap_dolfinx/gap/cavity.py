@@ -160,7 +160,8 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
         x, alpha, slack = _sees_best(mesh, faces)
         if slack.min() > SEES:
             node = place(x, alpha, np.unique(faces))
-            D, scale = _seen(mesh, faces, *node[:3])
+            D, scale = _seen(mesh, faces, node[0][None], np.array([node[1]]), node[2])
+            D, scale = D[:, 0], scale[:, 0]
             if (D > 1e-6 * scale).all():
                 return faces, node
             slack = D / scale
@@ -181,14 +182,17 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
 
 
 def _seen(mesh: Cells, faces, x, alpha, normal):
-    """D of the cells between faces and a point, and their scale."""
+    """D of the cells between faces and points, and their scale, ``(num_faces, num_points)``."""
+    shape = len(faces), len(x)
 
-    def with_point(values, at):
-        own = np.broadcast_to(np.asarray(at, dtype=float), values[:, :1].shape)
-        return np.concatenate((values, own), axis=1)
+    def with_points(values, at):
+        values = np.repeat(values, len(x), axis=0)
+        own = np.tile(at, (len(faces), *(1,) * (at.ndim - 1)))
+        return np.concatenate((values, own[:, None]), axis=1)
 
-    normals = with_point(mesh.normals[faces], normal).sum(axis=1)
-    return areas(with_point(mesh.x[faces], x), with_point(mesh.alpha[faces], alpha), normals)
+    normals = np.repeat(mesh.normals[faces].sum(axis=1) + normal, len(x), axis=0)
+    found = areas(with_points(mesh.x[faces], x), with_points(mesh.alpha[faces], alpha), normals)
+    return tuple(values.reshape(shape) for values in found)
 
 
 def _sees_best(mesh: Cells, faces):
@@ -205,9 +209,7 @@ def _sees_best(mesh: Cells, faces):
     tangents = np.linalg.svd(normal[None])[2][1:]
     # D is affine in the point: its values at four points give it
     points = np.array([(0, 0, 0.5), (1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.5)])
-    D = np.column_stack(
-        [_seen(mesh, faces, centre + h * p[:2] @ tangents, p[2], normal)[0] for p in points]
-    )
+    D = _seen(mesh, faces, centre + h * points[:, :2] @ tangents, points[:, 2], normal)[0]
     gradient = D[:, 1:] - D[:, :1]
     offset = D[:, 0] - gradient[:, 2] / 2
     length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-12 * h**2)

@@ -7,6 +7,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +77,9 @@ class GapCells:
     piece."""
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets1,)``; see
+    :mod:`~hypergap_dolfinx.gap.coverage`."""
     degree: int
     """Degree of the φ_a that have on simplices what both sides have in their facets."""
     hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
@@ -112,4 +116,9 @@ def geometry_element(surfaces: Sequence[Surface], degree: int):
     if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
         g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
     cell = {2: "triangle", 3: "tetrahedron"}[n]
-    return basix.ufl.element("Lagrange", cell, g, lagrange_variant=variant, shape=(n,))
+    return _lagrange(cell, g, variant, n)
+
+
+@cache
+def _lagrange(cell: str, degree: int, variant: basix.LagrangeVariant, n: int):
+    return basix.ufl.element("Lagrange", cell, degree, lagrange_variant=variant, shape=(n,))

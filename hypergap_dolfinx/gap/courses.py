@@ -52,7 +52,7 @@ class Arcs:
     def at(self, s) -> tuple[npt.NDArray[np.float64], ...]:
         """Places at parameters from 0 to 1, the piece's normals there, and derivatives of both."""
         start, end = CORNERS[self.corners[:, 0]], CORNERS[self.corners[:, 1]]
-        x, dx = self.side.geometry(self.triangle, start + s[:, None] * (end - start))
+        x, dx = self.side.geometry(self.triangle)(start + s[:, None] * (end - start))
         n = self.side.vertex_normals[self.side.triangles[self.triangle[:, None], self.corners].T]
         normal = n[0] + s[:, None] * (n[1] - n[0])
         return x, normal, np.einsum("pj,pji->pi", end - start, dx), n[1] - n[0]

@@ -67,6 +67,9 @@ class GapDomain:
     """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``."""
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets1,)``; see
+    :mod:`~hypergap_dolfinx.gap.coverage`."""
 
     @property
     def geometry(self) -> basix.finite_element.FiniteElement:
@@ -199,6 +202,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         hosts=gap.hosts(space.ufl_element().basix_element.points, order),
         patch=gap.patch,
         covered=gap.covered,
+        least=gap.least,
     )
 
 

@@ -8,6 +8,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.surface import lengths, normals_by_area
+
 FLAT = 1e-9  # D of a cell over the product of its two edges on the surfaces that is none
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
@@ -26,20 +28,21 @@ def areas(x, alpha, normal):
         (doubled), the product of two edges on the surfaces' lengths, or the square of the longest
         edge from the first vertex.
     """
-    n = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    n = normal / np.maximum(lengths(normal), 1e-300)[:, None]
     e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
-    N = sum(d[:, k, None] * np.cross(e[:, (k + 1) % 3], e[:, (k + 2) % 3]) for k in range(3))
+    N = np.einsum("ck,cki->ci", d, np.cross(e[:, [1, 2, 0]], e[:, [2, 0, 1]]))
     scale = np.einsum("cki,cki->ck", e, e).max(axis=1)
     for face, corner in zip(FACES, range(4), strict=True):
-        base = (alpha[:, face] == alpha[:, face[:1]]).all(axis=1)
+        base = np.flatnonzero((alpha[:, face] == alpha[:, face[:1]]).all(axis=1))
+        if not len(base):
+            continue
         v = x[base][:, face]
-        twice = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
+        twice = lengths(normals_by_area(v))
         scale[base] = twice * np.abs(alpha[base, corner] - alpha[base, face[0]])
     for a, b, c, d in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)):
         pairs = (alpha[:, a] == alpha[:, b]) & (alpha[:, c] == alpha[:, d])
-        pairs &= alpha[:, a] != alpha[:, c]
-        lengths = (np.linalg.norm(x[pairs, i] - x[pairs, j], axis=1) for i, j in ((a, b), (c, d)))
-        scale[pairs] = np.prod(list(lengths), axis=0)
+        pairs = np.flatnonzero(pairs & (alpha[:, a] != alpha[:, c]))
+        scale[pairs] = lengths(x[pairs, a] - x[pairs, b]) * lengths(x[pairs, c] - x[pairs, d])
     return np.einsum("ci,ci->c", N, n), scale
 
 

@@ -45,6 +45,8 @@ class Multipliers:
     ``(num_facets, num_dofs)``."""
     covered: npt.NDArray[np.float64]
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets,)``."""
 
     @classmethod
     def of(cls, constraint: Constraint, domain: GapDomain) -> "Multipliers":
@@ -55,7 +57,7 @@ class Multipliers:
         wanted = surface.dofs * num_patches + domain.patch[:, None]
         at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
         at[keys[at] != wanted] = -1
-        return cls(constraint.dofs, constraint.patch, surface, at, domain.covered)
+        return cls(constraint.dofs, constraint.patch, surface, at, domain.covered, domain.least)
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -65,13 +67,12 @@ class Multipliers:
         x = self.surface.points(facet, self.surface.element.points[local])
         return x[np.searchsorted(dofs, self.dofs)]
 
-    @cached_property
-    def reach(self) -> npt.NDArray[np.float64]:
-        """Largest covered part of the facets at each, ``(num_multipliers,)``."""
-        most = np.zeros(len(self.dofs))
-        facet, local = np.nonzero(self.on_facets >= 0)
-        np.maximum.at(most, self.on_facets[facet, local], self.covered[facet])
-        return most
+    def on_any(self, facets: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Which of them lie on any of some facets, ``(num_multipliers,)``."""
+        on = np.zeros(len(self.dofs), dtype=bool)
+        some = self.on_facets[facets]
+        on[some[some >= 0]] = True
+        return on
 
     @cached_property
     def _inverse(self):

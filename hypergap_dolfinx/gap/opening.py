@@ -437,12 +437,20 @@ def _stand_ins(surface: Surface, pieces: Pieces) -> npt.NDArray[np.intp]:
     has = np.zeros(len(surface.x), dtype=bool)
     has[surface.facets[covered > COVERED]] = True
     stand_in = np.arange(len(surface.x))
-    for v in np.setdiff1d(pieces.vertex, np.flatnonzero(has)).tolist():
-        facets = (surface.facets == v).any(axis=1)
-        near = np.setdiff1d(surface.facets[facets][has[surface.facets[facets]]], v)
-        if not len(near):
-            near = np.flatnonzero(has)
+    without = np.zeros_like(has)
+    without[pieces.vertex] = True
+    without &= ~has
+    facets = surface.facets
+    v, near = (part.ravel() for part in np.broadcast_arrays(facets[:, :, None], facets[:, None]))
+    use = without[v] & has[near]
+    v, near = v[use], near[use]
+    order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
+    first = order[_first(v[order])]
+    stand_in[v[first]] = near[first]
+    without[v] = False
+    for alone in np.flatnonzero(without).tolist():
+        near = np.flatnonzero(has)
         if not len(near):  # nothing but a part of one facet
-            near, has[v] = np.array([v]), True
-        stand_in[v] = near[lengths(surface.x[near] - surface.x[v]).argmin()]
+            near, has[alone] = np.array([alone]), True
+        stand_in[alone] = near[lengths(surface.x[near] - surface.x[alone]).argmin()]
     return stand_in

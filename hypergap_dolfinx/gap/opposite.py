@@ -18,13 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.gap.search import Tree
 from hypergap_dolfinx.gap.surface import Surface, around, lengths, tabulate
 from hypergap_dolfinx.graph import components
 
 LEANS = 0.25
 """Cosine between normals from which facets face each other."""
-PAIRS = 1_000_000
-"""Pairs of facets that are looked at in one go."""
 SLIVER = 1e-14
 """Area of a piece, over its facet's, that is none."""
 
@@ -167,26 +166,11 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
 def _candidates(surfaces, frames: Frames) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Pairs of facets that may lie opposite to each other: balls around them meet as seen."""
     below, above = surfaces
-    v0, v1 = below.x[below.facets], above.nodes
-    middle0 = v0.mean(axis=1)
-    origin = middle0.mean(axis=0)
-    radius0 = np.sqrt(((v0 - middle0[:, None]) ** 2).sum(axis=2).max(axis=1))
-    radius1 = np.sqrt(((v1 - frames.middle[:, None]) ** 2).sum(axis=2).max(axis=1))
+    reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     axis = frames.normal / lengths(frames.normal)[:, None]
-    a, b = middle0 - origin, frames.middle - origin
-    square0, square1, along = (a**2).sum(axis=1), (b**2).sum(axis=1), (b * axis).sum(axis=1)
-    found = []
-    chunk = max(1, PAIRS // len(a))
-    for start in range(0, len(b), chunk):
-        some = slice(start, start + chunk)
-        apart = square1[some, None] + square0 - 2 * b[some] @ a.T
-        apart -= (axis[some] @ a.T - along[some, None]) ** 2
-        near = apart <= 1.001 * (radius1[some, None] + radius0) ** 2
-        near &= axis[some] @ below.normals.T < -LEANS
-        i, j = np.nonzero(near)
-        found.append((j, i + start))
-    f0, f1 = (np.concatenate(part) for part in zip(*found, strict=True))
-    return f0, f1
+    f1, f0 = Tree(below.x[below.facets], below.normals).beside(frames.middle, axis, reach)
+    facing = np.einsum("pi,pi->p", axis[f1], below.normals[f0]) < -LEANS
+    return f0[facing], f1[facing]
 
 
 def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:

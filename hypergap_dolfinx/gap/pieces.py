@@ -10,6 +10,7 @@ functions of the trace's degree do (``quadrilaterals``), or is cut into two halv
 the degree to have all that the facet has, but may be cut up further.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,6 +23,9 @@ from hypergap_dolfinx.gap.search import Tree
 from hypergap_dolfinx.gap.surface import Surface, lengths, unit_normals
 from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
 
+Geometry = Callable[
+    [npt.NDArray[np.float64]], tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+]
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
 
@@ -169,22 +173,27 @@ class Side:
     def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
         """Where points project on the curved facets, not to jump from one to the next."""
         normals = self.vertex_normals[self.triangles[triangle]]
-        return along_normals(lambda xi: self.geometry(triangle, xi), normals, points, xi)
+        return along_normals(self.geometry(triangle), normals, points, xi)
 
-    def geometry(self, triangle, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Places on the (curved) surface and their derivatives.
+    def geometry(self, triangle: npt.NDArray[np.integer]) -> Geometry:
+        """Places on the (curved) surface and their derivatives, of points of some triangles.
 
         Args:
             triangle: ``(num_points,)``.
-            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
 
         Returns:
-            ``(num_points, 3)``, and by both of xi, ``(num_points, 2, 3)``.
+            Takes reference coordinates in the triangles, ``(num_points, 2)``, to places,
+            ``(num_points, 3)``, and derivatives by both, ``(num_points, 2, 3)``.
         """
-        nodes = self.surface.nodes[self.facets[triangle]]
-        values = self.surface.geometry.tabulate(1, self.in_facets(triangle, xi))[..., 0]
-        x, *dx = (np.einsum("pa,pai->pi", value, nodes) for value in values)
-        return x, self.slopes(triangle, xi) @ np.stack(dx, axis=1)
+        nodes, tabulate = self.surface.nodes[self.facets[triangle]], self.surface.geometry.tabulate
+
+        def geometry(xi):
+            values = tabulate(1, self.in_facets(triangle, xi))[..., 0]
+            x = values.transpose(1, 0, 2) @ nodes  # and its derivatives
+            dx = x[:, 1:]
+            return x[:, 0], dx if self.is_whole else self.slopes(triangle, xi) @ dx
+
+        return geometry
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Reference coordinates in the host facet of points of triangles.

@@ -20,6 +20,7 @@ from hypergap_dolfinx.gap.surface import lengths
 from hypergap_dolfinx.gap.walls import Rim
 
 NEWTON = 8  # steps to the nearest point of a curved edge
+CONVERGED = 1e-13  # a step, in edges, that is the last one
 WITHIN = 0.95  # of an edge's length along the outline, where a corner is not at its end
 FURTHER = 100  # edges that a point may be away along an outline
 
@@ -80,14 +81,15 @@ class Outline:
             ``(num_points, 2)``.
         """
         start = self.first[vertex]  # at a corner both edges have a nearest place
-        walks = [self._walk(edge, points) for edge in (start, self.before[start])]
-        away = [
-            lengths(self.side.points(self.triangle[edge], self._places(edge, s)) - points)
-            for edge, s in walks
-        ]
-        nearer = away[1] < away[0]
-        edge, s = (np.where(nearer, *pair[::-1]) for pair in zip(*walks, strict=True))
-        return self.triangle[edge], self._places(edge, s)
+        both = np.concatenate((start, self.before[start]))
+        edge, s = self._walk(both, np.tile(points, (2, 1)))
+        triangle, places = self.triangle[edge], self._places(edge, s)
+        away = lengths(
+            (self.side.points(triangle, places).reshape(2, -1, 3) - points).reshape(-1, 3)
+        )
+        n = len(points)
+        nearer = np.arange(n) + np.where(away[n:] < away[:n], n, 0)
+        return triangle[nearer], places[nearer]
 
     def _walk(self, edge, points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Edges and parameters on them at which a walk from some edges ends."""
@@ -112,11 +114,16 @@ class Outline:
 
     def _nearest(self, edge, points) -> npt.NDArray[np.float64]:
         """Parameters on edges at which these are nearest to points, by Gauss-Newton steps."""
-        along = self._places(edge, np.ones(len(edge))) - self._places(edge, np.zeros(len(edge)))
+        start = CORNERS[self.corner[edge]]
+        along = CORNERS[(self.corner[edge] + 1) % 3] - start
+        geometry = self.side.geometry(self.triangle[edge])
         s = np.full(len(edge), 0.5)
         for _ in range(NEWTON):
-            x, dx = self.side.geometry(self.triangle[edge], self._places(edge, s))
+            x, dx = geometry(start + s[:, None] * along)
             tangent = np.einsum("pj,pji->pi", along, dx)
             square = np.maximum(np.einsum("pi,pi->p", tangent, tangent), 1e-300)
-            s = np.clip(s - np.einsum("pi,pi->p", x - points, tangent) / square, -1, 2)
+            before, s = s, s - np.einsum("pi,pi->p", x - points, tangent) / square
+            s = np.clip(s, -1, 2)
+            if np.abs(s - before).max() < CONVERGED:
+                break
         return s

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which triangles of a surface a point may lie above or below."""
+"""Which triangles of a surface a point may lie above or below, and which a line may meet."""
 
 from dataclasses import dataclass
 
@@ -99,14 +99,11 @@ class Tree:
         """
         size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         normals = normals / size
-        p, part = np.arange(len(points)), np.zeros(len(points), dtype=np.intp)
-        for level in self.levels[::-1]:
-            keep = level.may_face(part, points[p], normals[p])
-            p, part = p[keep], part[keep]
-            if level is not self.levels[0]:
-                p, part = np.repeat(p, 2), (2 * part[:, None] + (0, 1)).ravel()
-        p, f = np.repeat(p, BUNCH), self.triangles[part].ravel()
-        p, f = p[f >= 0], f[f >= 0]
+
+        def may_face(level: _Parts, part, p):
+            return level.may_face(part, points[p], normals[p])
+
+        p, f = self._down(len(points), may_face)
         apart = points[p] - self.middle[f]
         height = np.einsum("pi,pi->p", apart, self.normals[f])
         square = np.einsum("pi,pi->p", apart, apart) - height**2
@@ -114,3 +111,36 @@ class Tree:
         near = square <= (1.01 * self.radius[f] + LEANS * np.abs(height)) ** 2
         near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING
         return p[near], f[near]
+
+    def beside(self, points, axes, radius) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Lines and triangles of which the balls around them are in reach, however far along.
+
+        Args:
+            points: On the lines, ``(num_lines, 3)``.
+            axes: Along them, unit vectors, ``(num_lines, 3)``.
+            radius: Reach, ``(num_lines,)``.
+
+        Returns:
+            The pairs' lines, in their order, and triangles, ``(num_pairs,)``.
+        """
+
+        def near(of, part, p):
+            apart = of.middle[part] - points[p]
+            square = np.einsum("pi,pi->p", apart, apart)
+            square -= np.einsum("pi,pi->p", apart, axes[p]) ** 2
+            return square <= 1.001 * (radius[p] + of.radius[part]) ** 2
+
+        p, f = self._down(len(points), near)
+        keep = near(self, f, p)
+        return p[keep], f[keep]
+
+    def _down(self, num: int, keeps) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Pairs of things, numbered, and triangles in the smallest parts that are kept for them."""
+        p, part = np.arange(num), np.zeros(num, dtype=np.intp)
+        for level in self.levels[::-1]:
+            keep = keeps(level, part, p)
+            p, part = p[keep], part[keep]
+            if level is not self.levels[0]:
+                p, part = np.repeat(p, 2), (2 * part[:, None] + (0, 1)).ravel()
+        p, f = np.repeat(p, BUNCH), self.triangles[part].ravel()
+        return p[f >= 0], f[f >= 0]

@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from mpi4py import MPI
 
@@ -21,11 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+import basix.ufl
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, raise_on_all, spot
 from hypergap_dolfinx.gap import front
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.cells import GapCells, Hosts, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.clip import COARSER, SNAP, TRIES, clip
+from hypergap_dolfinx.gap.coverage import covered_parts
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
@@ -83,6 +86,13 @@ def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
     return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
 
 
+@cache
+def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
+    """Of the geometry, at the points of a Gauss rule: small scenes ask for it more than they do."""
+    element = geometry.basix_element
+    return GapElement.with_quadrature(element, element, degree)
+
+
 def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
     """The least N · n of each cell with the surfaces' curved geometry, over its longest edge².
 
@@ -92,14 +102,14 @@ def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
     """
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
-    geometry = geometry_element(surfaces, k).basix_element
-    space = basix.create_element(geometry.family, geometry.cell_type, k, geometry.lagrange_variant)
+    element = geometry_element(surfaces, k)
+    points = element.basix_element.points
     v = slab.x[slab.cells]
     if nodes is None:
         each = np.arange(len(slab.cells))
-        nodes = interpolate_geometry(surfaces, slab.hosts(geometry.points, each))
-    x = straightened(nodes, geometry.points, marked(slab.cells, slab.straight), v)
-    tables = GapElement.with_quadrature(geometry, space, curved_rule(3, k, geometry.degree))
+        nodes = interpolate_geometry(surfaces, slab.hosts(points, each))
+    x = straightened(nodes, points, marked(slab.cells, slab.straight), v)
+    tables = _tables(element, curved_rule(3, k, element.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
     return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
@@ -342,10 +352,12 @@ def share(
             Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
             for own, other, *part in result
         ]
-    covered = np.zeros(len(surfaces[1].facets))
-    for slab in slabs:
-        facet = slab.sides[1].facets
-        covered += np.bincount(facet, slab.sides[1].shares, minlength=len(covered))
+    covered, least = covered_parts(
+        surfaces[1],
+        np.concatenate([slab.sides[1].facets for slab in slabs]),
+        np.vstack([slab.sides[1].X for slab in slabs]),
+        np.concatenate([slab.sides[1].shares for slab in slabs]),
+    )
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
@@ -367,6 +379,7 @@ def share(
         rank=np.concatenate([slab.rank for slab in slabs]),
         patch=patch,
         covered=covered,
+        least=least,
         degree=max(side.degree for slab in slabs for side in slab.sides),
         hosts=hosts,
         straight=straight if straight.any() else None,

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
 from hypergap_dolfinx.gap.cells import GapCells, Hosts
+from hypergap_dolfinx.gap.coverage import covered_parts
 from hypergap_dolfinx.gap.surface import KINK, NOISE, STANDS_OUT, TURN, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
@@ -523,9 +524,10 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
     patch = np.empty(len(surface1.facets), dtype=np.int32)
     for i, chain in enumerate(chains1):
         patch[chain.facets] = i
-    covered = np.zeros(len(surface1.facets))
-    for _, chain in pairs:
-        np.add.at(covered, chain.facets, np.abs(np.diff(chain.X)[:, 0]))
+    X = np.vstack([chain.X for _, chain in pairs])
+    facets = np.concatenate([chain.facets for _, chain in pairs])
+    shares = np.abs(np.diff(X)[:, 0])
+    covered, least = covered_parts(surface1, facets, X[:, :, None], shares)
     offsets = np.cumsum([0] + [len(strip.x) for strip in strips])
     side = np.concatenate([strip.side for strip in strips])
     base = np.concatenate([strip.base for strip in strips])
@@ -543,6 +545,7 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
         rank=rank,
         patch=patch,
         covered=covered,
+        least=least,
         degree=max(surface0.element.degree, surface1.element.degree),
         hosts=lambda X, cells: Hosts.concatenate([strip.hosts(X) for strip in strips])[cells],
     )

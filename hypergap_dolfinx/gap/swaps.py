@@ -7,6 +7,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -115,27 +116,32 @@ def _of_edge(a, b, ring, corners, alpha) -> Iterator[Swap]:
         polygon.append(d)
     if d is None or len(polygon) < len(ring):  # at the boundary
         return
-    for triangles in _triangulations(polygon):
-        edges = {_pair(*ends) for c, d, e in triangles for ends in ((c, d), (d, e), (e, c))}
-        sides = {_pair(*ends) for ends in zip(polygon, polygon[1:] + polygon[:1], strict=True)}
-        if all(_may_be_edge(c, d, alpha) for c, d in edges - sides):
+    n = len(polygon)
+    may = {(i, j): _may_be_edge(polygon[i], polygon[j], alpha) for j in range(n) for i in range(j)}
+    for numbers, diagonals in _triangulations(n):
+        if all(may[ends] for ends in diagonals):
+            triangles = [(polygon[i], polygon[j], polygon[k]) for i, j, k in numbers]
             above = [(c, d, e, b) for c, d, e in triangles]
             yield tuple(ring), above + [(d, c, e, a) for c, d, e in triangles]
 
 
-def _triangulations(polygon: list[int]) -> Iterator[list[Cell]]:
-    """All ways to cut a polygon into triangles, each turning like it."""
-    if len(polygon) < 3:
-        yield []
-        return
-    for k in range(1, len(polygon) - 1):  # the triangle at the edge from the last to the first
-        for left in _triangulations(polygon[: k + 1]):
-            for right in _triangulations(polygon[k:]):
-                yield [(polygon[0], polygon[k], polygon[-1]), *left, *right]
+@cache
+def _triangulations(n: int) -> list[tuple[list[Cell], list[tuple[int, int]]]]:
+    """All ways to cut a polygon into triangles, each turning like it; and the edges inside."""
 
+    def cuts(first: int, last: int) -> Iterator[list[Cell]]:
+        if last - first < 2:
+            yield []
+        for k in range(first + 1, last):  # the triangle at the edge from the last to the first
+            for left in cuts(first, k):
+                for right in cuts(k, last):
+                    yield [(first, k, last), *left, *right]
 
-def _pair(a: int, b: int) -> tuple[int, int]:
-    return min(a, b), max(a, b)
+    found = []
+    for triangles in cuts(0, n - 1):
+        edges = {ends for i, j, k in triangles for ends in ((i, j), (j, k), (i, k))}
+        found.append((triangles, sorted((i, j) for i, j in edges if 1 < j - i < n - 1)))
+    return found
 
 
 def _is_odd(v, w) -> bool:

@@ -13,14 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
+from hypergap_dolfinx.gap.coverage import WHOLE
 from hypergap_dolfinx.gap.metric import FLAT, areas
 from hypergap_dolfinx.gap.outlines import differing
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab import SlabCells, curved_margins, fill, mesh_slab, share
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import Surface
-
-WHOLE = 1 - 1e-9  # part of a facet from which it isn't cut
 
 
 def moved(surface: Surface, nodes: npt.NDArray[np.float64]) -> Surface:

@@ -14,7 +14,9 @@ cut off by the other side's end has little to say."""
 HOLDS = 1e-6
 """Sine between what a multiplier holds of the free rigid motions and what others do, from which it
 holds more than they."""
-
+REST = 2 / 3
+"""How near the level is of which the inside has the whole force, against the last one of a set,
+to that of contact: exact for spheres."""
 DIGITS = 9
 """To which ways to contact are compared: round-off doesn't choose between them."""
 
@@ -84,6 +86,37 @@ def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]
         result[front] = False
         pull = np.where(front, got - force, 0)
     return result
+
+
+def as_near(before, now, distance, force, none: float) -> npt.NDArray[np.bool_]:
+    """As :func:`without_pull`, where bodies come into contact: what was nearest stays.
+
+    A set that is much too large pulls at its edge, and scatters all over. Ordered by how far apart
+    things were, what pulls and what balances it are the outer ones; from a level on the rest has
+    the whole force. Of two spheres that level is at r² = a³/b, a the radius that is looked for, b
+    the set's; hence :data:`REST`.
+
+    Args:
+        before: The last set, ``(num,)``.
+        now: Those that remain, and new ones, ``(num,)``.
+        distance: Gaps over areas before anything touched, ``(num,)``; infinite where there was
+            none.
+        force: Pressures times areas, ``(num,)``.
+        none: Difference of distances that is none.
+
+    Returns:
+        ``(num,)``.
+    """
+    known = np.isfinite(distance)
+    order = np.flatnonzero(before & known)
+    order = order[np.argsort(-distance[order], kind="stable")]
+    balanced = np.flatnonzero(np.cumsum(force[order]) >= 0)
+    if not len(balanced) or balanced[0] == 0:
+        return now
+    nearest = distance[known].min()
+    last, rest = distance[order[[0, balanced[0]]]] - nearest
+    near = known & (distance - nearest <= rest**REST * last ** (1 - REST) + none)
+    return before & near if (before & ~near).any() else now
 
 
 def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:

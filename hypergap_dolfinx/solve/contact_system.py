@@ -39,8 +39,6 @@ AHEAD = 10
 """Newton steps in which sets look ahead; they could cycle in later ones."""
 FAR = 1.0
 """Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
-CLOSED = 1e-9
-"""Gap of what is in contact, in sizes of facets, that is none."""
 PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
 ROUND_OFF = 1e-14
@@ -182,13 +180,23 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             c = stiffness / rows.typical_area
             rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
-            if not before and not rows.now.p.any():
-                rows.now.on |= rows.distance <= CLOSED * rows.sides[1].reference.size.max()
+            if not before:
+                rows.apart = None
+                if not rows.now.p.any():
+                    rows.now.on |= rows.distance <= rows.closed
+                    rows.apart = rows.distance
         for rows, last in zip(self._rows, before if ahead else (), strict=False):
             facets = rows.sides[1].reference.facets
-            chain = facets.shape[1] == 2
-            without_pull = active.without_pull if chain else active.without_pull_on_surface
-            rows.now.on = without_pull(last, rows.now.on, facets, rows.now.p * rows.m)
+            force = rows.now.p * rows.m
+            if facets.shape[1] == 2:
+                rows.now.on = active.without_pull(last, rows.now.on, facets, force)
+                continue
+            if rows.apart is not None:
+                near = active.as_near(last, rows.now.on, rows.apart, force, rows.closed)
+                if not np.array_equal(near, rows.now.on):
+                    rows.now.on = near
+                    continue
+            rows.now.on = active.without_pull_on_surface(last, rows.now.on, facets, force)
         assert self._free is not None
         if self._free.num:
             holds = [self._holds(rows) for rows in self._rows]
@@ -272,9 +280,7 @@ class ContactSystem(NonlinearSystem):
         if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
             return False
         return all(
-            np.abs(rows.distance[rows.now.on]).max(initial=0)
-            <= CLOSED * rows.sides[1].reference.size.max()
-            for rows in self._rows
+            np.abs(rows.distance[rows.now.on]).max(initial=0) <= rows.closed for rows in self._rows
         )
 
     def _continues(self) -> bool:

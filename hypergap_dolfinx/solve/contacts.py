@@ -23,6 +23,8 @@ from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
 from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
+CLOSED = 1e-9
+"""Gap of what is in contact, in sizes of facets, that is none."""
 FREE = 1e-8
 """Size of a gap's derivative at what can move, over that at all, from which contact can act."""
 
@@ -63,6 +65,8 @@ class ContactRows:
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        self.apart: npt.NDArray[np.float64] | None = None
+        """:attr:`distance` where the load step starts, if nothing pushes there."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
@@ -189,6 +193,11 @@ class ContactRows:
     def distance(self) -> npt.NDArray[np.float64]:
         """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
         return np.divide(self.g, self.m, out=np.full_like(self.g, np.inf), where=self.valid)
+
+    @property
+    def closed(self) -> float:
+        """The length of gaps that are none."""
+        return CLOSED * float(self.sides[1].reference.size.max())
 
     @property
     def typical_area(self) -> float:

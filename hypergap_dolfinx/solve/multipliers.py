@@ -46,6 +46,9 @@ from hypergap_dolfinx.solve.replacements import Replacement, pieces, replacement
 
 COVERED = 0.3
 """Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
+KNOWN = 1e-4
+"""Least share of a function's square that this part must have for them: see
+:mod:`~hypergap_dolfinx.gap.coverage`."""
 
 
 def interfaces(ties: Sequence[Interface], bodies: Sequence[Pair]) -> list[list[int]]:
@@ -190,7 +193,9 @@ def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool
 
 def _covered(every: Every, label, members) -> npt.NDArray[np.bool_]:
     """Which multipliers have a facet that their interface covers by enough, ``(num,)``."""
-    enough = np.concatenate([lists.reach > COVERED for lists in every.lists])
+    enough = np.concatenate(
+        [lists.on_any((lists.covered > COVERED) & (lists.least > KNOWN)) for lists in every.lists]
+    )
     for same in members.values():
         if len(same) > 1 and not enough[same].any():
             total: defaultdict[tuple, float] = defaultdict(float)
