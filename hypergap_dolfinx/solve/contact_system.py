@@ -19,7 +19,13 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Pressed, Touching, owned_values
+from hypergap_dolfinx.solve.contacts import (
+    ContactRows,
+    Pressed,
+    Touching,
+    owned_values,
+    share_ends,
+)
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
@@ -76,6 +82,7 @@ class ContactSystem(NonlinearSystem):
         self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
         held = self._constraints.prescribed
         self._rows = [ContactRows(contact, held) for contact in touching]
+        share_ends(self._rows, pieces.interfaces)
         self._free: FreeMotions | None = None
         self._iterations = 0
 
