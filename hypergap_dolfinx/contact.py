@@ -104,14 +104,7 @@ class Contact:
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
-        for side in (side0, side1):
-            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
-                raise ValueError("each side of a contact is a pair: a function space and facets.")
-            if not isinstance(side[0], fem.FunctionSpace):
-                raise ValueError(
-                    f"a contact's side is (function space, facets), not "
-                    f"({type(side[0]).__name__}, …)."
-                )
+        _check_sides(side0, side1)
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
@@ -158,11 +151,19 @@ class Contact:
             stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
                 facets differ by less than a tenth.
             options: Of the constructor.
+
+        Raises:
+            ValueError: A side that is no pair of a space and facets; moduli that are none.
+            InterfaceError: As the constructor.
         """
+        _check_sides(a, b)
         size = [_size(create_surface(*side, "a side")) for side in (a, b)]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
-            contrast = stiffness[1] / stiffness[0]
+            moduli = np.asarray(stiffness, dtype=float)
+            if moduli.shape != (2,) or not (np.isfinite(moduli) & (moduli > 0)).all():
+                raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
+            contrast = moduli[1] / moduli[0]
         if max(contrast, 1 / contrast) >= STIFF:
             swapped, why = contrast > 1, "far softer"
         elif max(ratio, 1 / ratio) > ALIKE:
@@ -288,7 +289,7 @@ class Contact:
         rows = problem.rows(self)
         if rows.now.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.at, rows.now.p)
+        return self._opening(rows).smoothed(rows.at, rows.spread(rows.now.p))
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """The pressure between the bodies. Collective.
@@ -309,7 +310,7 @@ class Contact:
         rows = problem.rows(self)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.now.p * rows.now.on)
+        cells = self._opening(rows).cells(rows.at, rows.spread(rows.now.p * rows.now.on))
         return on_sigma(self._comm, cells, "pressure")
 
     def shears(self, problem) -> npt.NDArray[np.float64]:
@@ -388,6 +389,8 @@ class Contact:
             ValueError: A displacement that is not on its side's space.
             InterfaceError: Nothing of Γ1 is opposite Γ0.
         """
+        if not all(isinstance(u, fem.Function) for u in (u0, u1)):
+            raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
         if u0.function_space != self._spaces[0]:  # `between` may have swapped them
             u0, u1 = u1, u0
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
@@ -402,7 +405,7 @@ class Contact:
         opening = self._opening(rows)
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
-            return self._at_vertices(distance, "gap")
+            return self._at_vertices(rows.spread(distance), "gap")
         return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
@@ -455,6 +458,17 @@ class Contact:
         f.x.array.reshape(-1, *shape)[at[mine] - start] = values[mine]
         f.x.scatter_forward()
         return f
+
+
+def _check_sides(*sides):
+    """Raise if they are no pairs of a space and facets."""
+    for side in sides:
+        if not isinstance(side, Sequence) or len(side) != 2:
+            raise ValueError("each side of a contact is a pair: a function space and facets.")
+        if not isinstance(side[0], fem.FunctionSpace):
+            raise ValueError(
+                f"a contact's side is (function space, facets), not ({type(side[0]).__name__}, …)."
+            )
 
 
 def _size(surface: Surface) -> float:

@@ -101,15 +101,24 @@ class ContactProblem(ContactSystem):
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
-                condition on a space that belongs to no body; a rigid Γ1 that is finer than Γ0.
+            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
+                a test function; no contacts; a contact, tie or boundary condition on a space that
+                belongs to no body; a rigid Γ1 that is finer than Γ0; an rtol that is no number.
             InterfaceError: The same facets in two contacts, or in a contact and a tie.
         """
-        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+        if not all(isinstance(given, Sequence) for given in (F, u)) or not all(
+            isinstance(f, fem.Function) for f in u
+        ):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         if len(F) != len(u):
             raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
-        contacts = [contacts] if isinstance(contacts, Contact) else contacts
+        contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
+        if not contacts:
+            raise ValueError(
+                "there are no contacts; bodies without any are a NonlinearTiedProblem."
+            )
+        if not (isinstance(rtol, float | int | np.floating) and rtol >= 0):
+            raise ValueError(f"rtol is a number ≥ 0, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
         wrong = next((c for c in contacts if not isinstance(c, Contact)), None)
@@ -212,7 +221,8 @@ class ContactProblem(ContactSystem):
         Where Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
         that was found remains. The first load step starts with the values at construction: set the
-        load after that.
+        load after that. In a time loop what is known of the last time step is among the values:
+        states between are on the way to the new one, they are none in time.
 
         Returns:
             The displacement of each body, the same functions as in ``u``.

@@ -61,6 +61,14 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
+    "bouncing": Demo(
+        "--height 0.1 --time 1.4 --step 0.02",
+        {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.0915e-3},
+        {"rows.*.iterations": 5, "bounces.*.gained": 0},
+        accuracy=1e-2,
+        pictures=("bouncing",),
+        needs=("matplotlib",),
+    ),
     "contact_patch": Demo(
         "--quick",
         below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11},
@@ -273,8 +281,9 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("contact_patch", "gap_domain", "incompressible", "kernel_speed", "periodic_cell"),
-    *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
+    *("bouncing", "contact_patch", "gap_domain", "heat", "hertz_published", "incompressible"),
+    *("ironing", "kernel_speed", "periodic_cell", "periodic_cell_3d", "pressurised_cylinder"),
+    *("pressurised_sphere_hexahedra", "read_meshes"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 

@@ -410,7 +410,7 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[
         places = of, X, Q, at[parameters[mine]]
         gap = fans.volumes(*places)
         nodes = np.hstack((numbers(i, base[mine]), numbers(1 - i, apex[mine])))
-        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), -1)
+        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), 2 * nodes.shape[1])
         ends = at[parameters[mine, :2]]
         chord = [_points(surfaces[i], base[mine], ends[:, k]) for k in (0, 1)]
         m = 0.5 * np.linalg.norm(chord[1] - chord[0], axis=1)

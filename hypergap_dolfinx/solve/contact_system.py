@@ -20,7 +20,12 @@ from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values
+from hypergap_dolfinx.solve.contacts import (
+    ContactRows,
+    Touching,
+    owned_values,
+    share_ends,
+)
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
@@ -81,6 +86,7 @@ class ContactSystem(NonlinearSystem):
             (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
             for one in touching
         ]
+        share_ends(self._rows, pieces.interfaces)
         self._free: FreeMotions | None = None
         self._iterations = 0
 

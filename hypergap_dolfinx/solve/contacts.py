@@ -16,11 +16,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import Displacements, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.every import look_up
-from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
+from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
+from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 CLOSED = 1e-9
 """Gap of what is in contact, in sizes of facets, that is none."""
@@ -109,6 +110,14 @@ class ContactRows:
             self._area += np.bincount(corner, size, num)
         self._area /= surface.facets.shape[1] * (self._n - 1)
         self._rank = np.searchsorted(surface.dof_range[1:], sides[1].vertex_dofs, side="right")
+        self.lender = np.arange(num)
+        """The vertex whose pressure each has, -1 if none, ``(num_multipliers,)``."""
+
+    def ending(self, i: int, space: int) -> EndingSide:
+        """A side, as far as its ends go."""
+        side = self.sides[i]
+        held = self._held[i][np.searchsorted(side.dofs, side.vertex_dofs)]
+        return EndingSide(space, side.reference, side.vertex_dofs, held)
 
     def _at_surface(self, i: int, owned: npt.NDArray) -> npt.NDArray:
         """Values at the dofs of a side, of this rank's owned values. Collective."""
@@ -145,6 +154,7 @@ class ContactRows:
                 self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
+        self._lend()
         self._look_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
@@ -163,6 +173,26 @@ class ContactRows:
         except NotFacingError:
             none = np.zeros(len(self._area))
             now.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
+
+    def _lend(self):
+        """Add rows without a pressure of their own to those whose pressure they have."""
+        if (self.lender == np.arange(len(self.lender))).all():
+            return
+        has = self.lender >= 0
+        self.g, self.m = (
+            np.bincount(self.lender[has], part[has], len(part)) for part in (self.g, self.m)
+        )
+        self.C = self._lent(self.C)
+
+    def _lent(self, matrix: Sparse) -> Sparse:
+        """Rows without a pressure of their own added to others, of one component or several."""
+        component, a = np.divmod(matrix.i, len(self.lender))
+        has, i = self.lender[a] >= 0, component * len(self.lender) + self.lender[a]
+        return Sparse(i[has], matrix.j[has], matrix.values[has])
+
+    def spread(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Pressures of all vertices from those of multipliers, ``(num_multipliers,)`` each."""
+        return np.where(self.lender >= 0, p[self.lender], 0)
 
     @property
     def at(self) -> Displacements:
@@ -381,7 +411,36 @@ class ContactRows:
     def _curvature(self) -> Sparse:
         """How forces change where multipliers stay."""
         assert self.now.opening is not None
-        return self.now.opening.curvature(self.u, np.maximum(self.now.p, 0) * self.now.on)
+        p = self.spread(np.maximum(self.now.p, 0) * self.now.on)
+        return self.now.opening.curvature(self.u, p)
+
+
+def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
+    """Find vertices of Γ1 whose gap ties, supports or other contacts hold already.
+
+    Args:
+        contacts: The contacts of a problem; what they lend is set.
+        interfaces: Its ties.
+    """
+    spaces: list[fem.FunctionSpace] = []
+
+    def number(V: fem.FunctionSpace) -> int:
+        if V not in spaces:
+            spaces.append(V)
+        return spaces.index(V)
+
+    sides, tied = [], []
+    for rows in contacts:
+        side0, side1 = (rows.ending(i, number(V)) for i, V in enumerate(rows.spaces))
+        sides.append((side0, side1))
+    for tie in interfaces:
+        side0, side1 = (
+            EndingSide(number(V), surface, MovingSurface(surface).vertex_dofs)
+            for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
+        )
+        tied.append((side0, side1))
+    for rows, lender in zip(contacts, lenders(sides, tied), strict=True):
+        rows.lender = lender
 
 
 def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:

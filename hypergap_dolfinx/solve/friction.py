@@ -81,6 +81,7 @@ class FrictionRows(ContactRows):
             if self._fixed is None:
                 self._fixed, _ = opening.slip(self.at, self.at)
             self.T = self.S = self._fixed
+        self.T, self.S = self._lent(self.T), self._lent(self.S)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
 
@@ -289,7 +290,7 @@ class FrictionRows(ContactRows):
 
     def _curvature(self) -> Sparse:
         assert self.now.opening is not None
-        q = self.now.q * (self.now.on & (self.now.p > 0))
+        q = np.stack([self.spread(q * (self.now.on & (self.now.p > 0))) for q in self.now.q])
         return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q))
 
     # Verdicts
