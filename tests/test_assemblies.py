@@ -98,7 +98,7 @@ def least(problem):
     """The smallest singular value of the rows of contacts and ties, of length 1."""
     spaces = [u.function_space for u in problem.u]
     sizes = [V.dofmap.index_map.size_global * V.dofmap.index_map_bs for V in spaces]
-    blocks = [rows.row_blocks(np.ones(len(rows.g))) for rows in problem._rows]
+    blocks = [rows._blocks(rows.C) for rows in problem._rows]
     blocks += [
         {i: B for i, B in enumerate(row) if B is not None} for row in problem._constraints.free
     ]
