@@ -230,10 +230,11 @@ class ContactProblem(ContactSystem):
         Raises:
             SolveError: No load step, however small, was solved; says why.
             InterfaceError: There is no Σ between the surfaces where the bodies start.
+            ValueError: A coefficient of friction that is negative.
         """
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
-        bad = None if self._path.is_finite else "a load or a prescribed displacement is no number."
+        bad = None if self._path.is_finite else "a load, a prescribed displacement or a friction is no number."
         raise_on_all(comm, bad, SolveError)
         changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0

@@ -35,8 +35,9 @@ class Friction:
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
         """
-        if not (np.isfinite(elastic_slip) and elastic_slip >= 0):
-            raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip}.")
+        number = isinstance(elastic_slip, int | float | np.number)
+        if not (number and np.isfinite(elastic_slip) and elastic_slip >= 0):
+            raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip!r}.")
         self.elastic_slip = float(elastic_slip)
         """Slip up to which friction grows to μ p."""
         self._comm = V.mesh.comm

@@ -37,17 +37,18 @@ def slip_of(opening, sides, u, rng, positions):
     n = u[0].shape[1]
     num = (n - 1) * opening.num_multipliers
     q = rng.random((n - 1, opening.num_multipliers))
-    T, S = (plane.dense(part, (num, len(flat))) for part in opening.slip(u, since))
+    own = np.arange(opening.num_multipliers)
+    T, S = (plane.dense(part, (num, len(flat))) for part in opening.slip(u, since, own))
 
     def at(t):
         moved = tuple(a + t * d for a, d in zip(u, direction, strict=True))
-        T = plane.dense(opening.slip(moved, since)[0], (num, len(flat)))
+        T = plane.dense(opening.slip(moved, since, own)[0], (num, len(flat)))
         way = np.concatenate([(a - b).ravel() for a, b in zip(moved, since, strict=True)])
         return np.concatenate((T @ way, q.ravel() @ T))
 
     difference = (8 * (at(STEP) - at(-STEP)) - at(2 * STEP) + at(-2 * STEP)) / (12 * STEP)
     close(difference[:num], S @ flat, plane.DIFFERENCE)
-    H = plane.dense(opening.slip_curvature(u, q), (len(flat), len(flat)))
+    H = plane.dense(opening.slip_curvature(u, q, own), (len(flat), len(flat)))
     close(difference[num:], H @ flat, plane.DIFFERENCE)
     x = np.concatenate([positions(side, part) for side, part in zip(sides, u, strict=True)])
     assert np.abs(T @ x.ravel()).max() <= 1e-14
@@ -157,6 +158,32 @@ def test_back_and_forth():
     assert 0.15 < ratios[3] / ratios[2] < 1 and slips[3] == 0
 
 
+def test_lent_directions():
+    """Vertices in space that share a traction have one direction of it, and all show it."""
+    contact, problem, go = rotating(3, friction=0.1)
+    rows = contact.rows
+    x = contact.surfaces[1].x
+    lost = np.flatnonzero(x[:, 0] < x[:, 0].min() + 1e-9)
+    others = np.setdiff1d(np.arange(len(x)), lost)
+    for v in lost:
+        rows.lender[v] = others[np.linalg.norm(x[others] - x[v], axis=1).argmin()]
+    go(0, 0, 0, -0.05)
+    go(0, 0.1, 0.05, -0.05)
+    assert contact.slipping[rows.lender[lost]].all()
+    close(np.linalg.norm(rows.tangents[:, contact.active], axis=2), 1, 0.01)
+    shears, p = contact.shears(problem), rows.spread(rows.now.p)
+    on = rows.spread(contact.slipping)
+    close(np.linalg.norm(shears[on], axis=1), 0.1 * p[on], 0.01)
+    assert on[lost].all()
+
+
+def test_slides_off():
+    """What has nothing opposite any more slips by nothing, and is no error of NumPy's."""
+    contact, problem, go = rotating(2, friction=0.1)
+    go(0, 3.0, 0.5)
+    assert not contact.active.any() and contact.slips(problem).max() == 0
+
+
 def test_elastic_slip():
     """Friction grows with slip up to μ p, and goes back when it is released."""
     mu, length = 0.2, 0.01
@@ -196,6 +223,7 @@ def test_input():
     for options, why in (
         ({"elastic_slip": 0.1}, "give friction too"),
         ({"elastic_slip": -0.1, "friction": 0.3}, "a length from 0 on, not -0.1"),
+        ({"elastic_slip": None, "friction": 0.3}, "a length from 0 on, not None"),
     ):
         with raises(ValueError, why):
             Contact(*sides, **options)

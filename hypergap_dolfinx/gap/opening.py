@@ -203,12 +203,16 @@ class Opening:
         add(edges.rays, block)
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
-    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+    def slip(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
+    ) -> tuple[Sparse, Sparse]:
         """What the weighted slip of Γ1 on Γ0 is made of, in two directions at each vertex of Γ1.
 
         Args:
             u: Displacements.
             since: Those from which slip is counted.
+            lender: The vertex whose directions each has, ``(num_multipliers,)``: slips of
+                several are added where they share a traction.
 
         Returns:
             T with s = T (u − u_since), and S = ∂s/∂u, with 2 num_multipliers rows: those of the
@@ -219,7 +223,7 @@ class Opening:
         T = by_dofs(state.surfaces, rays)
         dofs, vertex = self._dofs(rays), state.vertex[state.piece]
         moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])[dofs]
-        ends = slip_columns.directions(state.surfaces[1], state.frames)[vertex]
+        ends = slip_columns.directions(state.surfaces[1], state.frames)[lender[vertex]]
         results = []
         for found in (
             [slip_columns.slips(rays, T, ends[:, k]) for k in (0, 1)],
@@ -235,16 +239,19 @@ class Opening:
             results.append(_summed(i, j, values, (1, 3), 3 * self._num_dofs))
         return results[0], results[1]
 
-    def slip_curvature(self, u: Displacements, q: npt.NDArray[np.float64]) -> Sparse:
+    def slip_curvature(
+        self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
+    ) -> Sparse:
         """∂(Tᵀq)/∂u, of the size of u; it isn't symmetric.
 
         Args:
             u: Displacements.
             q: ``(2, num_multipliers)``.
+            lender: As for :meth:`slip`.
         """
         state = self._at(u)
         directions = slip_columns.directions(state.surfaces[1], state.frames)
-        traction = np.einsum("ka,aki->ai", q, directions)[state.vertex]
+        traction = np.einsum("ka,aki->ai", q, directions[lender])[state.vertex]
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()

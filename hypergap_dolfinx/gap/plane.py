@@ -268,12 +268,15 @@ class PlaneOpening:
         H.destroy()
         return Sparse.of(product)
 
-    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+    def slip(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
+    ) -> tuple[Sparse, Sparse]:
         """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
 
         Args:
             u: Displacements.
             since: Those from which slip is counted.
+            lender: Not asked for: all slips are along Γ0.
 
         Returns:
             T with s = T (u − u_since), and S = ∂s/∂u, of the size of C.
@@ -301,12 +304,15 @@ class PlaneOpening:
             matrix.destroy()
         return results[0], results[1]
 
-    def slip_curvature(self, u: Displacements, q: npt.NDArray[np.float64]) -> Sparse:
+    def slip_curvature(
+        self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
+    ) -> Sparse:
         """Σ_a ∂(q_a T_a)/∂u, of the size of u; it isn't symmetric.
 
         Args:
             u: Displacements.
             q: ``(1, num_multipliers)``.
+            lender: Not asked for.
         """
         state = self._at(u)
         i, j, values = [], [], []

@@ -76,10 +76,10 @@ class FrictionRows(ContactRows):
         if opening is None:
             self.T = self.S = Sparse.empty()
         elif self._follows:
-            self.T, self.S = opening.slip(self.u, self._since)
+            self.T, self.S = opening.slip(self.u, self._since, self.lender)
         else:
             if self._fixed is None:
-                self._fixed, _ = opening.slip(self.at, self.at)
+                self._fixed, _ = opening.slip(self.at, self.at, self.lender)
             self.T = self.S = self._fixed
         self.T, self.S = self._lent(self.T), self._lent(self.S)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
@@ -89,7 +89,8 @@ class FrictionRows(ContactRows):
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
         flat = np.concatenate([part.ravel() for part in values])
         size = (self._n - 1) * len(self.g)
-        return np.bincount(matrix.i, matrix.values * flat[matrix.j], size).reshape(-1, len(self.g))
+        total = np.bincount(matrix.i, matrix.values * flat[matrix.j], size)
+        return total.astype(float).reshape(-1, len(self.g))  # of nothing they would be integers
 
     @property
     def slip(self) -> npt.NDArray[np.float64]:
@@ -130,8 +131,9 @@ class FrictionRows(ContactRows):
 
     @property
     def shears(self) -> npt.NDArray[np.float64]:
-        """Tractions on Γ1's body, ``(num_multipliers, n)``."""
-        return np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
+        """Tractions on Γ1's body, of all vertices, ``(num_vertices, n)``."""
+        q = np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
+        return np.stack([self.spread(part) for part in q.T], axis=1)
 
     # Sets
 
@@ -291,7 +293,7 @@ class FrictionRows(ContactRows):
     def _curvature(self) -> Sparse:
         assert self.now.opening is not None
         q = np.stack([self.spread(q * (self.now.on & (self.now.p > 0))) for q in self.now.q])
-        return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q))
+        return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q, self.lender))
 
     # Verdicts
 

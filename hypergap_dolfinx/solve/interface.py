@@ -123,10 +123,15 @@ class Gaps(Protocol):
     def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
         """Σ_a p_a ∂²g_a/∂u²."""
 
-    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
-        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other."""
+    def slip(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray
+    ) -> tuple[Sparse, Sparse]:
+        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other.
 
-    def slip_curvature(self, u: Displacements, q: npt.NDArray) -> Sparse:
+        In space each vertex has the directions of its lender.
+        """
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
         """∂(Tᵀq)/∂u."""
 
 
