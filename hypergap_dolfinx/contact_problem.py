@@ -234,8 +234,8 @@ class ContactProblem(ContactSystem):
         """
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
-        bad = None if self._path.is_finite else "a load, a prescribed displacement or a friction is no number."
-        raise_on_all(comm, bad, SolveError)
+        bad = "a load, a prescribed displacement or a friction is no number."
+        raise_on_all(comm, None if self._path.is_finite else bad, SolveError)
         changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0
         self._prepare()

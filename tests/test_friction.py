@@ -171,7 +171,7 @@ def test_lent_directions():
     go(0, 0.1, 0.05, -0.05)
     assert contact.slipping[rows.lender[lost]].all()
     close(np.linalg.norm(rows.tangents[:, contact.active], axis=2), 1, 0.01)
-    shears, p = contact.shears(problem), rows.spread(rows.now.p)
+    shears, p = contact.shears(problem), contact.pressures(problem)
     on = rows.spread(contact.slipping)
     close(np.linalg.norm(shears[on], axis=1), 0.1 * p[on], 0.01)
     assert on[lost].all()
