@@ -29,6 +29,7 @@ from hypergap_dolfinx.gap.opposite import Frames, cross, dual_basis, reference_m
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
+LAST = 1e-8  # such a step on a reference facet, squared, is round-off
 
 
 class At(IntEnum):
@@ -113,8 +114,8 @@ class Rays:
         )
         return result
 
-    def hessian(self) -> npt.NDArray[np.float64]:
-        """∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
+    def half_hessian(self) -> npt.NDArray[np.float64]:
+        """A, with A + Aᵀ = ∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
         q, (n0, n1, m), (s, a, b) = self.q, self.normals, self.products
         num = len(q)
         h, slope = s / b, a / b
@@ -122,7 +123,6 @@ class Rays:
 
         def put(i, j, block):
             H[:, i, :, j] += block
-            H[:, j, :, i] += block.transpose(0, 2, 1)
 
         times = {v: cross_matrix(q[:, v]) for v in range(7)}
         scaled = {v: slope[:, None, None] * times[v] for v in (At.Z1, At.Z2, At.R)}
@@ -157,9 +157,7 @@ class Rays:
             right.append(0.5 * curve[:, :1] * moves[0] + curve[:, 1:2] * moves[1])
             right.append(0.5 * curve[:, 2:] * moves[1])
         result = H.reshape(num, 21, 21)
-        product = np.stack(left, axis=2) @ np.stack(right, axis=1)
-        result += product
-        result += product.transpose(0, 2, 1)
+        result += np.stack(left, axis=2) @ np.stack(right, axis=1)
         return result
 
 
@@ -186,7 +184,7 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
         _, dual = dual_basis(np.stack(at0[1:3], axis=1))
         step = np.einsum("pki,pi->pk", dual, rest)
         xi += step
-        if np.abs(step).max(initial=0) < 1e-14:
+        if np.abs(step).max(initial=0) < LAST:
             break
     at0 = _jets(below, f0, xi, bends=not straight)
     q = np.stack((at0[0] - x1, *at0[1:3], *at1[1:3], *frames.tangents[f1].swapaxes(0, 1)), axis=1)

@@ -58,6 +58,8 @@ class _State:
     """Edges of Γ1 of which both vertices have a weight."""
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
+    gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+    """g, m and C, likewise."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,8 @@ class PlaneOpening:
             ``(num_multipliers, 2 (num_dofs0 + num_dofs1))``.
         """
         state = self._at(u)
+        if state.gap is not None:
+            return state.gap
         g, m = np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
         i, j, values = [], [], []
         for cells in state.cells:
@@ -228,7 +232,8 @@ class PlaneOpening:
         C = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
         product = C.matMult(self._to_dofs(state))
         C.destroy()
-        return g, m, Sparse.of(product)
+        state.gap = g, m, Sparse.of(product)
+        return state.gap
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
         """H = Σ_a p_a ∂²g_a/∂u², of the size of u.
