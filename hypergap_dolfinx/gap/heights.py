@@ -46,6 +46,13 @@ def cross_matrix(a) -> npt.NDArray[np.float64]:
     return result
 
 
+def cross_twice(a, b) -> npt.NDArray[np.float64]:
+    """[a]× [b]×, ``(num, 3, 3)``: NumPy's products of small matrices are slow."""
+    result = b[:, :, None] * a[:, None]
+    result[:, range(3), range(3)] -= dot(a, b)[:, None]
+    return result
+
+
 def dot(a, b) -> npt.NDArray[np.float64]:
     """Of vectors, ``(num, 3)``."""
     return np.einsum("pi,pi->p", a, b)
@@ -124,19 +131,18 @@ class Rays:
         def put(i, j, block):
             H[:, i, :, j] += block
 
-        times = {v: cross_matrix(q[:, v]) for v in range(7)}
-        scaled = {v: slope[:, None, None] * times[v] for v in (At.Z1, At.Z2, At.R)}
+        scaled = {v: cross_matrix(slope[:, None] * q[:, v]) for v in (At.Z1, At.Z2, At.R)}
         put(At.R, At.Z1, -scaled[At.Z2])  # s = N₀ · r, times A / B
         put(At.R, At.Z2, scaled[At.Z1])
         put(At.Z1, At.Z2, -scaled[At.R])
         put(At.C1, At.C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
         for (u, v), factor in (((At.T1, At.T2), h), ((At.Z1, At.Z2), -h * slope)):  # of A, and of B
             put(u, v, -cross_matrix(factor[:, None] * m))
-            of_u, of_v = (factor[:, None, None] * times[w] for w in (u, v))
-            put(u, At.C1, -of_v @ times[At.C2])
-            put(u, At.C2, of_v @ times[At.C1])
-            put(v, At.C1, of_u @ times[At.C2])
-            put(v, At.C2, -of_u @ times[At.C1])
+            of_u, of_v = (factor[:, None] * q[:, w] for w in (u, v))
+            put(u, At.C1, -cross_twice(of_v, q[:, At.C2]))
+            put(u, At.C2, cross_twice(of_v, q[:, At.C1]))
+            put(v, At.C1, cross_twice(of_u, q[:, At.C2]))
+            put(v, At.C2, -cross_twice(of_u, q[:, At.C1]))
         ds, da, db = (np.zeros_like(q) for _ in range(3))
         ds[:, At.R] = n0
         ds[:, At.Z1], ds[:, At.Z2] = cross(q[:, At.Z2], q[:, At.R]), cross(q[:, At.R], q[:, At.Z1])
@@ -195,10 +201,10 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
 def _jets(surface: Surface, facet, X, *, bends=False) -> list[npt.NDArray[np.float64]]:
     """Points of facets, both slopes, and second derivatives; ``(num, 3)`` each."""
     nodes = surface.nodes[facet]
-    origin = nodes[:, :1]
-    table = _table(surface, X, 2 if bends else 1)
-    found = [np.einsum("pm,pmi->pi", part, nodes - origin) for part in table]
-    found[0] += origin[:, 0]
+    origin = nodes[:, 0].copy()
+    nodes -= origin[:, None]
+    found = [np.einsum("pm,pmi->pi", part, nodes) for part in _table(surface, X, 1 + bends)]
+    found[0] += origin
     return found
 
 

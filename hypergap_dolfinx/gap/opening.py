@@ -176,15 +176,16 @@ class Opening:
         state = self._at(u)
         i, j, values = [], [], []
 
-        def add(rays, block):
-            """Halves of blocks, ``(num, dof, dof, component, component)``.
+        def add(rays, block, axes):
+            """Halves of blocks, each of as many points; those of a pair of facets are summed.
 
-            Those of a pair of facets are summed; as many points follow each other for each one.
+            The axes are those of dofs and components, of rows and columns each.
             """
             num, nodes = block.shape[:2]
             each = len(rays.X) // num
             first = _first(*(facet[::each] for facet in rays.facets))
             block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
+            block = block.transpose(0, *axes)
             block = block + block.transpose(0, 2, 1, 4, 3)
             dofs = self._dofs(rays)[::each][first]
             shape = len(first), nodes, nodes
@@ -207,7 +208,7 @@ class Opening:
         # The points of a piece are summed in one product
         T, half = T.reshape(len(on), -1, nodes), half.reshape(len(on), -1, 9 * nodes)
         block = (T.transpose(0, 2, 1) @ half).reshape(-1, nodes, nodes, 3, 3)
-        add(rays, block.transpose(0, 1, 2, 4, 3))
+        add(rays, block, (2, 1, 3, 4))
         edges = _edges(state, pressure != 0)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
             T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
@@ -216,7 +217,7 @@ class Opening:
                 for part in _kinks(edges, pressure[edges.piece] * edges.weights)
             )
             block = (a.transpose(0, 2, 1) @ b).reshape(-1, nodes, 3, nodes, 3)
-            add(edges.rays, block.swapaxes(2, 3))
+            add(edges.rays, block, (1, 3, 2, 4))
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
