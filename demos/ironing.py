@@ -4,13 +4,18 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Large deformation, finite sliding, no friction. The die is ten times as stiff as the foundation,
-# both are neo-Hookean. First it goes down in a few load steps, then along. Without friction its
+# Large deformation, finite sliding, no friction unless it is asked for. The die is ten times as
+# stiff as the foundation, both are neo-Hookean. First it goes down in a few load steps, then along.
+# Without friction its
 # reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
 # pass each other is the ripple of the method. All is conservative: the reaction is the derivative
 # of the energy that is stored. Each step is followed by one of a ten-thousandth of a cell to see
 # that: over a third of a cell the mean of two forces isn't their work to more than two or three
 # digits, and the reaction has kinks where a corner's pressure passes from facet to facet.
+#
+# With friction (`--friction 0.3`) work is also dissipated, horizontal and vertical force have its
+# coefficient as their ratio, nearly, once all of the die slips; and at the end it is drawn back
+# (`--back`).
 
 # +
 import argparse
@@ -54,7 +59,7 @@ def energy(u, E, nu=0.32):
 class Ironing:
     """The scene."""
 
-    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2):
+    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2, friction=None):
         """Make it.
 
         Args:
@@ -63,6 +68,7 @@ class Ironing:
             flat: Whether the die is flat, with corners.
             swap: Whether Γ1 is the die instead of the foundation.
             dim: Number of dimensions.
+            friction: Its coefficient.
         """
         sizes = ((LENGTH, DEPTH), (WIDTH, HEIGHT)) if dim == 2 else SOLID
         cells = ((50, 10), (11, 6)) if dim == 2 else SOLID_CELLS
@@ -106,9 +112,9 @@ class Ironing:
             F.append(ufl.derivative(W, u))
             sides.append((V, ft.find(tags[0])))
         self.comm = comm
-        self.contact = Contact(*(sides if swap else sides[::-1]))
+        self.contact = Contact(*(sides if swap else sides[::-1]), friction=friction)
         self.problem = ContactProblem(F, self.u, bcs=bcs, contacts=[self.contact], rtol=RTOL)
-        self.swap = swap
+        self.swap, self.friction = swap, friction
 
     def energy(self):
         """The energy that is stored in both bodies."""
@@ -119,18 +125,23 @@ class Ironing:
         self.problem.solve()
         return self.contact.force(self.problem) * (-1 if self.swap else 1)
 
-    def go(self, steps, size, film=None):
+    def dissipated(self):
+        """The energy that the last step took for good."""
+        return self.contact.dissipation(self.problem) if self.friction else 0.0
+
+    def go(self, steps, size, back=0, film=None):
         """Press and iron.
 
         Args:
             steps: Number of load steps along.
             size: Their size, in cells of the foundation.
+            back: Number of load steps back, behind them.
             film: Takes a picture of each step along, if there is one.
         """
         rows = []
-        for step in range(1, PRESSING + steps + 1):
+        for step in range(1, PRESSING + steps + back + 1):
             down = DOWN * min(step / PRESSING, 1)
-            along = max(step - PRESSING, 0) * size * H
+            along = (steps - abs(max(step - PRESSING, 0) - steps)) * size * H
             self.goal.value[0], self.goal.value[-1] = along, -down
             force = self.solve()
             rows.append(
@@ -145,10 +156,11 @@ class Ironing:
             if film and step > PRESSING:
                 film.add(along / H, force)
             energy, move = self.energy(), np.zeros(len(force))
-            move[0] = SMALL
+            move[0] = SMALL * (1 if step <= PRESSING + steps else -1)
             self.goal.value[:] += move
             work = 0.5 * (force + self.solve()) @ move
-            error = abs(self.energy() - energy - work) / (np.linalg.norm(force) * SMALL)
+            stored = self.energy() - energy
+            error = abs(stored + self.dissipated() - work) / (np.linalg.norm(force) * SMALL)
             rows[-1]["energy_error"] = float(error)
             progress.show(self.comm, f"step {step}: {rows[-1]['iterations']} Newton steps")
         return rows
@@ -225,13 +237,15 @@ def main():
     parser.add_argument("--swap", action="store_true", help="Γ1 is the die")
     parser.add_argument("--step", type=float, default=1 / 3, help="size of load steps, in cells")
     parser.add_argument("--steps", type=int, default=60, help="number of load steps along")
+    parser.add_argument("--back", type=int, default=0, help="number of load steps back")
+    parser.add_argument("--friction", type=float, metavar="μ")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR", help="save a GIF")
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
-    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim)
+    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim, args.friction)
     film = Film(scene) if args.plot else None
-    rows = scene.go(args.steps, args.step, film)
+    rows = scene.go(args.steps, args.step, args.back, film)
     progress.show(comm)
     along = rows[PRESSING:]
     fy = np.array([row["fy"] for row in along])
@@ -240,6 +254,9 @@ def main():
     if comm.rank == 0:
         print(f"Newton steps a load step: {count.mean():.1f}, at most {count.max()}")
         print(f"halved load steps: {sum(row['halvings'] for row in rows)}")
+        if args.friction:
+            ratio = np.abs([row["fx"] / row["fy"] for row in rows[PRESSING:]])[: args.steps]
+            print(f"horizontal over vertical force: {ratio[args.steps // 4 :].mean():.4f}")
         largest = np.abs(ripple / fy)[2:-2].max(initial=0)
         print(f"vertical force: {fy.mean():.4f}, ripple {largest:.1e}")
         print(f"reaction against energy: {max(row['energy_error'] for row in rows):.1e}")

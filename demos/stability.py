@@ -8,7 +8,8 @@
 # tests and the pressurised cylinder are repeated along one axis after the other, in 2D and 3D, with
 # elements of degree 1 and 2 and both sides as Γ1. The same problem on one fused mesh tells what the
 # bodies' own conditioning costs: a row is met when its error is below its bound, or when the fused
-# mesh shows a tenth of it or more.
+# mesh shows a tenth of it or more. Contact has rows of its own: a block that nothing else holds,
+# and a die that irons.
 
 # +
 import argparse
@@ -26,8 +27,10 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+from ironing import Ironing
+
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import Contact, ContactProblem, Tie, TiedProblem
 
 comm = MPI.COMM_WORLD
 EPS = np.finfo(float).eps
@@ -265,6 +268,104 @@ def turned(n, degree, swap):
     return np.sqrt(total / area), problem
 
 
+# ## Contact
+#
+# A block between walls is pressed on another one, and held by nothing but contact; the pressure is
+# the load. And a die irons, in load steps of any length: its reaction is the derivative of the
+# energy.
+
+PRESSED = {
+    "dim": 2,
+    "degree": 1,
+    "swap": False,
+    "cells": (2, 3),
+    "E": (1.0, 1.0),
+    "nu": 0.3,
+    "unit": 1.0,
+    "shift": 0.0,
+    "start": 0.0,  # the gap at first, in cells of the finer block
+    "sliver": 0.0,  # of the lower block that has nothing above it
+}
+
+
+def pressed(scene):
+    """Relative error of the pressures, and the problem."""
+    s = PRESSED | scene
+    dim, unit, u, F, bcs, sides = s["dim"], s["unit"], [], [], [], []
+    p = 1e-3 * min(s["E"])
+    for i, E in enumerate(s["E"]):
+        size = np.ones(dim)
+        low = np.zeros(dim)
+        low[-1] = (-1, s["start"] / max(s["cells"]))[i]
+        size[0] += s["sliver"] * (i == 0)
+
+        def place(x, low=low, size=size):
+            return unit * (low + x * size + s["shift"])
+
+        n = [s["cells"][i]] * (dim - 1) + [2]
+        cell = {2: "quadrilateral", 3: "hexahedron"}[dim]
+        mesh, ft = meshes.block(comm, n, place, cell=cell)
+        V = fem.functionspace(mesh, ("Lagrange", s["degree"], (dim,)))
+        w, v = fem.Function(V), ufl.TestFunction(V)
+        E, nu, load = (fem.Constant(mesh, default_scalar_type(x)) for x in (E, s["nu"], i * p))
+        ds = ufl.Measure("ds", mesh, subdomain_data=ft)(2 * dim)
+        F.append(ufl.inner(stress(w, E, nu), ufl.grad(v)) * ufl.dx + load * v[dim - 1] * ds)
+        walls = [(c // 2, c + 1) for c in range(2 * dim - 2)]
+        for component, tag in (*walls, *[(dim - 1, 2 * dim - 1)] * (1 - i)):
+            dofs = fem.locate_dofs_topological(V.sub(component), dim - 1, ft.find(tag))
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
+        u.append(w)
+        sides.append((V, ft.find(2 * dim - i)))  # the one's top, the other's bottom
+    contact = Contact(*(sides[::-1] if s["swap"] else sides))
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-13)
+    problem.solve()
+    return np.abs(contact.pressures(problem) / p - 1).max(), problem
+
+
+def contact_scenes(quick):
+    """Scenes of contact: axis, value, what is unusual, bound."""
+    for value in powers(-6, 6, 6 if quick else 2):
+        yield "contrast", value, {"E": (1.0, value)}, 1e-12 + 200 * EPS * value
+    for value in (0.4999,) if quick else (0.49, 0.499, 0.4999):
+        yield "Poisson ratio", value, {"nu": value}, 1e-11
+    for cells in ((2, 20), (20, 2)):
+        yield "cell sizes", "{}:{}".format(*cells), {"cells": cells}, 1e-11
+    for value in powers(-9, 9, 9 if quick else 3):
+        yield "length unit", value, {"unit": value}, 1e-12
+    for value in powers(-12, 12, 12 if quick else 4):
+        yield "stiffness unit", value, {"E": (value, value)}, 1e-12
+    for value in (1e3,) if quick else (1e3, 1e6):
+        yield "far from origin", value, {"shift": value}, 1e-12 + 1e3 * EPS * value
+    for value in (-0.3, 3.0) if quick else (-0.3, -0.03, 0.1, 1.0, 3.0):
+        yield "start / h", value, {"start": value}, 1e-9
+    for value in powers(-9, -3, 4 if quick else 1):  # it isn't loaded
+        yield "sliver", value, {"sliver": value}, 1e-9 + 3 * value
+
+
+def contact_rows(quick):
+    """Rows of the table; in the place of KSP's reason they have the number of Newton steps."""
+    nothing = {"fused": 0.0, "residual": np.nan, "infog12": None, "infog28": None}
+    for axis, value, scene, bound in contact_scenes(quick):
+        for dim, degree in itertools.product((2, 3), (1, 2)):
+            if dim == 3 and (degree == 2 or max(scene.get("cells", (1,))) > 10):
+                continue
+            common = {"dim": dim, "degree": degree}
+            runs = [pressed(scene | common | {"swap": swap}) for swap in (False, True)]
+            error, problem = max(runs, key=lambda run: run[0])
+            rows = problem.rows(problem.contacts[0])
+            gap = np.abs(rows.distance[rows.now.on]).max()
+            result = {"scene": "contact", "axis": axis, "value": value, **common, **nothing}
+            result |= {"error": float(error), "bound": bound, "constraint": float(gap)}
+            yield result | {"reason": problem.iterations, "ok": bool(error <= bound)}
+    for size in (5.0,) if quick else (0.01, 0.1, 1.0, 5.0):
+        found = Ironing(comm).go(6, size)
+        error, steps = (max(row[name] for row in found) for name in ("energy_error", "iterations"))
+        halved = sum(row["halvings"] for row in found)
+        result = {"scene": "ironing", "axis": "step / h", "value": size, **nothing}
+        result |= {"dim": 2, "degree": 1, "error": error, "bound": 1e-6, "constraint": np.nan}
+        yield result | {"reason": steps, "ok": error <= 1e-6 and not halved}
+
+
 # ## What the solver says
 
 
@@ -366,6 +467,7 @@ def rows(quick):
             fused = cylinder(n, degree, E, nu, fused=True)[0]
             common = {"dim": 2, "degree": degree}
             yield row("cylinder", axis, value, common, runs, fused, 1.05 * fused, strict=True)
+    yield from contact_rows(quick)
     for n, degree in itertools.product(((3, 5), (6, 9), (12, 17)), (1, 2)):
         runs = [turned(n, degree, swap) for swap in (False, True)]
         common = {"dim": 2, "degree": degree}

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.friction import Friction, Value, friction_of
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
@@ -23,6 +24,7 @@ from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.strip import turns
 from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface, facet_pairs
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values
+from hypergap_dolfinx.solve.friction import FrictionRows
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -37,12 +39,15 @@ Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
 
 class Contact:
-    """Two surfaces that can touch, part and slide without friction.
+    """Two surfaces that can touch, part and slide, with friction or without.
 
     Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a part
     of it: in the plane by the weights w_a = ∂ψ_a/∂α of Σ's cells, in space what stands on its part
     of Γ1's facets, along their normals. Its volume is the weighted gap g_a, and there is a pressure
     p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
+
+    With friction there are tractions q_a too, against the slip s_a since the last load step:
+    |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
 
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
@@ -66,7 +71,15 @@ class Contact:
         True
     """
 
-    def __init__(self, side0: Side, side1: Side, *, sliding: str = "finite"):
+    def __init__(
+        self,
+        side0: Side,
+        side1: Side,
+        *,
+        sliding: str = "finite",
+        friction: Value | None = None,
+        elastic_slip: float = 0.0,
+    ):
         """Find the two surfaces. Collective.
 
         Args:
@@ -75,24 +88,23 @@ class Contact:
             side1: Γ1, which carries the pressures: the same.
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
                 stay what they are at the start, the constraints are linear.
+            friction: Coulomb's coefficient: a number, a ``fem.Constant``, or a scalar Lagrange
+                function on Γ1's mesh, of which values at vertices are taken. What it holds may
+                change between load steps. None for no friction.
+            elastic_slip: Slip (a length) up to which friction grows to μ p, and which goes back
+                when it is released. With 0 nothing slips before that.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
-                unknown.
+                unknown; a coefficient of friction that is negative, no number, or elsewhere; an
+                elastic slip without friction.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
         if sliding not in ("finite", "small"):
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
-        for side in (side0, side1):
-            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
-                raise ValueError("each side of a contact is a pair: a function space and facets.")
-            if not isinstance(side[0], fem.FunctionSpace):
-                raise ValueError(
-                    f"a contact's side is (function space, facets), not "
-                    f"({type(side[0]).__name__}, …)."
-                )
+        _check_sides(side0, side1)
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
@@ -117,6 +129,7 @@ class Contact:
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
+        self._friction = friction_of(friction, elastic_slip, *side1)
         self.rows: ContactRows | None = None
         """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
@@ -138,11 +151,19 @@ class Contact:
             stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
                 facets differ by less than a tenth.
             options: Of the constructor.
+
+        Raises:
+            ValueError: A side that is no pair of a space and facets; moduli that are none.
+            InterfaceError: As the constructor.
         """
+        _check_sides(a, b)
         size = [_size(create_surface(*side, "a side")) for side in (a, b)]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
-            contrast = stiffness[1] / stiffness[0]
+            moduli = np.asarray(stiffness, dtype=float)
+            if moduli.shape != (2,) or not (np.isfinite(moduli) & (moduli > 0)).all():
+                raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
+            contrast = moduli[1] / moduli[0]
         if max(contrast, 1 / contrast) >= STIFF:
             swapped, why = contrast > 1, "far softer"
         elif max(ratio, 1 / ratio) > ALIKE:
@@ -196,6 +217,11 @@ class Contact:
         return self._sliding
 
     @property
+    def friction(self) -> Friction | None:
+        """Coulomb's friction, if there is any."""
+        return self._friction
+
+    @property
     def finer(self) -> float:
         """Size of Γ0's facets over that of Γ1's."""
         return _size(self._surfaces[0]) / _size(self._surfaces[1])
@@ -239,6 +265,16 @@ class Contact:
             raise ValueError("the contact is in no problem: make one, and call solve() first.")
         return self.rows.now.on.copy()
 
+    @property
+    def sticking(self) -> npt.NDArray[np.bool_]:
+        """Which vertices of Γ1 are in contact and stick; the same on every rank."""
+        return self.active & self._rubbing(self.rows).now.sticks
+
+    @property
+    def slipping(self) -> npt.NDArray[np.bool_]:
+        """Which vertices of Γ1 are in contact and slip."""
+        return self.active & ~self._rubbing(self.rows).now.sticks
+
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
 
@@ -253,7 +289,7 @@ class Contact:
         rows = problem.rows(self)
         if rows.now.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.at, rows.now.p)
+        return self._opening(rows).smoothed(rows.at, rows.spread(rows.now.p))
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """The pressure between the bodies. Collective.
@@ -274,8 +310,70 @@ class Contact:
         rows = problem.rows(self)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.now.p * rows.now.on)
+        cells = self._opening(rows).cells(rows.at, rows.spread(rows.now.p * rows.now.on))
         return on_sigma(self._comm, cells, "pressure")
+
+    def shears(self, problem) -> npt.NDArray[np.float64]:
+        """Tractions of friction on Γ1's body at its vertices; means as :meth:`pressures`.
+
+        Args:
+            problem: A solved problem with this contact.
+
+        Returns:
+            ``(num_vertices, n)``, in the order of ``surfaces[1].x``, the same on every rank.
+        """
+        rows = self._rubbing(problem.rows(self))
+        if rows.now.opening is None:
+            return np.zeros((len(rows.g), self.spaces[1].mesh.geometry.dim))
+        opening = self._opening(rows)
+        return np.stack([opening.smoothed(rows.at, part) for part in rows.shears.T], axis=1)
+
+    def shear(self, problem, *, on: str = "sigma") -> fem.Function:
+        """The traction of friction on Γ1's body, a vector, as :meth:`pressure`. Collective.
+
+        Args:
+            problem: A solved problem with this contact.
+            on: ``"sigma"`` or ``"body"``.
+        """
+        rows = self._rubbing(problem.rows(self))
+        if self._on_body(on):
+            return self._at_vertices(self.shears(problem), "shear")
+        opening = self._opening(rows)
+        parts = [opening.cells(rows.at, part) for part in rows.shears.T]
+        values = np.stack([part.pressure for part in parts], axis=1)
+        return on_sigma(self._comm, parts[0], "shear", values)
+
+    def slips(self, problem) -> npt.NDArray[np.float64]:
+        """By how much Γ1 slipped on Γ0 in the last :meth:`ContactProblem.solve`, at its vertices.
+
+        Args:
+            problem: A solved problem with this contact.
+
+        Returns:
+            ``(num_vertices, n)``, the same on every rank; 0 where there is no contact.
+        """
+        return self._rubbing(problem.rows(self)).slipped.copy()
+
+    def slip(self, problem) -> fem.Function:
+        """The same as a function of degree 1 on Γ1's body. Collective.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        return self._at_vertices(self.slips(problem), "slip")
+
+    def dissipation(self, problem) -> float:
+        """Energy that friction dissipated in the last :meth:`ContactProblem.solve`.
+
+        Args:
+            problem: A solved problem with this contact.
+        """
+        return self._rubbing(problem.rows(self)).dissipated
+
+    def _rubbing(self, rows: ContactRows | None) -> FrictionRows:
+        if not isinstance(rows, FrictionRows):
+            raise ValueError("the contact has no friction: give it a coefficient.")
+        return rows
 
     def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
         """The distance of the bodies, negative where they overlap. Collective.
@@ -291,6 +389,8 @@ class Contact:
             ValueError: A displacement that is not on its side's space.
             InterfaceError: Nothing of Γ1 is opposite Γ0.
         """
+        if not all(isinstance(u, fem.Function) for u in (u0, u1)):
+            raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
         if u0.function_space != self._spaces[0]:  # `between` may have swapped them
             u0, u1 = u1, u0
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
@@ -305,7 +405,7 @@ class Contact:
         opening = self._opening(rows)
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
-            return self._at_vertices(distance, "gap")
+            return self._at_vertices(rows.spread(distance), "gap")
         return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
@@ -336,25 +436,39 @@ class Contact:
         return displaced(self._sides, problem.rows(self).u)
 
     def force(self, problem) -> npt.NDArray[np.float64]:
-        """The force on Γ1's body; Γ0's feels the opposite. ``(n,)``, the same on every rank.
+        """The force on Γ1's body, friction's too; Γ0's feels the opposite.
 
         Args:
             problem: A solved problem with this contact.
+
+        Returns:
+            ``(n,)``, the same on every rank.
         """
-        rows = problem.rows(self)
-        return rows.forces(rows.now.p)[1].sum(axis=0)
+        return problem.rows(self).acting()[1].sum(axis=0)
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""
         mesh = self._spaces[1].mesh
-        V = fem.functionspace(mesh, ("Lagrange", 1))
+        shape = values.shape[1:]
+        V = fem.functionspace(mesh, ("Lagrange", 1, shape) if shape else ("Lagrange", 1))
         f = fem.Function(V, name=name)
         at = MovingSurface(create_surface(V, self._facets[1], "Γ1")).vertex_dofs
         start, end = V.dofmap.index_map.local_range
         mine = (at >= start) & (at < end)
-        f.x.array[at[mine] - start] = values[mine]
+        f.x.array.reshape(-1, *shape)[at[mine] - start] = values[mine]
         f.x.scatter_forward()
         return f
+
+
+def _check_sides(*sides):
+    """Raise if they are no pairs of a space and facets."""
+    for side in sides:
+        if not isinstance(side, Sequence) or len(side) != 2:
+            raise ValueError("each side of a contact is a pair: a function space and facets.")
+        if not isinstance(side[0], fem.FunctionSpace):
+            raise ValueError(
+                f"a contact's side is (function space, facets), not ({type(side[0]).__name__}, …)."
+            )
 
 
 def _size(surface: Surface) -> float:

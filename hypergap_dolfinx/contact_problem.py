@@ -28,6 +28,7 @@ from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solve.contact_system import ContactSystem
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching
+from hypergap_dolfinx.solve.friction import FrictionRows
 from hypergap_dolfinx.solve.matrices import mean_diagonal
 from hypergap_dolfinx.solve.path import LoadPath
 from hypergap_dolfinx.tie import Tie
@@ -100,15 +101,24 @@ class ContactProblem(ContactSystem):
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a contact, tie or boundary
-                condition on a space that belongs to no body; a rigid Γ1 that is finer than Γ0.
+            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
+                a test function; no contacts; a contact, tie or boundary condition on a space that
+                belongs to no body; a rigid Γ1 that is finer than Γ0; an rtol that is no number.
             InterfaceError: The same facets in two contacts, or in a contact and a tie.
         """
-        if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
+        if not all(isinstance(given, Sequence) for given in (F, u)) or not all(
+            isinstance(f, fem.Function) for f in u
+        ):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         if len(F) != len(u):
             raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
-        contacts = [contacts] if isinstance(contacts, Contact) else contacts
+        contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
+        if not contacts:
+            raise ValueError(
+                "there are no contacts; bodies without any are a NonlinearTiedProblem."
+            )
+        if not (isinstance(rtol, float | int | np.floating) and rtol >= 0):
+            raise ValueError(f"rtol is a number ≥ 0, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
         wrong = next((c for c in contacts if not isinstance(c, Contact)), None)
@@ -158,6 +168,7 @@ class ContactProblem(ContactSystem):
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         laws = [law for tie in ties for law in (tie.jump, tie.compliance) if law]
         arrays = [array for law in laws for array in law.arrays]
+        arrays += [contact.friction.array for contact in contacts if contact.friction]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 
@@ -210,7 +221,8 @@ class ContactProblem(ContactSystem):
         Where Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
         that was found remains. The first load step starts with the values at construction: set the
-        load after that.
+        load after that. In a time loop what is known of the last time step is among the values:
+        states between are on the way to the new one, they are none in time.
 
         Returns:
             The displacement of each body, the same functions as in ``u``.
@@ -276,9 +288,11 @@ class ContactProblem(ContactSystem):
             sum(int(part.sum()) for part in parts)
             for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
         )
+        rubbing = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
+        sticking = f", {sum(rows.stuck.sum() for rows in rubbing)} of them stick"
         return (
             f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
-            f"{num} of {every} vertices in contact"
+            f"{num} of {every} vertices in contact{sticking if rubbing else ''}"
         )
 
     def _warn_of_stiffness(self, comm):

@@ -17,6 +17,7 @@ from helpers import raises
 from test_contact_bodies import Assembly
 
 import meshes
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
 from hypergap_dolfinx import (
@@ -65,8 +66,17 @@ def test_sides():
         Contact(side0, side1, sliding="large")
     with raises(ValueError, r"a contact's side is \(function space, facets\), not \(Mesh"):
         Contact((scene.bodies[0].mesh, side0[1]), side1)
-    with raises(ValueError, "is a pair"):
-        Contact(side0[0], side1[0])
+    for wrong in (side0[0], scene.bodies[0].mesh, None):
+        with raises(ValueError, "is a pair"):
+            Contact(wrong, side1)
+        with raises(ValueError, "is a pair"):
+            Contact.between(wrong, side1)
+    for stiffness in (10.0, (0.0, 1.0), (np.nan, 1.0), (1.0, -1.0)):
+        with raises(ValueError, "stiffness is a pair of moduli > 0, not"):
+            Contact.between(side0, side1, stiffness=stiffness)
+    arrays = [u.x.array for u in scene.u]
+    with raises(ValueError, "takes the displacements of both bodies, as functions"):
+        Contact(side0, side1).gap(*arrays)
 
 
 @pytest.mark.ranks(2)
@@ -126,6 +136,23 @@ def test_problem(caplog):
         ContactProblem(scene.F[1:], scene.u[1:], contacts=[contact])
     with raises(ValueError, "contact 0 is between two rigid bodies"):
         ContactProblem([None, None], scene.u, contacts=[contact])
+    for F, u in ((scene.F[0], scene.u), (scene.F, None), (scene.F, contact.spaces)):
+        with raises(ValueError, "F and u are lists, with one form and one function for each body"):
+            ContactProblem(F, u, contacts=[contact])
+    for none in ([], None):
+        with raises(ValueError, "there are no contacts"):
+            ContactProblem(scene.F, scene.u, contacts=none)
+    for rtol in (-1.0, "1e-8"):
+        with raises(ValueError, "rtol is a number ≥ 0, not"):
+            scene.problem([contact], rtol=rtol)
+    energy = ufl.inner(scene.u[0], scene.u[0]) * ufl.dx
+    for F, kind in (
+        (energy, "a form of rank 0"),
+        (scene.bodies[0].a, "a form of rank 2"),
+        (0, "int"),
+    ):
+        with raises(ValueError, f"the residual of body 0 is {kind}, not a form with one test"):
+            ContactProblem([F, scene.F[1]], scene.u, contacts=[contact])
     finer = two(n=(4, 9))
     with raises(ValueError, "Γ1 of contact 0 is rigid, with smaller facets"):
         ContactProblem([finer.F[0], None], finer.u, contacts=[Contact(*faces(finer))])

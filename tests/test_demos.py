@@ -61,10 +61,33 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
+    "bouncing": Demo(
+        "--height 0.1 --time 1.4 --step 0.02",
+        {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.0915e-3},
+        {"rows.*.iterations": 5, "bounces.*.gained": 0},
+        accuracy=1e-2,
+        pictures=("bouncing",),
+        needs=("matplotlib",),
+    ),
     "contact_patch": Demo(
         "--quick",
         below={"rows.*.pressure": 1e-11, "rows.*.stress": 1e-11},
         pictures=("contact_patch",),
+    ),
+    "friction": Demo(
+        "--scene wedge --scene cattaneo --cells 6",
+        {"rows.1.l2_shear": 0.15720, "rows.1.q_over_mu_p": 0.32665},
+        {"rows.0.error": 1e-5, "rows.1.off": 1.0},
+        pictures=("friction",),
+        needs=("matplotlib",),
+    ),
+    "friction_exact": Demo(
+        "--scene block --scene twist",
+        {"rows.0.told": 1, "rows.1.told": 1, "rows.2.told": 1, "rows.3.told": 1},
+        {"rows.0.error": 1e-11, "rows.1.error": 1e-11, "rows.2.error": 1e-11}
+        | {"rows.3.error": 1e-11, "rows.4.error": 1e-2},
+        slow=True,
+        script="friction",
     ),
     "gap_domain": Demo(
         pinned={"triangles": 12, "tetrahedra.0": 18, "tetrahedra.2": 32},
@@ -258,8 +281,9 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("contact_patch", "gap_domain", "incompressible", "kernel_speed", "periodic_cell"),
-    *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
+    *("bouncing", "contact_patch", "gap_domain", "heat", "hertz_published", "incompressible"),
+    *("ironing", "kernel_speed", "periodic_cell", "periodic_cell_3d", "pressurised_cylinder"),
+    *("pressurised_sphere_hexahedra", "read_meshes"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 

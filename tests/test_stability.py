@@ -31,6 +31,13 @@ def test_patch(dim, degree):
             assert fused >= max(errors) / 10, (axis, value, errors, fused)
 
 
+def test_contact():
+    """A block that contact alone holds: the ends of each axis in the plane."""
+    for axis, value, scene, bound in sweep(demo.contact_scenes(quick=True), 2):
+        errors = [demo.pressed(scene | {"swap": swap})[0] for swap in (False, True)]
+        assert max(errors) <= bound, (axis, value, errors)
+
+
 @pytest.mark.ranks(2, degree=[1])
 @pytest.mark.parametrize("degree", (1, 2))
 def test_units(degree):

@@ -35,6 +35,8 @@ PICTURES = {
     "write_files": ("write_files",),
 }
 CHARTS = {
+    "bouncing": ("bouncing",),
+    "friction": ("friction", "--scene", "cattaneo"),
     "hertz": ("hertz",),
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
     "stability": ("stability",),

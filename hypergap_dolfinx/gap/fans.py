@@ -80,9 +80,9 @@ def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> Derivativ
     sign = np.array((-1.0, 1.0))
     value = 0.5 * (dS * cross(to, dx)).sum(axis=1)
     by = np.einsum("cp,cpa,cpi->cai", dS, N, dx) + np.einsum("cp,cpa,cpi->cai", dS, dN, to)
-    first[:, nodes] = (-0.5 * by @ TURN.T).reshape(num, -1)
+    first[:, nodes] = (-0.5 * by @ TURN.T).reshape(num, 2 * a)
     chord = y[:, 1] - y[:, 0]
-    first[:, apex] = (0.5 * M[:, :, None] * (chord @ TURN.T)[:, None]).reshape(num, -1)
+    first[:, apex] = (0.5 * M[:, :, None] * (chord @ TURN.T)[:, None]).reshape(num, 2 * b)
     reach = q[:, None] - y
     first[:, ends] = 0.5 * sign * cross(reach, dy)
     first[:, r] = 0.5 * cross(dq, chord)
@@ -93,13 +93,14 @@ def volumes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> Derivativ
     by = np.einsum("cm,ca,ij->cmiaj", M, E[:, 1] - E[:, 0], 0.5 * TURN)
     H[:, apex, nodes] = by.reshape(num, 2 * b, 2 * a)
     by = np.einsum("ci,ij,ca->caj", dq, 0.5 * TURN, E[:, 1] - E[:, 0])
-    H[:, r, nodes] = by.reshape(num, -1)
+    H[:, r, nodes] = by.reshape(num, 2 * a)
     by = np.einsum("ca,ij,cj->cai", dM, 0.5 * TURN, chord)
-    H[:, r, apex] = by.reshape(num, -1)
+    H[:, r, apex] = by.reshape(num, 2 * b)
     by = E[..., None] * dy[:, :, None] + dE[..., None] * reach[:, :, None]
-    H[:, ends, nodes] = ((-0.5 * sign)[:, None, None] * by @ TURN.T).reshape(num, 2, -1)
+    by = (-0.5 * sign)[:, None, None] * by @ TURN.T
+    H[:, ends, nodes] = by.reshape(num, 2, 2 * a)
     by = np.einsum("cb,cei,e->cebi", M, dy @ TURN.T, 0.5 * sign)
-    H[:, ends, apex] = by.reshape(num, 2, -1)
+    H[:, ends, apex] = by.reshape(num, 2, 2 * b)
     H[:, r, ends] = 0.5 * sign * cross(dq[:, None], dy)
     H += H.transpose(0, 2, 1)
     H[:, nodes, nodes] /= 2  # was symmetric

@@ -31,15 +31,16 @@ class OpenCells:
     """Mean pressure, ``(num_cells,)``."""
 
 
-def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str) -> fem.Function:
-    """The gap or the pressure as a function on Σ, constant in each cell. Collective.
+def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str, values=None) -> fem.Function:
+    """The gap, the pressure or other values as a function on Σ, constant in each cell. Collective.
 
     Cells have vertices of their own: two may be at one place, where the gap is closed.
 
     Args:
         comm: Communicator.
         cells: Σ.
-        name: ``"gap"`` or ``"pressure"``.
+        name: ``"gap"`` or ``"pressure"``, or what other values are called.
+        values: Others, ``(num_cells, num)``.
     """
     n = cells.x.shape[2]
     x = cells.x.reshape(-1, n)
@@ -47,7 +48,10 @@ def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str) -> fem.Function:
     element = basix.ufl.element("Lagrange", kind, 1, shape=(n,))
     vertices = np.arange(len(x)).reshape(-1, n + 1)
     mesh, order = distributed(comm, vertices, x, cells.rank, element)
-    V = fem.functionspace(mesh, ("Discontinuous Lagrange", 0))
+    values = getattr(cells, name) if values is None else values
+    shape = values.shape[1:]
+    kind = "Discontinuous Lagrange"
+    V = fem.functionspace(mesh, (kind, 0, shape) if shape else (kind, 0))
     f = fem.Function(V, name=name)
-    f.x.array[V.dofmap.list.ravel()] = getattr(cells, name)[order]
+    f.x.array.reshape(-1, *shape)[V.dofmap.list.ravel()] = values[order]
     return f

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
-from hypergap_dolfinx.gap import heights
+from hypergap_dolfinx.gap import heights, slip_columns
 from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
@@ -219,6 +219,64 @@ class Opening:
             block = (a.transpose(0, 2, 1) @ b).reshape(-1, nodes, 3, nodes, 3)
             add(edges.rays, block, (1, 3, 2, 4))
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
+
+    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+        """What the weighted slip of Γ1 on Γ0 is made of, in two directions at each vertex of Γ1.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+
+        Returns:
+            T with s = T (u − u_since), and S = ∂s/∂u, with 2 num_multipliers rows: those of the
+            second directions are behind those of the first.
+        """
+        state = self._at(u)
+        rays, first = state.rays, _first(state.piece)
+        T = by_dofs(state.surfaces, rays)
+        dofs, vertex = self._dofs(rays), state.vertex[state.piece]
+        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])[dofs]
+        ends = slip_columns.directions(state.surfaces[1], state.frames)[vertex]
+        results = []
+        for found in (
+            [slip_columns.slips(rays, T, ends[:, k]) for k in (0, 1)],
+            [slip_columns.slopes(rays, T, ends[:, k], moves) for k in (0, 1)],
+        ):
+            i, j, values = [], [], []
+            for k, part in enumerate(found):
+                block = np.add.reduceat(state.weights[:, None, None] * part, first)
+                rows = (k * self.num_multipliers + vertex)[first, None]
+                i.append(np.broadcast_to(rows, block.shape[:2]).ravel())
+                j.append(dofs[first].ravel())
+                values.append(block.reshape(-1, 3))
+            results.append(_summed(i, j, values, (1, 3), 3 * self._num_dofs))
+        return results[0], results[1]
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray[np.float64]) -> Sparse:
+        """∂(Tᵀq)/∂u, of the size of u; it isn't symmetric.
+
+        Args:
+            u: Displacements.
+            q: ``(2, num_multipliers)``.
+        """
+        state = self._at(u)
+        directions = slip_columns.directions(state.surfaces[1], state.frames)
+        traction = np.einsum("ka,aki->ai", q, directions)[state.vertex]
+        on = np.flatnonzero(traction.any(axis=1))
+        if not len(on):
+            return Sparse.empty()
+        rays, piece, weights = _cast(
+            state.surfaces, state.frames, state.pieces.some(on), exact=False
+        )
+        T = by_dofs(state.surfaces, rays)
+        block = slip_columns.curvature(rays, T, weights[:, None] * traction[on][piece])
+        first = _first(*rays.facets)
+        block = np.add.reduceat(block.reshape(len(T), -1), first).reshape(-1, *block.shape[1:])
+        dofs = self._dofs(rays)[first]
+        shape = len(first), dofs.shape[1], dofs.shape[1]
+        i, j = np.broadcast_to(dofs[:, :, None], shape), np.broadcast_to(dofs[:, None], shape)
+        values = block.transpose(0, 1, 3, 2, 4).reshape(-1, 9)
+        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.

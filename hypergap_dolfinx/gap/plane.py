@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.gap import fans
+from hypergap_dolfinx.gap import fans, slip_fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
@@ -40,6 +40,8 @@ class _Cells:
     """Both ends of the base and the apex, ``(num, 3, 2)``."""
     rank: npt.NDArray[np.int32]
     """Rank of the body's cell at the base, ``(num,)``."""
+    places: tuple
+    """Elements, nodes of bases and of apexes, parameters: what :mod:`fans` is asked about."""
 
 
 @dataclass
@@ -58,6 +60,8 @@ class _State:
     """Edges of Γ1 of which both vertices have a weight."""
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
+    slopes: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    """Derivatives of slips by both sides' variables, likewise."""
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, likewise."""
 
@@ -269,6 +273,74 @@ class PlaneOpening:
         H.destroy()
         return Sparse.of(product)
 
+    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+        """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+
+        Returns:
+            T with s = T (u − u_since), and S = ∂s/∂u, of the size of C.
+        """
+        state = self._at(u)
+        moves = [a - b for a, b in zip(u, since, strict=True)]
+        nodes = np.concatenate([self._at_nodes(i, part).ravel() for i, part in enumerate(moves)])
+        i, j, values = [], [], []
+        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
+            T = slip_fans.slips(*cells.places)
+            num = T.shape[1]
+            S = np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :num]])
+            S[:, :num] += T
+            both = np.stack((np.pad(T, ((0, 0), (0, 3))), S), axis=-1)
+            for k in (0, 1):
+                i.append(np.broadcast_to(cells.vertices[:, k, None], cells.numbers.shape).ravel())
+                j.append(cells.numbers.ravel())
+                values.append(0.5 * both.reshape(-1, 2))
+        rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
+        sizes = self.num_multipliers, state.num
+        results = []
+        for part in entries.T:
+            matrix = coo_matrix(MPI.COMM_SELF, sizes, rows, columns, part.copy())
+            results.append(Sparse.of(matrix.matMult(self._to_dofs(state))))
+            matrix.destroy()
+        return results[0], results[1]
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray[np.float64]) -> Sparse:
+        """Σ_a ∂(q_a T_a)/∂u, of the size of u; it isn't symmetric.
+
+        Args:
+            u: Displacements.
+            q: ``(1, num_multipliers)``.
+        """
+        state = self._at(u)
+        i, j, values = [], [], []
+        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
+            traction = 0.5 * q[0, cells.vertices].sum(axis=1)
+            on = np.flatnonzero(traction)
+            block, numbers = slopes[on], cells.numbers[on]
+            i.append(np.broadcast_to(numbers[:, : block.shape[1], None], block.shape).ravel())
+            j.append(np.broadcast_to(numbers[:, None], block.shape).ravel())
+            values.append((traction[on, None, None] * block).ravel())
+        sizes = state.num, state.num
+        H = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
+        product = H.ptap(self._to_dofs(state))
+        H.destroy()
+        return Sparse.of(product)
+
+    def _slopes(self, state: _State) -> tuple[npt.NDArray, npt.NDArray]:
+        if state.slopes is None:
+            below, above = state.cells
+            state.slopes = slip_fans.slopes(*below.places), slip_fans.slopes(*above.places)
+        return state.slopes
+
+    def _at_nodes(self, i: int, u) -> npt.NDArray[np.float64]:
+        """Displacements of a side's dofs at its facets' nodes, ``(num_nodes, 2)``."""
+        side = self.sides[i]
+        rest = side.displaced(np.zeros_like(u))
+        table = tabulate(rest.element, rest.geometry.points)  # (node, dof)
+        return (table @ u[side.at_facets]).reshape(-1, 2)
+
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people, (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas.
 
@@ -340,9 +412,10 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[
         mine = np.flatnonzero(side == i)
         X, Q = surfaces[i].nodes[base[mine]], surfaces[1 - i].nodes[apex[mine]]
         of = elements[i], elements[1 - i]
-        gap = fans.volumes(of, X, Q, at[parameters[mine]])
+        places = of, X, Q, at[parameters[mine]]
+        gap = fans.volumes(*places)
         nodes = np.hstack((numbers(i, base[mine]), numbers(1 - i, apex[mine])))
-        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), -1)
+        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), 2 * nodes.shape[1])
         ends = at[parameters[mine, :2]]
         chord = [_points(surfaces[i], base[mine], ends[:, k]) for k in (0, 1)]
         m = 0.5 * np.linalg.norm(chord[1] - chord[0], axis=1)
@@ -351,7 +424,7 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[
             (*chord, _points(surfaces[1 - i], apex[mine], at[parameters[mine, 2]])), axis=1
         )
         rank = surfaces[i].owner[base[mine]]
-        cells.append(_Cells(index, gap, m, vertices[mine], x, rank))
+        cells.append(_Cells(index, gap, m, vertices[mine], x, rank, places))
     at_crossings = np.hstack((numbers(0, facets[:, 0]), numbers(1, facets[:, 1])))
     copy = u[0].copy(), u[1].copy()
     num, both = 2 * num_nodes + len(at), (cells[0], cells[1])

@@ -149,7 +149,7 @@ def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
     return result
 
 
-def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_], int]:
+def seeded(active, distance, valid, holds, load, across=()) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
 
     What the shortest way closes comes first; last what would have to pull against the load.
@@ -160,14 +160,15 @@ def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_],
         valid: Which multipliers there are, ``(num,)``.
         holds: What each makes of the motions that are free without contact, ``(num, num_free)``.
         load: Forces on those motions that contact is to balance, ``(num_free,)``.
+        across: What friction makes of them where it sticks, ``(num_sticking, num_free)``.
 
     Returns:
         The set, and how many motions stay free even so.
     """
     num = holds.shape[1]
     size = np.linalg.norm(holds, axis=1)
-    rows = holds / np.where(size > 0, size, 1)[:, None]
-    basis = np.empty((0, num))
+    rows = _unit(holds)
+    basis, _ = _extended(np.empty((0, num)), _unit(np.reshape(across, (-1, num))))
     result = active.copy()
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
@@ -175,12 +176,50 @@ def seeded(active, distance, valid, holds, load) -> tuple[npt.NDArray[np.bool_],
     way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
     order = np.lexsort((way, pulls, ~active))  # what is active first
-    for a in order[valid[order] & (size[order] > HOLDS * size.max(initial=0))].tolist():
+    order = order[valid[order] & (size[order] > HOLDS * size.max(initial=0))]
+    basis, taken = _extended(basis, rows[order])
+    result[order[taken]] = True
+    return result, num - len(basis)
+
+
+def stuck(sticks, can, surplus, holds, across) -> tuple[npt.NDArray[np.bool_], int]:
+    """What sticks, enlarged until it holds what nothing else does.
+
+    Args:
+        sticks: What does, ``(num,)``.
+        can: What could, ``(num,)``.
+        surplus: By how much traction is beyond what friction can hold, ``(num,)``.
+        holds: What gaps that are closed make of free motions, ``(num_active, num_free)``.
+        across: What slips make of them, ``(num, n - 1, num_free)``.
+
+    Returns:
+        ``(num,)``, and how many motions stay free even so.
+    """
+    num = across.shape[2]
+    basis, _ = _extended(np.empty((0, num)), _unit(holds))
+    result, order = sticks.copy(), np.lexsort((surplus, ~sticks))
+    for a in order[can[order]].tolist():
         if len(basis) == num:
             break
-        rest = rows[a] - (rows[a] @ basis.T) @ basis
+        basis, taken = _extended(basis, _unit(across[a]))
+        result[a] |= bool(taken)
+    return result, num - len(basis)
+
+
+def _unit(rows) -> npt.NDArray[np.float64]:
+    size = np.linalg.norm(rows, axis=1)
+    return rows / np.where(size > 0, size, 1)[:, None]
+
+
+def _extended(basis, rows) -> tuple[npt.NDArray[np.float64], list[int]]:
+    """An orthonormal basis enlarged by rows of length 1 that aren't in its span, and which."""
+    taken = []
+    for k, row in enumerate(rows):
+        if len(basis) == rows.shape[1]:
+            break
+        rest = row - (row @ basis.T) @ basis
         length = np.linalg.norm(rest)
         if length > HOLDS:
             basis = np.vstack((basis, rest / length))
-            result[a] = True
-    return result, num - len(basis)
+            taken.append(k)
+    return basis, taken

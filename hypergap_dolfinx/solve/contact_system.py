@@ -18,9 +18,16 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Pressed, Touching, owned_values
+from hypergap_dolfinx.solve.contacts import (
+    ContactRows,
+    Touching,
+    owned_values,
+    share_ends,
+)
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
+from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
@@ -75,7 +82,11 @@ class ContactSystem(NonlinearSystem):
         defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
         self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
         held = self._constraints.prescribed
-        self._rows = [ContactRows(contact, held) for contact in touching]
+        self._rows = [
+            (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
+            for one in touching
+        ]
+        share_ends(self._rows, pieces.interfaces)
         self._free: FreeMotions | None = None
         self._iterations = 0
 
@@ -83,6 +94,8 @@ class ContactSystem(NonlinearSystem):
         """Once: what nothing but contact holds. Collective."""
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
+        for rows in self._rows:
+            rows.begin()
         if self._free is None:
             self.assemble_matrix()
             self._scales_fixed = True
@@ -90,8 +103,8 @@ class ContactSystem(NonlinearSystem):
 
     def _state(self):
         """What a failed load step gives back."""
-        pressed = [Pressed(r.now.opening, r.now.p.copy(), r.now.on.copy()) for r in self._rows]
-        return [part.array_r.copy() for part in self._x.getNestSubVecs()], pressed
+        parts = self._x.getNestSubVecs()
+        return [part.array_r.copy() for part in parts], [rows.now.copy() for rows in self._rows]
 
     def _restore(self, state):
         values, pressed = state
@@ -111,6 +124,8 @@ class ContactSystem(NonlinearSystem):
             SolveError: It failed.
         """
         self._assign(self._x)
+        for rows in self._rows:
+            rows.set_out()
         self._constraints.read_jumps()
         before: list[npt.NDArray] = []
         for step in range(STEPS + 1):
@@ -147,6 +162,11 @@ class ContactSystem(NonlinearSystem):
                     "contact would have to pull: a body that nothing else holds is drawn away, or "
                     "tilts; hold it by boundary conditions."
                 )
+            if isinstance(rows, FrictionRows) and rows.holds_too_much:
+                raise SolveError(
+                    "a body that nothing else holds slides: its load is more than friction can "
+                    "hold; hold it by boundary conditions, or move it by them."
+                )
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""
@@ -180,6 +200,7 @@ class ContactSystem(NonlinearSystem):
                     rows.apart = rows.distance
         for rows, last in zip(self._rows, before if ahead else (), strict=False):
             facets = rows.sides[1].reference.facets
+            last = last[: len(rows.g)].astype(bool)
             force = rows.now.p * rows.m
             if facets.shape[1] == 2:
                 rows.now.on = active.without_pull(last, rows.now.on, facets, force)
@@ -190,28 +211,43 @@ class ContactSystem(NonlinearSystem):
                     rows.now.on = near
                     continue
             rows.now.on = active.without_pull_on_surface(last, rows.now.on, facets, force)
+        for rows in self._rows:
+            if isinstance(rows, FrictionRows):
+                rows.choose(stiffness, anew=not before)
         assert self._free is not None
         if self._free.num:
-            holds = [self._holds(rows) for rows in self._rows]
-            every, distance, valid = (
-                np.concatenate([getattr(part, name) for part in parts])
-                for parts, name in (
-                    ([rows.now for rows in self._rows], "on"),
-                    (self._rows, "distance"),
-                    (self._rows, "valid"),
-                )
+            self._hold()
+        return [rows.sets for rows in self._rows]
+
+    def _hold(self):
+        """Enlarge the active sets until they hold what nothing else does. Collective."""
+        assert self._free is not None
+        moves = [self._free_moves(rows) for rows in self._rows]
+        pairs = list(zip(self._rows, moves, strict=True))
+        holds = np.vstack([rows.holds(part) for rows, part in pairs])
+        every, distance, valid = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for parts, name in (
+                ([rows.now for rows in self._rows], "on"),
+                (self._rows, "distance"),
+                (self._rows, "valid"),
             )
-            on, num_free = active.seeded(every, distance, valid, np.vstack(holds), self._load())
-            if num_free:
-                raise SolveError(
-                    f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
-                    f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact "
-                    "without friction; hold them by boundary conditions."
-                )
-            ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
-            for rows, part in zip(self._rows, np.split(on, ends), strict=True):
-                rows.now.on = part
-        return [rows.now.on.copy() for rows in self._rows]
+        )
+        rubbing = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
+        sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
+        across = np.vstack([part.reshape(-1, self._free.num) for part in (holds[:0], *sticking)])
+        on, num_free = active.seeded(every, distance, valid, holds, self._load(), across)
+        ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
+        for rows, part in zip(self._rows, np.split(on, ends), strict=True):
+            rows.now.on = part
+        if num_free and rubbing:
+            num_free = hold_by_sticking(rubbing, np.vstack((holds[on], across)))
+        if num_free:
+            raise SolveError(
+                f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
+                f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact"
+                f"{'' if rubbing else ' without friction'}; hold them by boundary conditions."
+            )
 
     def _load(self) -> npt.NDArray[np.float64]:
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
@@ -221,28 +257,27 @@ class ContactSystem(NonlinearSystem):
             load += self._free.at(i, owned_values(u)).T @ b.array_r
         return self._u[0].function_space.mesh.comm.allreduce(load)
 
-    def _holds(self, rows: ContactRows) -> npt.NDArray[np.float64]:
-        """What a contact's multipliers make of free rigid motions, ``(num_multipliers, num)``."""
+    def _free_moves(self, rows: ContactRows) -> list[Displacements]:
+        """Free rigid motions at a contact's sides, where the bodies are. Collective."""
         assert self._free is not None
-        result = np.zeros((len(rows.g), self._free.num))
         modes = [
             None if body is None else self._free.at(body, owned_values(self._u[body]))
             for body in rows.bodies
         ]
-        for k in range(self._free.num):
-            parts = [
-                np.zeros_like(owned_values(f)) if m is None else m[:, k]
-                for m, f in zip(modes, rows.fields, strict=True)
-            ]
-            result[:, k] = rows.times(rows.displacements(parts)) / np.where(rows.valid, rows.m, 1)
-        return np.where(rows.valid[:, None], result, 0)
+        return [
+            rows.displacements(
+                [
+                    np.zeros_like(owned_values(f)) if m is None else m[:, k]
+                    for m, f in zip(modes, rows.fields, strict=True)
+                ]
+            )
+            for k in range(self._free.num)
+        ]
 
     def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
         """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
         for rows in self._rows:
-            for i, (body, force) in enumerate(
-                zip(rows.bodies, rows.forces(rows.now.p * rows.now.on), strict=True)
-            ):
+            for i, (body, force) in enumerate(zip(rows.bodies, rows.acting(), strict=True)):
                 if body is not None:
                     dofs, values = rows.owned(i, force)
                     free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
@@ -267,14 +302,12 @@ class ContactSystem(NonlinearSystem):
             raw.destroy()
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
-            size += sum((force**2).sum() for force in rows.forces(rows.now.p * rows.now.on))
+            size += sum((force**2).sum() for force in rows.acting())
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
             return False
-        return all(
-            np.abs(rows.distance[rows.now.on]).max(initial=0) <= rows.closed for rows in self._rows
-        )
+        return all(rows.is_closed(rows.closed) for rows in self._rows)
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""
@@ -308,7 +341,7 @@ class ContactSystem(NonlinearSystem):
             x.axpy(-1.0, dx)
             dx.destroy()
         for rows in self._rows:
-            rows.now.p = np.zeros_like(rows.g)
+            rows.forget()
         self._assign(self._x)
 
     def _step(self, settled: bool, jump: Sequence[npt.NDArray[np.float64]]):
@@ -327,42 +360,32 @@ class ContactSystem(NonlinearSystem):
             self._subtract_curvature(blocks, own)
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
         right = [part.copy() for part in self._b.getNestSubVecs()]
-        scales = {}
+        found = {}
         for c, rows in enumerate(self._rows):
             if not rows.now.on.any():
                 continue
-            scale = np.divide(stiffness, rows.m, out=np.zeros_like(rows.m), where=rows.valid)
-            C = rows.row_blocks(scale)
-            for line in blocks:
-                line.append(None)
-            line = [C.get(j) for j in range(len(blocks))]
-            for j, block in C.items():
-                blocks[j][-1] = block.copy().transpose()
-                own += [block, blocks[j][-1]]
-            zero = saddle.zero_matrix(next(iter(C.values())).getSizes()[0], self._A.comm)
-            own.append(zero)
-            blocks.append([*line, zero])
             parts = [
                 np.zeros_like(owned_values(f)) if body is None else jump[body]
                 for body, f in zip(rows.bodies, rows.fields, strict=True)
             ]
-            g = rows.g + rows.times(rows.displacements(parts))
-            b = zero.createVecLeft()
-            b.array[:] = rows.local(scale * g)
-            right.append(b)
-            scales[c] = scale
+            found[c] = linear = rows.linearised(stiffness, rows.displacements(parts))
+            for i, line in enumerate(blocks):
+                line.append(linear.columns.get(i))
+            blocks.append([linear.rows.get(j) for j in range(len(blocks))] + [linear.corner])
+            right.append(linear.right.copy())
         try:
             solution = self._linear_solve(blocks, right)
         finally:
-            for obj in (*own, *right):
+            for obj in (*own, *right, *found.values()):
                 obj.destroy()
         for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
             x.axpy(-1.0, dx)
-        pressures = dict(zip(scales, solution[num:], strict=True))
+        multipliers = dict(zip(found, solution[num:], strict=True))
         for c, rows in enumerate(self._rows):
-            rows.now.p = np.zeros_like(rows.g)
-            if c in scales:
-                rows.now.p = rows.gathered(pressures[c].array_r.copy()) * scales[c]
+            if c in found:
+                rows.take(found[c], multipliers[c].array_r.copy())
+            else:
+                rows.forget()
         for part in solution:
             part.destroy()
         self._assign(self._x)

@@ -6,7 +6,7 @@
 """One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -16,11 +16,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap.constraint import coo_matrix
-from hypergap_dolfinx.gap.moving import Displacements, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
-from hypergap_dolfinx.solve import active
+from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.every import look_up
-from hypergap_dolfinx.solve.interface import ContactInterface, Gaps
+from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
+from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 CLOSED = 1e-9
 """Gap of what is in contact, in sizes of facets, that is none."""
@@ -48,6 +49,31 @@ class Pressed:
     """``(num_multipliers,)``."""
     on: npt.NDArray[np.bool_]
     """The active set, ``(num_multipliers,)``."""
+
+    def copy(self):
+        """One that keeps its arrays."""
+        arrays = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Equations of what is in contact, to be solved with those of the bodies."""
+
+    rows: dict[int, PETSc.Mat]
+    """By body."""
+    columns: dict[int, PETSc.Mat]
+    """What forces act on them, by body."""
+    corner: PETSc.Mat
+    """By the multipliers themselves."""
+    right: PETSc.Vec
+    scale: npt.NDArray[np.float64]
+    """Multipliers over unknowns."""
+
+    def destroy(self):
+        """Collective."""
+        for obj in (*self.rows.values(), *self.columns.values(), self.corner, self.right):
+            obj.destroy()
 
 
 class ContactRows:
@@ -84,6 +110,14 @@ class ContactRows:
             self._area += np.bincount(corner, size, num)
         self._area /= surface.facets.shape[1] * (self._n - 1)
         self._rank = np.searchsorted(surface.dof_range[1:], sides[1].vertex_dofs, side="right")
+        self.lender = np.arange(num)
+        """The vertex whose pressure each has, -1 if none, ``(num_multipliers,)``."""
+
+    def ending(self, i: int, space: int) -> EndingSide:
+        """A side, as far as its ends go."""
+        side = self.sides[i]
+        held = self._held[i][np.searchsorted(side.dofs, side.vertex_dofs)]
+        return EndingSide(space, side.reference, side.vertex_dofs, held)
 
     def _at_surface(self, i: int, owned: npt.NDArray) -> npt.NDArray:
         """Values at the dofs of a side, of this rank's owned values. Collective."""
@@ -98,6 +132,12 @@ class ContactRows:
         """
         u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
         return u0, u1
+
+    def begin(self):
+        """A solve begins."""
+
+    def set_out(self):
+        """Read what a user may have changed. Collective."""
 
     def look(self):
         """Find the gaps where the bodies are. Collective.
@@ -114,6 +154,7 @@ class ContactRows:
                 self._first = self.now.opening.gap(self.at)
             start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
+        self._lend()
         self._look_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
@@ -132,6 +173,26 @@ class ContactRows:
         except NotFacingError:
             none = np.zeros(len(self._area))
             now.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
+
+    def _lend(self):
+        """Add rows without a pressure of their own to those whose pressure they have."""
+        if (self.lender == np.arange(len(self.lender))).all():
+            return
+        has = self.lender >= 0
+        self.g, self.m = (
+            np.bincount(self.lender[has], part[has], len(part)) for part in (self.g, self.m)
+        )
+        self.C = self._lent(self.C)
+
+    def _lent(self, matrix: Sparse) -> Sparse:
+        """Rows without a pressure of their own added to others, of one component or several."""
+        component, a = np.divmod(matrix.i, len(self.lender))
+        has, i = self.lender[a] >= 0, component * len(self.lender) + self.lender[a]
+        return Sparse(i[has], matrix.j[has], matrix.values[has])
+
+    def spread(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Pressures of all vertices from those of multipliers, ``(num_multipliers,)`` each."""
+        return np.where(self.lender >= 0, p[self.lender], 0)
 
     @property
     def at(self) -> Displacements:
@@ -198,10 +259,17 @@ class ContactRows:
         dofs = (self.sides[i].dofs[mine] - start)[:, None] * self._n + np.arange(self._n)
         return dofs.ravel(), values[mine].ravel()
 
-    def order(self) -> npt.NDArray[np.intp]:
-        """The active multipliers in the order of the matrices' rows."""
-        on = np.flatnonzero(self.now.on)
-        return on[np.argsort(self._rank[on], kind="stable")]
+    @property
+    def _acting(self) -> npt.NDArray[np.bool_]:
+        """Which multipliers there are an equation of."""
+        return self.now.on
+
+    def _order(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The acting multipliers in the order of the matrices' rows, and their ranks."""
+        on = np.flatnonzero(self._acting)
+        rank = self._rank[on % len(self._rank)]
+        order = np.argsort(rank, kind="stable")
+        return on[order], rank[order]
 
     def _side_of(self, j):
         """Side, global dof (unrolled) and whether it is held, of columns of C."""
@@ -220,31 +288,111 @@ class ContactRows:
         i = self.bodies.index(body)
         return self.spaces[i].dofmap.index_map.size_local * self._n
 
-    def row_blocks(self, scale: npt.NDArray[np.float64]) -> dict[int, PETSc.Mat]:
-        """C of the active multipliers at what can move, by body. Collective.
+    def linearised(self, stiffness: float, moves: Displacements) -> Linear:
+        """Equations of gaps. Collective.
 
         Args:
-            scale: Factor of each row, ``(num_multipliers,)``.
+            stiffness: Of the bodies' nodes, which rows are scaled by.
+            moves: What prescribed displacements have to move yet.
         """
-        rows = self.order()
-        number = np.full(len(self.g), -1)
-        number[rows] = np.arange(len(rows))
-        mine = (number[self.C.i] >= 0) & (self._rank[self.C.i] == self._comm.rank)
-        i, j, values = self.C.i[mine], self.C.j[mine], self.C.values[mine]
+        scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+        rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
+        return self._linear(rows, None, None, scale * (self.g + self.times(moves)), scale)
+
+    def _linear(self, rows: Sparse, columns: Sparse | None, corner: Sparse | None, right, scale):
+        """Matrices of the acting multipliers. Collective.
+
+        Args:
+            rows: Scaled.
+            columns: Transposed as rows, where they are others.
+            corner: By the multipliers themselves, if not zero.
+            right: Right-hand side.
+            scale: Factors that make multipliers of unknowns.
+        """
+        order, rank = self._order()
+        mine = order[rank == self._comm.rank]
+        by_rows = self._blocks(rows)
+        turned = by_rows if columns is None else self._blocks(columns)
+        by_columns = {body: block.copy().transpose() for body, block in turned.items()}
+        if columns is not None:
+            for block in turned.values():
+                block.destroy()
+        size = len(mine), len(order)
+        if corner is None:
+            matrix = saddle.zero_matrix(size, self._comm)
+        else:
+            number = np.full(len(self._acting), -1)
+            number[order] = np.arange(len(order))
+            here = np.isin(corner.i, mine)
+            entries = number[corner.i[here]], number[corner.j[here]], corner.values[here]
+            matrix = coo_matrix(self._comm, (len(mine), len(mine)), *entries)
+        b = matrix.createVecLeft()
+        b.array[:] = right[mine]
+        return Linear(by_rows, by_columns, matrix, b, scale)
+
+    def _blocks(self, matrix: Sparse) -> dict[int, PETSc.Mat]:
+        """Rows of the acting multipliers at what can move, by body. Collective."""
+        order, rank = self._order()
+        number, of = np.full(len(self._acting), -1), np.full(len(self._acting), -1)
+        number[order], of[order] = np.arange(len(order)), rank
+        mine = of[matrix.i] == self._comm.rank
+        i, j, values = matrix.i[mine], matrix.j[mine], matrix.values[mine]
         side, dof, held = self._side_of(j)
-        num = int((self._rank[rows] == self._comm.rank).sum())
+        num = int((rank == self._comm.rank).sum())
         blocks = {}
         for body in sorted({b for b in self.bodies if b is not None}):
             on = np.array([b == body for b in self.bodies])[side] & ~held
-            entries = number[i[on]], dof[on], values[on] * scale[i[on]]
+            entries = number[i[on]], dof[on], values[on]
             blocks[body] = coo_matrix(self._comm, (num, self._size(body)), *entries)
         return blocks
 
+    def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
+        """The solution's multipliers. Collective.
+
+        Args:
+            linear: What was solved.
+            solution: This rank's unknowns.
+        """
+        values = np.zeros(len(self._acting))
+        values[self._order()[0]] = np.concatenate(self._comm.allgather(solution))
+        self._take(values * linear.scale)
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        self.now.p = values
+
+    def forget(self):
+        """No pressures."""
+        self.now.p = np.zeros_like(self.g)
+
+    @property
+    def sets(self) -> npt.NDArray:
+        """Where it is in contact; equal ones need no new tangent."""
+        return self.now.on.copy()
+
+    def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
+        """What multipliers make of motions, over areas, ``(num_multipliers, num)``."""
+        result = np.zeros((len(self.g), len(moves)))
+        for k, move in enumerate(moves):
+            result[:, k] = self.times(move) / np.where(self.valid, self.m, 1)
+        return np.where(self.valid[:, None], result, 0)
+
+    def acting(self) -> list[npt.NDArray[np.float64]]:
+        """Forces of what is in contact at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        return self.forces(self.now.p * self.now.on)
+
+    def is_closed(self, tolerance: float) -> bool:
+        """Whether what is in contact is closed.
+
+        Args:
+            tolerance: Length that is none.
+        """
+        return bool(np.abs(self.distance[self.now.on]).max(initial=0) <= tolerance)
+
     def curvature_blocks(self) -> dict[tuple[int, int], PETSc.Mat]:
-        """Σ p ∂²g of what pushes, at what can move, by pairs of bodies. Collective."""
+        """How forces change where bodies move, by pairs of bodies. Collective."""
         if not self._follows or self.now.opening is None:
             return {}
-        H: Sparse = self.now.opening.curvature(self.u, np.maximum(self.now.p, 0) * self.now.on)
+        H = self._curvature()
         row_side, row, row_held = self._side_of(H.i)
         side, column, held = self._side_of(H.j)
         use = ~(row_held | held)
@@ -260,16 +408,39 @@ class ContactRows:
                 blocks[a, b] = coo_matrix(self._comm, sizes, row[on], column[on], H.values[on])
         return blocks
 
-    def gathered(self, local: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Values of all multipliers from this rank's active rows. Collective."""
-        values = np.zeros(len(self.g))
-        values[self.order()] = np.concatenate(self._comm.allgather(local))
-        return values
+    def _curvature(self) -> Sparse:
+        """How forces change where multipliers stay."""
+        assert self.now.opening is not None
+        p = self.spread(np.maximum(self.now.p, 0) * self.now.on)
+        return self.now.opening.curvature(self.u, p)
 
-    def local(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """This rank's active rows of values of all multipliers."""
-        rows = self.order()
-        return values[rows[self._rank[rows] == self._comm.rank]]
+
+def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
+    """Find vertices of Γ1 whose gap ties, supports or other contacts hold already.
+
+    Args:
+        contacts: The contacts of a problem; what they lend is set.
+        interfaces: Its ties.
+    """
+    spaces: list[fem.FunctionSpace] = []
+
+    def number(V: fem.FunctionSpace) -> int:
+        if V not in spaces:
+            spaces.append(V)
+        return spaces.index(V)
+
+    sides, tied = [], []
+    for rows in contacts:
+        side0, side1 = (rows.ending(i, number(V)) for i, V in enumerate(rows.spaces))
+        sides.append((side0, side1))
+    for tie in interfaces:
+        side0, side1 = (
+            EndingSide(number(V), surface, MovingSurface(surface).vertex_dofs)
+            for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
+        )
+        tied.append((side0, side1))
+    for rows, lender in zip(contacts, lenders(sides, tied), strict=True):
+        rows.lender = lender
 
 
 def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:

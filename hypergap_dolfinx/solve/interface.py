@@ -10,6 +10,7 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
+import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
@@ -122,6 +123,23 @@ class Gaps(Protocol):
     def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
         """Σ_a p_a ∂²g_a/∂u²."""
 
+    def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:
+        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other."""
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray) -> Sparse:
+        """∂(Tᵀq)/∂u."""
+
+
+class Coulomb(Protocol):
+    """Friction of a contact."""
+
+    @property
+    def elastic_slip(self) -> float:
+        """Slip up to which friction grows to μ p."""
+
+    def at_vertices(self) -> npt.NDArray[np.float64]:
+        """The coefficient at Γ1's vertices, the same on every rank. Collective."""
+
 
 class ContactInterface(Protocol):
     """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
@@ -133,6 +151,10 @@ class ContactInterface(Protocol):
     @property
     def sides(self) -> tuple[MovingSurface, MovingSurface]:
         """Γ0 and Γ1."""
+
+    @property
+    def friction(self) -> Coulomb | None:
+        """Friction, if there is any."""
 
     @property
     def follows(self) -> bool:

@@ -44,10 +44,19 @@ class NonlinearSystem(TiedSystem):
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a form on another function than
-                its body's; a tie or boundary condition on a space that belongs to no body.
+            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
+                a test function, or on another function than its body's; a tie or boundary condition
+                on a space that belongs to no body.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
+        for i, form in enumerate(F):
+            rank = len(form.arguments()) if isinstance(form, ufl.Form) else None
+            if rank != 1:
+                kind = type(form).__name__ if rank is None else f"a form of rank {rank}"
+                raise ValueError(
+                    f"the residual of body {i} is {kind}, not a form with one test function; of "
+                    "an energy it is ufl.derivative(energy, u)."
+                )
         if J is None:
             for i, (form, f) in enumerate(zip(F, u, strict=False)):
                 if f not in form.coefficients():

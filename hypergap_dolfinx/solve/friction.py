@@ -1,0 +1,345 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A contact with Coulomb friction in a problem: what sticks, what slips, and their rows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.gap.moving import Displacements, Sparse
+from hypergap_dolfinx.solve import active
+from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touching
+
+EXCEEDS = 1e-7
+"""Traction of what sticks beyond what friction can hold, over the largest, that is none."""
+
+
+@dataclass
+class Rubbed(Pressed):
+    """What a load step changes, with friction."""
+
+    q: npt.NDArray[np.float64]
+    """Tractions on Γ1's body along its tangents, ``(n - 1, num_multipliers)``."""
+    sticks: npt.NDArray[np.bool_]
+    """``(num_multipliers,)``."""
+    way: npt.NDArray[np.float64]
+    """Direction of q, of length 1, of what slips; ``(n - 1, num_multipliers)``."""
+
+
+class FrictionRows(ContactRows):
+    """Contact with friction: tractions q with |q| ≤ μ p, against the slip s of a load step.
+
+    Rows and unknowns of q_k are behind those of p: number k num_multipliers + a.
+    """
+
+    now: Rubbed
+
+    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
+        """As for a contact without friction. Collective."""
+        super().__init__(touching, held)
+        num, across = len(self.now.p), self._n - 1
+        assert touching.contact.friction is not None
+        self._friction = touching.contact.friction
+        self._soft = self._friction.elastic_slip
+        self.now = Rubbed(
+            **vars(self.now),
+            q=np.zeros((across, num)),
+            sticks=np.ones(num, dtype=bool),
+            way=np.zeros((across, num)),
+        )
+        self._since: Displacements | None = None
+        self._fixed: Sparse | None = None
+        self._carried = False
+        self._elastic = np.zeros((across, num))  # part of slip that would go back
+
+    def begin(self):
+        """A solve begins: what it dissipates, and by how much bodies slip in it, is counted."""
+        super().begin()
+        self.dissipated = 0.0
+        self.slipped = np.zeros((len(self.now.p), self._n))
+
+    def set_out(self):
+        """Read the coefficient of friction. Collective."""
+        self.mu = self._friction.at_vertices()
+
+    def look(self):
+        """Find gaps and slips where the bodies are. Collective."""
+        super().look()
+        if self._since is None:
+            self._since = self.u
+        opening = self.now.opening
+        if opening is None:
+            self.T = self.S = Sparse.empty()
+        elif self._follows:
+            self.T, self.S = opening.slip(self.u, self._since)
+        else:
+            if self._fixed is None:
+                self._fixed, _ = opening.slip(self.at, self.at)
+            self.T = self.S = self._fixed
+        self.T, self.S = self._lent(self.T), self._lent(self.S)
+        moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
+        self.s = self._times(self.T, moves)
+
+    def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
+        """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
+        flat = np.concatenate([part.ravel() for part in values])
+        size = (self._n - 1) * len(self.g)
+        return np.bincount(matrix.i, matrix.values * flat[matrix.j], size).reshape(-1, len(self.g))
+
+    @property
+    def slip(self) -> npt.NDArray[np.float64]:
+        """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
+        return np.divide(self.s, self.m, out=np.zeros_like(self.s), where=self.valid)
+
+    def accept(self):
+        """The state is that from which the next load step starts."""
+        super().accept()
+        now, lost = self.now, self.slip
+        if self._soft:
+            before, self._elastic = self._elastic, self._shortened() * now.on
+            lost = lost + before - self._elastic
+        self.dissipated -= float((now.q * now.on * self.m * lost).sum())
+        self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
+        now.sticks |= ~now.on
+        self._since = self.u
+
+    @property
+    def _reach(self) -> npt.NDArray[np.float64]:
+        """Elastic slip if all of it were elastic, ``(n - 1, num_multipliers)``."""
+        return self._elastic + self.slip
+
+    def _shortened(self) -> npt.NDArray[np.float64]:
+        """What is elastic of it."""
+        size = np.linalg.norm(self._reach, axis=0)
+        return self._reach * np.minimum(1, self._soft / np.maximum(size, 1e-300))
+
+    @property
+    def tangents(self) -> npt.NDArray[np.float64]:
+        """Mean directions in which q acts on Γ1's body, ``(n - 1, num_multipliers, n)``."""
+        num, start = len(self.g), len(self.sides[0].dofs) * self._n
+        on = self.T.j >= start
+        number = self.T.i[on] * self._n + (self.T.j[on] - start) % self._n
+        size = (self._n - 1) * num * self._n
+        total = np.bincount(number, self.T.values[on], size).reshape(-1, num, self._n)
+        return total * (self.valid / np.where(self.valid, self.m, 1))[:, None]
+
+    @property
+    def shears(self) -> npt.NDArray[np.float64]:
+        """Tractions on Γ1's body, ``(num_multipliers, n)``."""
+        return np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
+
+    # Sets
+
+    def choose(self, stiffness: float, *, anew: bool):
+        """Tell what sticks from what slips, of what is in contact.
+
+        Args:
+            stiffness: Of the bodies' nodes.
+            anew: Whether no step was taken yet: what was in contact goes on as it was, and what
+                comes to it sticks.
+        """
+        now = self.now
+        c = stiffness / self.typical_area
+        stuck = self.stuck
+        self._surplus = np.where(stuck, -np.inf, 0)
+        if anew or self._carried:
+            self._carried = False
+        elif self._soft:
+            size = np.linalg.norm(self._reach, axis=0)
+            now.sticks = (size <= self._soft) & (self.mu > 0)
+            now.way = -self._reach / np.where(size > 0, size, 1)
+            self._surplus = np.where(stuck, -np.inf, size)
+        else:
+            trial = now.q - c * self.slip
+            size = np.linalg.norm(trial, axis=0)
+            gap = np.where(self.valid, self.distance, 0)
+            bound = self.mu * np.maximum(now.p - c * gap, 0)
+            none = EXCEEDS * bound[now.on].max(initial=0)
+            # What is at both limits stays what it is
+            sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
+            # What slips the other way sticks first: else all could turn to and fro
+            turned = ~now.sticks & (c * (self.slip * now.way).sum(axis=0) > none)
+            now.sticks = (sticks | turned) & (self.mu > 0)
+            now.way = trial / np.where(size > 0, size, 1)
+            self._surplus = np.where(stuck, -np.inf, size - bound)
+        self._stiffness, self._c = stiffness, c
+
+    @property
+    def stuck(self) -> npt.NDArray[np.bool_]:
+        """What is in contact and sticks."""
+        return self.now.on & self.now.sticks
+
+    @property
+    def sets(self) -> npt.NDArray:
+        """What is in contact, sticks, and slips which way; equal ones need no new tangent."""
+        now = self.now
+        slips = now.on & ~now.sticks
+        way = np.sign(now.way[0]) * slips if self._n == 2 else slips
+        return np.concatenate((now.on, self.stuck, way))
+
+    def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
+        """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
+        rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
+        return rows * (self.valid / np.where(self.valid, self.m, 1))[:, None, None]
+
+    def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
+        """Let more of what is in contact stick, until nothing is free.
+
+        Args:
+            holds: What other equations make of free motions, ``(num, num_free)``.
+            moves: Those motions.
+
+        Returns:
+            What this one's make of them, ``(num_sticking, num_free)``, and how many are left.
+        """
+        across = self.holds_across(moves)
+        can = self.now.on & (self.mu > 0)
+        some, num_free = active.stuck(self.stuck, can, self._surplus, holds, across)
+        self.now.sticks = np.where(self.now.on, some, self.now.sticks)
+        return across[some].reshape(-1, holds.shape[1]), num_free
+
+    # Rows
+
+    @property
+    def _acting(self) -> npt.NDArray[np.bool_]:
+        return np.tile(self.now.on, self._n)
+
+    def acting(self) -> list[npt.NDArray[np.float64]]:
+        """Forces of what is in contact at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        now = self.now
+        q = (now.q * now.on).ravel()
+        size = sum(side.dofs.size for side in self.sides) * self._n
+        flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
+        across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
+        return [a + b for a, b in zip(super().acting(), across, strict=True)]
+
+    def linearised(self, stiffness: float, moves: Displacements) -> Linear:
+        """Equations of gaps and slips. Collective."""
+        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
+        scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+        by_slip, by_q, by_p, start = self._law(scale)
+        gaps = self.g + self.times(moves)
+        slips = start + self._times(self.S, moves)
+        right = np.concatenate((scale * gaps, np.einsum("kla,la->ka", by_slip, slips).ravel()))
+        normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
+        # Row k of q is Σ_l by_slip[k, l] S_l
+        part, a = np.divmod(self.S.i, num)
+        along = [
+            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, part, a])
+            for k in range(across)
+        ]
+        forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
+        corner = []
+        for k in range(across):
+            row = num * (k + 1) + on
+            corner.append(Sparse(row, on, stiffness * by_p[k, on]))
+            corner += [
+                Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
+                for other in range(across)
+            ]
+        return self._linear(
+            joined(normal, *along),
+            joined(normal, forces),
+            joined(*corner),
+            right,
+            np.tile(scale, self._n),
+        )
+
+    def _law(self, scale):
+        """The law of friction as by_slip s + m (by_q q + by_p p) = 0 to first order.
+
+        Args:
+            scale: Factor of rows of what is closed, ``(num_multipliers,)``.
+
+        Returns:
+            ``(n - 1, n - 1, num_multipliers)`` for slips and for q, ``(n - 1, num_multipliers)``
+            for p; and what slips start from, of which rows are to be zero.
+        """
+        now, one = self.now, np.eye(self._n - 1)[..., None]
+        across = one - now.way[:, None] * now.way  # what slips turns by
+        force = self.mu * np.maximum(now.p, 0)
+        if self._soft:
+            # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
+            size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
+            soft = now.on & (force > 0)
+            turn = np.where(now.sticks, one, across)
+            by_slip = np.where(soft, -force / size * turn, scale * one)
+            by_p = np.where(soft, self.mu * self._reach / size, 0)
+            return by_slip, soft * one, by_p, np.where(soft, 0, self.s)
+        trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
+        share = np.minimum(force / np.maximum(trial, 1e-300), 1)
+        turn = np.where(now.sticks, 0, share * across)
+        by_slip = np.where(now.sticks, scale * one, -self._c * turn)
+        by_q = np.where(now.sticks, 0, one - turn)
+        return by_slip, by_q, np.where(now.sticks, 0, -self.mu * now.way), self.s
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        p, *q = values.reshape(-1, len(self.g))
+        self.now.p, self.now.q = p, np.array(q)
+
+    def forget(self):
+        """No pressures, no tractions."""
+        super().forget()
+        self._carried = True
+        self.now.q = np.zeros_like(self.now.q)
+
+    def _curvature(self) -> Sparse:
+        assert self.now.opening is not None
+        q = np.stack([self.spread(q * (self.now.on & (self.now.p > 0))) for q in self.now.q])
+        return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q))
+
+    # Verdicts
+
+    def is_closed(self, tolerance: float) -> bool:
+        """Whether what is in contact is closed, what sticks has no slip, and q is μ p elsewhere.
+
+        Args:
+            tolerance: Length that is none.
+        """
+        now, rigid = self.now, self.stuck
+        target = self.mu * now.p * now.way
+        if self._soft:
+            rigid = np.zeros_like(now.on)
+            target = -self.mu * now.p * self._shortened() / self._soft
+        slip = np.abs(self.slip[:, rigid]).max(initial=0)
+        error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
+        largest = np.abs(self.mu * now.p).max(initial=0)
+        return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
+
+    @property
+    def holds_too_much(self) -> bool:
+        """Whether something sticks only because nothing else would hold a body."""
+        size = np.linalg.norm(self.now.q, axis=0)
+        bound = self.mu * self.now.p
+        return bool((size - bound)[self.stuck].max(initial=0) > EXCEEDS * bound.max(initial=0))
+
+
+def hold_by_sticking(
+    rubbing: Sequence[tuple[FrictionRows, Sequence[Displacements]]], holds: npt.NDArray
+) -> int:
+    """Let what slips stick where nothing else would hold a body.
+
+    Args:
+        rubbing: Contacts with friction, and the free motions at their sides.
+        holds: What gaps make of these, ``(num, num_free)``.
+
+    Returns:
+        How many motions are still free.
+    """
+    num_free = 0
+    for rows, moves in rubbing:
+        across, num_free = rows.stick_where(holds, moves)
+        holds = np.vstack((holds, across))
+    return num_free
+
+
+def joined(*parts: Sparse) -> Sparse:
+    """The sum of sparse matrices."""
+    return Sparse(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
+    )

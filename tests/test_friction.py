@@ -1,0 +1,216 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Friction: slip and its derivatives, what sticks and what slips, exact solutions."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import test_contact_form as plane
+import test_contact_solids as space
+from assembly import Elastic, rectangle
+from helpers import close, raises
+
+import meshes
+from dolfinx import fem
+from hypergap_dolfinx import Contact, ContactProblem
+from hypergap_dolfinx.gap import slip_columns
+from hypergap_dolfinx.gap.opening import Opening
+from hypergap_dolfinx.gap.plane import PlaneOpening
+
+comm = MPI.COMM_WORLD
+STEP = 1e-5  # of differences of the fourth order
+
+
+def slip_of(opening, sides, u, rng, positions):
+    """T and S against differences; what translations, rotations and positions are for T.
+
+    Returns:
+        What rotations are, ``(num_rotations, num_rows)``.
+    """
+    since = tuple(part + 0.1 * rng.standard_normal(part.shape) for part in u)
+    direction = [rng.standard_normal(part.shape) for part in u]
+    flat = np.concatenate([part.ravel() for part in direction])
+    n = u[0].shape[1]
+    num = (n - 1) * opening.num_multipliers
+    q = rng.random((n - 1, opening.num_multipliers))
+    T, S = (plane.dense(part, (num, len(flat))) for part in opening.slip(u, since))
+
+    def at(t):
+        moved = tuple(a + t * d for a, d in zip(u, direction, strict=True))
+        T = plane.dense(opening.slip(moved, since)[0], (num, len(flat)))
+        way = np.concatenate([(a - b).ravel() for a, b in zip(moved, since, strict=True)])
+        return np.concatenate((T @ way, q.ravel() @ T))
+
+    difference = (8 * (at(STEP) - at(-STEP)) - at(2 * STEP) + at(-2 * STEP)) / (12 * STEP)
+    close(difference[:num], S @ flat, plane.DIFFERENCE)
+    H = plane.dense(opening.slip_curvature(u, q), (len(flat), len(flat)))
+    close(difference[num:], H @ flat, plane.DIFFERENCE)
+    x = np.concatenate([positions(side, part) for side, part in zip(sides, u, strict=True)])
+    assert np.abs(T @ x.ravel()).max() <= 1e-14
+    assert np.abs(T @ np.tile(np.arange(1.0, n + 1), len(x))).max() <= 1e-14
+    pairs = [(i, j) for i in range(n) for j in range(i)]
+    turns = [np.eye(n)[[i]].T * np.eye(n)[j] for i, j in pairs]
+    return np.array([T @ (x @ (turn - turn.T)).ravel() for turn in turns])
+
+
+@pytest.mark.parametrize("options", plane.SCENES[1:3])
+def test_slip(options):
+    """A rotation's slip is the gap: so moments of friction balance where it is closed."""
+    sides, u, rng = plane.scene(**options)
+    opening = PlaneOpening.between(sides, u, plane.free(sides))
+    turned = slip_of(opening, sides, u, rng, plane._positions)
+    close(turned[0], -opening.gap(u)[0], 1e-12)
+
+
+def test_slip_in_space(monkeypatch):
+    """Vertices have two directions, which are taken as they are."""
+    sides, u, rng = space.rough()
+    opening = Opening.between(comm, sides, u)
+    state = opening._at(u)
+    fixed = slip_columns.directions(state.surfaces[1], state.frames)
+    monkeypatch.setattr(slip_columns, "directions", lambda *_: fixed)
+    slip_of(opening, sides, u, rng, space._positions)
+    close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
+
+
+def rotating(dim, swap=False, **options):
+    """A block on another one, far ends of which a rigid motion takes along."""
+    u, F, bcs, sides, goals = [], [], [], [], []
+    low, high = 2 * dim - 1, 2 * dim
+    for i in (0, 1):
+
+        def place(x, i=i):
+            x = x.copy()
+            x[:, -1] += i - 1
+            x[:, :-1] = 0.2 * i + (1 - 0.4 * i) * x[:, :-1]
+            return x
+
+        cell = "quadrilateral" if dim == 2 else "hexahedron"
+        mesh, ft = meshes.block(comm, (*[2 + i] * (dim - 1), 2), place, cell=cell)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+        body, goal = Elastic.on(V, (1.0, 1.0), large=True), fem.Function(V)
+        dofs = fem.locate_dofs_topological(V, dim - 1, ft.find(high if i else low))
+        bcs.append(fem.dirichletbc(goal, dofs))
+        u.append(body.u)
+        F.append(body.F)
+        goals.append(goal)
+        sides.append((V, ft.find((high, low)[i])))
+    contact = Contact(*sides[:: -1 if swap else 1], **options)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-11)
+
+    def go(angle, *shift):
+        turn = np.eye(dim)
+        turn[0, [0, -1]] = np.cos(angle), -np.sin(angle)
+        turn[-1, [0, -1]] = np.sin(angle), np.cos(angle)
+        for i, goal in enumerate(goals):
+            goal.interpolate(
+                lambda x, i=i: turn @ (x[:dim] + i * np.reshape(shift, (-1, 1))) - x[:dim]
+            )
+        problem.solve()
+
+    return contact, problem, go
+
+
+@pytest.mark.ranks(2)
+def test_rotation():
+    """What is pressed and sheared turns by 36° in steps of 4.5°: neither slip nor any change.
+
+    Some of it has slipped before. The law of friction holds, forces and work balance.
+    """
+    contact, problem, go = rotating(2, friction=0.1)
+    go(0, 0, -0.1)
+    go(0, 0.04, -0.1)
+    rows = contact.rows
+    assert contact.sticking.any() and contact.slipping.any() and contact.dissipation(problem) > 1e-6
+    p, q = rows.now.p.copy(), rows.now.q.copy()
+    np.testing.assert_array_less(np.abs(q[0]), 0.1 * p * (1 + 1e-12) + 1e-300)
+    close(np.abs(q[0, contact.slipping]), 0.1 * p[contact.slipping], 1e-12)
+    work = (rows.now.q * rows.s).sum()
+    assert work == pytest.approx(-contact.dissipation(problem), rel=1e-9)
+    for step in range(1, 9):
+        go(step * np.pi / 40, 0.04, -0.1)
+        assert problem.iterations <= 9 and problem.halvings == 0
+        assert np.abs(contact.slips(problem)).max() <= 1e-12
+        close(rows.now.p, p, 1e-9)
+        close(rows.now.q, q, 1e-9)
+    below, above = (part.sum(axis=0) for part in rows.acting())
+    assert np.abs(below + above).max() <= 1e-14
+
+
+def test_back_and_forth():
+    """What is drawn along slips, then sticks when it turns back, then slips the other way."""
+    contact, problem, go = rotating(2, friction=0.2)
+    found = []
+    for x in (0, 0.1, 0.15, 0.149, 0.1, 0, -0.05):
+        go(0, x, -0.05)
+        rows = contact.rows
+        ratio = (rows.now.q * rows.m).sum() / (rows.now.p * rows.m).sum()
+        found.append((ratio, contact.slipping.sum() / contact.active.sum()))
+        assert problem.iterations <= 9 and problem.halvings == 0
+    ratios, slips = zip(*found, strict=True)
+    np.testing.assert_allclose(np.abs(ratios)[[0, 1, 2, 6]], (0, 0.2, 0.2, 0.2), atol=1e-12)
+    assert ratios[2] * ratios[6] < 0 and slips[2] == slips[6] == 1
+    assert 0.15 < ratios[3] / ratios[2] < 1 and slips[3] == 0
+
+
+def test_elastic_slip():
+    """Friction grows with slip up to μ p, and goes back when it is released."""
+    mu, length = 0.2, 0.01
+    contact, problem, go = rotating(2, friction=mu, elastic_slip=length)
+    rows, total = contact.rows, 0.0
+    for x in (0, 0.02, 0.06, 0.12, 0.11):
+        before = rows._elastic.copy()
+        go(0, x, -0.05)
+        assert problem.iterations <= 7 and problem.halvings == 0
+        e = before + rows.slip
+        e *= np.minimum(1, length / np.maximum(np.abs(e), 1e-300))
+        close(rows.now.q * contact.active, -mu * rows.now.p * e / length, 1e-6)
+        total += contact.dissipation(problem)
+        assert (total > 1e-9) == (x > 0.06)
+    assert contact.sticking.any()
+
+
+@pytest.mark.ranks(2)
+def test_input():
+    """Each thing that is wrong with friction is told in one line, on every rank."""
+    bodies = [rectangle((2, 2), (0, i - 1), (1, i)) for i in (0, 1)]
+    sides = [(body.V, body.facets(tag)) for body, tag in zip(bodies, (meshes.TOP, meshes.BOTTOM))]
+    scalars = [fem.functionspace(body.mesh, ("Lagrange", 2)) for body in bodies]
+    constant = fem.functionspace(bodies[1].mesh, ("Discontinuous Lagrange", 0))
+    for value, why in (
+        (-0.1, "coefficient of friction is -0.1 on Γ1; it is a number from 0 on"),
+        (np.nan, "is nan on Γ1"),
+        ("0.3", "a number, a fem.Constant or a fem.Function on Γ1's mesh, not str"),
+        ((0.1, 0.2), "not tuple"),
+        (fem.Constant(bodies[1].mesh, (0.1, 0.2)), r"a scalar, not of shape \(2,\)"),
+        (fem.Function(scalars[0]), "on another mesh than Γ1's"),
+        (fem.Function(bodies[1].V), r"a scalar, not of shape \(2,\)"),
+        (fem.Function(constant), "not a continuous Lagrange space"),
+    ):
+        with raises(ValueError, why):
+            Contact(*sides, friction=value)
+    for options, why in (
+        ({"elastic_slip": 0.1}, "give friction too"),
+        ({"elastic_slip": -0.1, "friction": 0.3}, "a length from 0 on, not -0.1"),
+    ):
+        with raises(ValueError, why):
+            Contact(*sides, **options)
+    mu = fem.Function(scalars[1])
+    mu.interpolate(lambda x: 0.3 * x[0])
+    contact = Contact(*sides, friction=mu)
+    close(contact.friction.at_vertices(), 0.3 * contact.surfaces[1].x[:, 0])
+    mu.x.array[:] = -1.0
+    with raises(ValueError, "is -1 on Γ1"):
+        contact.friction.at_vertices()
+    plain = Contact(*sides)
+    with raises(ValueError, "is in no problem"):
+        _ = plain.sticking
+    body = [Elastic.on(body.V, large=True) for body in bodies]
+    problem = ContactProblem([b.F for b in body], [b.u for b in body], contacts=[plain])
+    with raises(ValueError, "the contact has no friction"):
+        _ = plain.sticking
+    problem.destroy()
