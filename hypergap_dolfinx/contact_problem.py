@@ -112,6 +112,12 @@ class ContactProblem(ContactSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         if len(F) != len(u):
             raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
+        mixed = next((i for i, f in enumerate(u) if is_mixed(f.function_space)), None)
+        if mixed is not None:
+            raise ValueError(
+                f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
+                "and nothing else."
+            )
         contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
         if not contacts:
             raise ValueError(
@@ -125,12 +131,6 @@ class ContactProblem(ContactSystem):
         if wrong is not None:
             raise ValueError(
                 f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
-            )
-        mixed = next((i for i, f in enumerate(u) if is_mixed(f.function_space)), None)
-        if mixed is not None:
-            raise ValueError(
-                f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
-                "and nothing else."
             )
         _check_apart(contacts, ties)
         elastic = [i for i, form in enumerate(F) if form is not None]

@@ -292,3 +292,15 @@ def test_a_bush_engaged_by_less_than_a_facet(n, m, depth):
         area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
         assert abs(area / (2 * np.pi * depth) - 1) < 0.03
     check_cells(slab.fill(common))
+
+
+def test_projection_past_notches():
+    """Whatever facet the way starts from: it may end at an outline that turns inwards."""
+    x, t = square(4)
+    middle = x[t].mean(axis=1)
+    part = side("Γ0", x, t[(middle[:, :2] < 0.5).any(axis=1)])
+    middle = part.x[part.triangles].mean(axis=1)
+    seed, wanted = np.indices((len(middle),) * 2).reshape(2, -1)
+    found, xi = part.project(middle[wanted], seed)
+    np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_allclose(xi, 1 / 3)

@@ -107,11 +107,18 @@ def at_rest(two):
     return tuple(np.zeros((len(side.dofs), 3)) for side in two)
 
 
-def rough(degree=1, cell=meshing.CellType.tetrahedron, low=(0.23, 0.31), gap=0.1, size=0.02):
+def rough(
+    degree=1,
+    cell=meshing.CellType.tetrahedron,
+    low=(0.23, 0.31),
+    gap=0.1,
+    size=0.02,
+    cells=(4, 3),
+):
     """Two planes, and displacements that part them and make both rough."""
     found, rng = [], np.random.default_rng(1)
     for i, (start, end) in enumerate((((0, 0, -0.5), (1, 1, 0)), ((*low, 0), (0.7, 0.8, 0.5)))):
-        mesh = meshing.create_box(comm, [start, end], (4 - i, 4 - i, 1), cell)
+        mesh = meshing.create_box(comm, [start, end], (cells[i], cells[i], 1), cell)
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
         found.append(MovingSurface(create_surface(V, boundary(mesh, 2, 0), f"Γ{i}")))
     u = [size * rng.standard_normal((len(side.dofs), 3)) for side in found]
@@ -135,6 +142,7 @@ STEP = 1e-5  # of differences of the fourth order
         ({"gap": -0.05}, 1e-9, 1e-9),
         ({"low": (-0.3, 0.31)}, 1e-9, 1.0),  # the outline's ∂² are those of a closed gap
         ({"cell": meshing.CellType.hexahedron, "size": 1e-3}, 1e-6, 1e-4),
+        ({"cell": meshing.CellType.hexahedron, "cells": (1, 2)}, 1e-9, 1e-9),  # none of Γ0's edges
         ({"degree": 2, "size": 1e-3}, 1e-3, 0.1),  # curved edges are cut as if they were straight
     ),
 )

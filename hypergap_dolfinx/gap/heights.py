@@ -29,6 +29,7 @@ from hypergap_dolfinx.gap.opposite import Frames, cross, dual_basis, reference_m
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
+LAST = 1e-8  # such a step on a reference facet, squared, is round-off
 
 
 class At(IntEnum):
@@ -42,6 +43,13 @@ def cross_matrix(a) -> npt.NDArray[np.float64]:
     result = np.zeros((len(a), 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         result[:, i, j], result[:, j, i] = -a[:, k], a[:, k]
+    return result
+
+
+def cross_twice(a, b) -> npt.NDArray[np.float64]:
+    """[a]× [b]×, ``(num, 3, 3)``: NumPy's products of small matrices are slow."""
+    result = b[:, :, None] * a[:, None]
+    result[:, range(3), range(3)] -= dot(a, b)[:, None]
     return result
 
 
@@ -113,8 +121,8 @@ class Rays:
         )
         return result
 
-    def hessian(self) -> npt.NDArray[np.float64]:
-        """∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
+    def half_hessian(self) -> npt.NDArray[np.float64]:
+        """A, with A + Aᵀ = ∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
         q, (n0, n1, m), (s, a, b) = self.q, self.normals, self.products
         num = len(q)
         h, slope = s / b, a / b
@@ -122,21 +130,19 @@ class Rays:
 
         def put(i, j, block):
             H[:, i, :, j] += block
-            H[:, j, :, i] += block.transpose(0, 2, 1)
 
-        times = {v: cross_matrix(q[:, v]) for v in range(7)}
-        scaled = {v: slope[:, None, None] * times[v] for v in (At.Z1, At.Z2, At.R)}
+        scaled = {v: cross_matrix(slope[:, None] * q[:, v]) for v in (At.Z1, At.Z2, At.R)}
         put(At.R, At.Z1, -scaled[At.Z2])  # s = N₀ · r, times A / B
         put(At.R, At.Z2, scaled[At.Z1])
         put(At.Z1, At.Z2, -scaled[At.R])
         put(At.C1, At.C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
         for (u, v), factor in (((At.T1, At.T2), h), ((At.Z1, At.Z2), -h * slope)):  # of A, and of B
             put(u, v, -cross_matrix(factor[:, None] * m))
-            of_u, of_v = (factor[:, None, None] * times[w] for w in (u, v))
-            put(u, At.C1, -of_v @ times[At.C2])
-            put(u, At.C2, of_v @ times[At.C1])
-            put(v, At.C1, of_u @ times[At.C2])
-            put(v, At.C2, -of_u @ times[At.C1])
+            of_u, of_v = (factor[:, None] * q[:, w] for w in (u, v))
+            put(u, At.C1, -cross_twice(of_v, q[:, At.C2]))
+            put(u, At.C2, cross_twice(of_v, q[:, At.C1]))
+            put(v, At.C1, cross_twice(of_u, q[:, At.C2]))
+            put(v, At.C2, -cross_twice(of_u, q[:, At.C1]))
         ds, da, db = (np.zeros_like(q) for _ in range(3))
         ds[:, At.R] = n0
         ds[:, At.Z1], ds[:, At.Z2] = cross(q[:, At.Z2], q[:, At.R]), cross(q[:, At.R], q[:, At.Z1])
@@ -157,9 +163,7 @@ class Rays:
             right.append(0.5 * curve[:, :1] * moves[0] + curve[:, 1:2] * moves[1])
             right.append(0.5 * curve[:, 2:] * moves[1])
         result = H.reshape(num, 21, 21)
-        product = np.stack(left, axis=2) @ np.stack(right, axis=1)
-        result += product
-        result += product.transpose(0, 2, 1)
+        result += np.stack(left, axis=2) @ np.stack(right, axis=1)
         return result
 
 
@@ -186,7 +190,7 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
         _, dual = dual_basis(np.stack(at0[1:3], axis=1))
         step = np.einsum("pki,pi->pk", dual, rest)
         xi += step
-        if np.abs(step).max(initial=0) < 1e-14:
+        if np.abs(step).max(initial=0) < LAST:
             break
     at0 = _jets(below, f0, xi, bends=not straight)
     q = np.stack((at0[0] - x1, *at0[1:3], *at1[1:3], *frames.tangents[f1].swapaxes(0, 1)), axis=1)
@@ -197,10 +201,10 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
 def _jets(surface: Surface, facet, X, *, bends=False) -> list[npt.NDArray[np.float64]]:
     """Points of facets, both slopes, and second derivatives; ``(num, 3)`` each."""
     nodes = surface.nodes[facet]
-    origin = nodes[:, :1]
-    table = _table(surface, X, 2 if bends else 1)
-    found = [np.einsum("pm,pmi->pi", part, nodes - origin) for part in table]
-    found[0] += origin[:, 0]
+    origin = nodes[:, 0].copy()
+    nodes -= origin[:, None]
+    found = [np.einsum("pm,pmi->pi", part, nodes) for part in _table(surface, X, 1 + bends)]
+    found[0] += origin
     return found
 
 

@@ -52,6 +52,8 @@ class _State:
     piece: npt.NDArray[np.intp]
     """The piece of each of them."""
     weights: npt.NDArray[np.float64]
+    gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+    """g, m and C, once they are asked for."""
 
     @property
     def areas(self) -> npt.NDArray[np.float64]:
@@ -139,6 +141,8 @@ class Opening:
             ``(num_multipliers, 3 (num_dofs0 + num_dofs1))``.
         """
         state = self._at(u)
+        if state.gap is not None:
+            return state.gap
         g, m = (
             np.bincount(state.vertex, part, self.num_multipliers)
             for part in (state.volumes, state.areas)
@@ -159,7 +163,8 @@ class Opening:
             i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
             j.append(dofs.ravel())
             values.append(block.reshape(-1, 3))
-        return g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
+        state.gap = g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
+        return state.gap
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
         """H = Σ_a p_a ∂²g_a/∂u², of the size of u.
@@ -171,16 +176,22 @@ class Opening:
         state = self._at(u)
         i, j, values = [], [], []
 
-        def add(rays, block):
-            """Blocks ``(point, dof, component, dof, component)``, summed for pairs of facets."""
+        def add(rays, block, axes):
+            """Halves of blocks, each of as many points; those of a pair of facets are summed.
+
+            The axes are those of dofs and components, of rows and columns each.
+            """
             num, nodes = block.shape[:2]
-            first = _first(*rays.facets)
+            each = len(rays.X) // num
+            first = _first(*(facet[::each] for facet in rays.facets))
             block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
-            dofs = self._dofs(rays)[first]
+            block = block.transpose(0, *axes)
+            block = block + block.transpose(0, 2, 1, 4, 3)
+            dofs = self._dofs(rays)[::each][first]
             shape = len(first), nodes, nodes
             i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
             j.append(np.broadcast_to(dofs[:, None], shape).ravel())
-            values.append(block.transpose(0, 1, 3, 2, 4).reshape(-1, 9))
+            values.append(block.reshape(-1, 9))
 
         pressure = p[state.vertex]
         on = np.flatnonzero(pressure)
@@ -189,18 +200,24 @@ class Opening:
         rays, piece, weights = _cast(
             state.surfaces, state.frames, state.pieces.some(on), exact=False
         )
-        H = (pressure[on[piece]] * weights)[:, None, None] * rays.hessian()
-        T = by_dofs(state.surfaces, rays).transpose(0, 2, 1)
-        num, nodes, vectors = T.shape
-        half = (T @ H.reshape(num, vectors, -1)).reshape(num, nodes, 3, vectors, 3).swapaxes(1, 3)
-        block = T @ half.reshape(num, vectors, -1)
-        add(rays, block.reshape(num, nodes, 3, nodes, 3).swapaxes(1, 3))
+        H = (pressure[on[piece]] * weights)[:, None, None] * rays.half_hessian()
+        T = by_dofs(state.surfaces, rays)
+        num, vectors, nodes = T.shape
+        half = T.transpose(0, 2, 1) @ H.reshape(num, vectors, -1)
+        half = half.reshape(num, nodes, 3, vectors, 3).transpose(0, 3, 1, 2, 4)
+        # The points of a piece are summed in one product
+        T, half = T.reshape(len(on), -1, nodes), half.reshape(len(on), -1, 9 * nodes)
+        block = (T.transpose(0, 2, 1) @ half).reshape(-1, nodes, nodes, 3, 3)
+        add(rays, block, (2, 1, 3, 4))
         edges = _edges(state, pressure != 0)
-        T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
-        a, b = (T @ part for part in _kinks(edges, pressure[edges.piece] * edges.weights))
-        block = a[:, :, :, None, None] * b[:, None, None]
-        block += block.transpose(0, 3, 4, 1, 2).copy()
-        add(edges.rays, block)
+        if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
+            T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
+            a, b = (
+                (T @ part).reshape(-1, 2, 3 * nodes)  # two points on each edge
+                for part in _kinks(edges, pressure[edges.piece] * edges.weights)
+            )
+            block = (a.transpose(0, 2, 1) @ b).reshape(-1, nodes, 3, nodes, 3)
+            add(edges.rays, block, (1, 3, 2, 4))
         return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
 
     def slip(self, u: Displacements, since: Displacements) -> tuple[Sparse, Sparse]:

@@ -28,6 +28,8 @@ Geometry = Callable[
 ]
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
+OUTSIDE = 1e-4
+"""Weight below zero from which a point isn't in the triangle where the way to it ended."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,32 @@ class Side:
         """
         curved = self.surface.curved[self.facets].any()
         refine = self.on_curved if curved else None
-        return project(self.x, self.triangles, self.behind, points, seed, refine)
+        triangle, xi = project(self.x, self.triangles, self.behind, points, seed, refine)
+        out = np.flatnonzero(np.minimum(xi.min(axis=1), 1 - xi.sum(axis=1)) < -OUTSIDE)
+        if len(out):  # the way may have ended where the outline has a notch
+            below = self._below(points[out], triangle[out], xi[out])
+            other = below != triangle[out]
+            out, below = out[other], below[other]
+            triangle[out], xi[out] = project(
+                self.x, self.triangles, self.behind, points[out], below, refine
+            )
+        return triangle, xi
+
+    def _below(self, points, triangle, xi) -> npt.NDArray[np.intp]:
+        """The triangles that points lie above where those are nearer than the given ones."""
+        found = triangle.copy()
+        weights = np.maximum(np.column_stack((1 - xi.sum(axis=1), xi)), 0)
+        weights /= weights.sum(axis=1, keepdims=True)
+        away = lengths(np.einsum("pk,pki->pi", weights, self.x[self.triangles[triangle]]) - points)
+        p, f = self.tree.beside(points, self.normals[triangle], np.zeros(len(points)))
+        v, n = self.x[self.triangles[f]] - points[p, None], self.normals[f]
+        height = np.abs(np.einsum("pi,pi->p", v[:, 0], n))
+        sides = [np.einsum("pi,pi->p", np.cross(v[:, k], v[:, k - 2]), n) for k in range(3)]
+        size = np.sum(sides, axis=0)  # twice the area, of parts at each edge
+        use = (np.min(sides, axis=0) >= -1e-9 * size) & (height < away[p])
+        order = np.flatnonzero(use)[np.argsort(-height[use], kind="stable")]
+        found[p[order]] = f[order]  # the nearest comes last
+        return found
 
     def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
         """Where points project on the curved facets, not to jump from one to the next."""

@@ -62,6 +62,8 @@ class _State:
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
     slopes: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
     """Derivatives of slips by both sides' variables, likewise."""
+    gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+    """g, m and C, likewise."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,8 @@ class PlaneOpening:
             ``(num_multipliers, 2 (num_dofs0 + num_dofs1))``.
         """
         state = self._at(u)
+        if state.gap is not None:
+            return state.gap
         g, m = np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
         i, j, values = [], [], []
         for cells in state.cells:
@@ -232,7 +236,8 @@ class PlaneOpening:
         C = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
         product = C.matMult(self._to_dofs(state))
         C.destroy()
-        return g, m, Sparse.of(product)
+        state.gap = g, m, Sparse.of(product)
+        return state.gap
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
         """H = Σ_a p_a ∂²g_a/∂u², of the size of u.
