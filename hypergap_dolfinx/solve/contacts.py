@@ -388,6 +388,11 @@ class ContactRows:
         """
         return bool(np.abs(self.distance[self.now.on]).max(initial=0) <= tolerance)
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether what is closed needs no further step."""
+        return True
+
     def curvature_blocks(self) -> dict[tuple[int, int], PETSc.Mat]:
         """How forces change where bodies move, by pairs of bodies. Collective."""
         if not self._follows or self.now.opening is None:

@@ -17,6 +17,9 @@ from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touchi
 
 EXCEEDS = 1e-7
 """Traction of what sticks beyond what friction can hold, over the largest, that is none."""
+EXACT = 1e-11
+"""Gap, in sizes of facets, beyond which one more Newton step is taken: times tractions, gaps are
+what moments of friction lack."""
 
 
 @dataclass
@@ -312,6 +315,11 @@ class FrictionRows(ContactRows):
         error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
         largest = np.abs(self.mu * now.p).max(initial=0)
         return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether gaps are so small that moments of friction balance."""
+        return super().is_closed(EXACT * float(self.sides[1].reference.size.max()))
 
     @property
     def holds_too_much(self) -> bool:
