@@ -121,10 +121,11 @@ class Tie(disposal.Owner):
                 gives way, however little; a body that nothing else holds is held by it. One value,
                 or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
                 lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
-                ≥ 0: a number, a
-                ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
-                of x. Read anew when the matrix is assembled; so a law c(u₁ − u₀) of your own is a
-                loop that sets it and solves again.
+                ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
+                body, or a callable of x. Read anew when the matrix is assembled; so a law
+                c(u₁ − u₀) of your own is a loop that sets it and solves again. Where all of both
+                sides is prescribed λ follows from c alone: one that is 0 when the problem is made
+                is to stay so.
             discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
                 Where both sides consist of several materials, traction jumps from one to the next:
                 give a tie for each material then, with this, its two surfaces ending at one place.

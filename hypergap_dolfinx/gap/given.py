@@ -77,7 +77,7 @@ def _no_number(value: Any) -> str | None:
         wrong = next(filter(None, map(_no_number, value)), None)
         return wrong and f"a {type(value).__name__} with {wrong}"
     if isinstance(value, ufl.core.expr.Expr):
-        is_read = isinstance(value, fem.Constant | fem.Function)
-        return f"a {type(value).__name__}" if is_read else "a UFL expression"
+        known = isinstance(value, fem.Constant | fem.Function)
+        return f"a {type(value).__name__}" if known else "a UFL expression"
     dtype = value.dtype if isinstance(value, np.ndarray) else np.asarray(value).dtype
     return None if np.issubdtype(dtype, np.number) else type(value).__name__
