@@ -338,10 +338,8 @@ class Contact:
         rows = self._rubbing(problem.rows(self))
         if self._on_body(on):
             return self._at_vertices(self.shears(problem), "shear")
-        opening = self._opening(rows)
-        parts = [opening.cells(rows.at, part) for part in rows.shears.T]
-        values = np.stack([part.pressure for part in parts], axis=1)
-        return on_sigma(self._comm, parts[0], "shear", values)
+        cells = self._opening(rows).cells(rows.at, rows.shears)
+        return on_sigma(self._comm, cells, "shear", cells.pressure)
 
     def slips(self, problem) -> npt.NDArray[np.float64]:
         """By how much Γ1 slipped on Γ0 in the last :meth:`ContactProblem.solve`, at its vertices.

@@ -121,6 +121,13 @@ class Rays:
         )
         return result
 
+    def feet(self) -> npt.NDArray[np.float64]:
+        """How the rays' ends move on Γ0, ∂ξ/∂q, ``(num, 2, 7, 3)``."""
+        (_, _, m), (_, _, b) = self.normals, self.products
+        dual = cross(self.q[:, At.Z2], m), cross(m, self.q[:, At.Z1])
+        # A foot's motion is that against the ray, seen from Γ1: the other sign
+        return np.stack([self.towards(-d / b[:, None]) for d in dual], axis=1)
+
     def half_hessian(self) -> npt.NDArray[np.float64]:
         """A, with A + Aᵀ = ∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
         q, (n0, n1, m), (s, a, b) = self.q, self.normals, self.products
@@ -154,10 +161,7 @@ class Rays:
         left = [ds - h[:, None] * db]
         right = [(da - slope[:, None] * db) / b[:, None]]
         if self.bends is not None:
-            across = q[:, At.Z1], q[:, At.Z2]
-            dual = cross(across[1], m), cross(m, across[0])
-            # The foot's motion is that against the ray, seen from Γ1: the other sign
-            moves = [self.towards(-d / b[:, None]).reshape(num, 21) for d in dual]
+            moves = list(self.feet().reshape(num, 2, 21).swapaxes(0, 1))
             curve = slope[:, None] * np.einsum("pi,pki->pk", n0, self.bends)
             left += moves
             right.append(0.5 * curve[:, :1] * moves[0] + curve[:, 1:2] * moves[1])

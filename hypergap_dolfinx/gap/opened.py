@@ -28,7 +28,7 @@ class OpenCells:
     gap: npt.NDArray[np.float64]
     """Volume over area: mean distance of the bodies, ``(num_cells,)``."""
     pressure: npt.NDArray[np.float64]
-    """Mean pressure, ``(num_cells,)``."""
+    """Mean pressure, ``(num_cells,)``, or traction, ``(num_cells, n)``."""
 
 
 def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str, values=None) -> fem.Function:

@@ -34,7 +34,7 @@ from hypergap_dolfinx.gap.opposite import (
     polygon_areas,
     reference_corners,
 )
-from hypergap_dolfinx.gap.surface import Surface, lengths
+from hypergap_dolfinx.gap.surface import Surface, is_outline, lengths
 
 
 @dataclass
@@ -176,22 +176,11 @@ class Opening:
         state = self._at(u)
         i, j, values = [], [], []
 
-        def add(rays, block, axes):
-            """Halves of blocks, each of as many points; those of a pair of facets are summed.
-
-            The axes are those of dofs and components, of rows and columns each.
-            """
-            num, nodes = block.shape[:2]
-            each = len(rays.X) // num
-            first = _first(*(facet[::each] for facet in rays.facets))
-            block = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
-            block = block.transpose(0, *axes)
-            block = block + block.transpose(0, 2, 1, 4, 3)
-            dofs = self._dofs(rays)[::each][first]
-            shape = len(first), nodes, nodes
-            i.append(np.broadcast_to(dofs[:, :, None], shape).ravel())
-            j.append(np.broadcast_to(dofs[:, None], shape).ravel())
-            values.append(block.reshape(-1, 9))
+        def add(rays, half, axes):
+            rows, columns, half = self._by_facets(rays, half, axes)
+            i.append(rows.ravel())
+            j.append(columns.ravel())
+            values.append((half + half.transpose(0, 2, 1, 4, 3)).reshape(-1, 9))
 
         pressure = p[state.vertex]
         on = np.flatnonzero(pressure)
@@ -277,12 +266,8 @@ class Opening:
         )
         T = by_dofs(state.surfaces, rays)
         block = slip_columns.curvature(rays, T, weights[:, None] * traction[on][piece])
-        first = _first(*rays.facets)
-        block = np.add.reduceat(block.reshape(len(T), -1), first).reshape(-1, *block.shape[1:])
-        dofs = self._dofs(rays)[first]
-        shape = len(first), dofs.shape[1], dofs.shape[1]
-        i, j = np.broadcast_to(dofs[:, :, None], shape), np.broadcast_to(dofs[:, None], shape)
-        values = block.transpose(0, 1, 3, 2, 4).reshape(-1, 9)
+        i, j, block = self._by_facets(rays, block, (1, 3, 2, 4))
+        values = block.reshape(-1, 9)
         return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -310,7 +295,7 @@ class Opening:
 
         Args:
             u: Displacements.
-            p: ``(num_multipliers,)``.
+            p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 3)``.
         """
         state = self._at(u)
         pieces = state.pieces
@@ -342,6 +327,26 @@ class Opening:
         """Dofs of both facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
         below, above = (side.at_facets[f] for side, f in zip(self.sides, rays.facets, strict=True))
         return np.hstack((below, len(self.sides[0].dofs) + above))
+
+    def _by_facets(self, rays: Rays, block, axes) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Blocks, each of as many points, summed for each pair of facets; and their dofs.
+
+        Args:
+            rays: The points.
+            block: ``(num_blocks, ...)``.
+            axes: Those of the dofs of rows and columns, and of their components.
+
+        Returns:
+            Dofs of rows and of columns, ``(num_pairs, num_dofs, num_dofs)``, and the sums,
+            ``(num_pairs, num_dofs, num_dofs, 3, 3)``.
+        """
+        num = len(block)
+        each = len(rays.X) // num
+        first = _first(*(facet[::each] for facet in rays.facets))
+        total = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
+        dofs = self._dofs(rays)[::each][first]
+        rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
+        return rows, columns, total.transpose(0, *axes)
 
 
 def _first(*numbers) -> npt.NDArray[np.intp]:
@@ -480,7 +485,7 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
     """
     pieces = state.pieces
     there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-    at_end = _is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
+    at_end = is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
     there &= np.broadcast_to(which, len(there))[:, None]
     if outline:
         there &= at_end
@@ -497,15 +502,6 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
         np.repeat(np.column_stack((step[:, 1], -step[:, 0])), num, axis=0),
         np.repeat(at_end[piece, k], num),
     )
-
-
-def _is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
-    """Which edges of facets no other facet has, ``(num_facets, num_edges)``."""
-    start = surface.polygons.astype(np.int64)
-    end = np.roll(start, -1, axis=1)
-    key = np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
-    _, where, count = np.unique(key, return_inverse=True, return_counts=True)
-    return (count[where] == 1).reshape(key.shape)
 
 
 def _stand_ins(surface: Surface, pieces: Pieces) -> npt.NDArray[np.intp]:

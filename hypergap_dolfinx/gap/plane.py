@@ -232,11 +232,8 @@ class PlaneOpening:
                 i.append(rows.ravel())
                 j.append(cells.numbers.ravel())
                 values.append(0.5 * cells.gap.first.ravel())
-        sizes = self.num_multipliers, state.num
-        C = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
-        product = C.matMult(self._to_dofs(state))
-        C.destroy()
-        state.gap = g, m, Sparse.of(product)
+        C = self._rows_by_dofs(state, *(np.concatenate(part) for part in (i, j, values)))
+        state.gap = g, m, C
         return state.gap
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
@@ -266,12 +263,7 @@ class PlaneOpening:
             moves = slope[len(slope) - len(nodes) :]
             on = np.flatnonzero(moves)
             add(nodes[on], moves[on, None, None] * state.crossings.second[on])
-        H = coo_matrix(
-            MPI.COMM_SELF, (state.num, state.num), *(np.concatenate(p) for p in (i, j, values))
-        )
-        product = H.ptap(self._to_dofs(state))
-        H.destroy()
-        return Sparse.of(product)
+        return self._by_dofs_twice(state, i, j, values)
 
     def slip(
         self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
@@ -301,13 +293,8 @@ class PlaneOpening:
                 j.append(cells.numbers.ravel())
                 values.append(0.5 * both.reshape(-1, 2))
         rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
-        sizes = self.num_multipliers, state.num
-        results = []
-        for part in entries.T:
-            matrix = coo_matrix(MPI.COMM_SELF, sizes, rows, columns, part.copy())
-            results.append(Sparse.of(matrix.matMult(self._to_dofs(state))))
-            matrix.destroy()
-        return results[0], results[1]
+        parts = [self._rows_by_dofs(state, rows, columns, part.copy()) for part in entries.T]
+        return parts[0], parts[1]
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
@@ -328,8 +315,19 @@ class PlaneOpening:
             i.append(np.broadcast_to(numbers[:, : block.shape[1], None], block.shape).ravel())
             j.append(np.broadcast_to(numbers[:, None], block.shape).ravel())
             values.append((traction[on, None, None] * block).ravel())
-        sizes = state.num, state.num
-        H = coo_matrix(MPI.COMM_SELF, sizes, *(np.concatenate(p) for p in (i, j, values)))
+        return self._by_dofs_twice(state, i, j, values)
+
+    def _rows_by_dofs(self, state: _State, i, j, values) -> Sparse:
+        """Rows of multipliers by all variables as those by the dofs."""
+        C = coo_matrix(MPI.COMM_SELF, (self.num_multipliers, state.num), i, j, values)
+        product = C.matMult(self._to_dofs(state))
+        C.destroy()
+        return Sparse.of(product)
+
+    def _by_dofs_twice(self, state: _State, i, j, values) -> Sparse:
+        """Second derivatives by all variables, in parts, as those by the dofs."""
+        parts = (np.concatenate(part) for part in (i, j, values))
+        H = coo_matrix(MPI.COMM_SELF, (state.num, state.num), *parts)
         product = H.ptap(self._to_dofs(state))
         H.destroy()
         return Sparse.of(product)
@@ -369,7 +367,7 @@ class PlaneOpening:
 
         Args:
             u: Displacements.
-            p: ``(num_multipliers,)``.
+            p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
         """
         every = self._at(u).cells
         m, volume = (np.concatenate(part) for part in zip(*((c.m, c.gap.value) for c in every)))

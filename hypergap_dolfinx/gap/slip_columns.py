@@ -92,15 +92,6 @@ def by_q(rays: Rays, e, D) -> npt.NDArray[np.float64]:
     return result
 
 
-def feet(rays: Rays) -> npt.NDArray[np.float64]:
-    """How the rays' ends move on Γ0, ∂ξ/∂q, ``(num, 2, 7, 3)``."""
-    _, _, b = rays.products
-    _, _, m = rays.normals
-    z = rays.q[:, At.Z1], rays.q[:, At.Z2]
-    dual = cross(z[1], m), cross(m, z[0])
-    return np.stack([rays.towards(-d / b[:, None]) for d in dual], axis=1)
-
-
 def slopes(rays: Rays, T, e, moves) -> npt.NDArray[np.float64]:
     """Derivatives of slips by the dofs, of motions that are those of where the dofs are.
 
@@ -118,7 +109,7 @@ def slopes(rays: Rays, T, e, moves) -> npt.NDArray[np.float64]:
     flat = kappa[:, None] * (e - dot(e, m)[:, None] * m)
     by = by_q(rays, e, -part[:, 0])
     drift = np.einsum("pi,pki->pk", flat, part[:, 1:])
-    by -= np.einsum("pk,pkvi->pvi", drift, feet(rays))
+    by -= np.einsum("pk,pkvi->pvi", drift, rays.feet())
     return T.transpose(0, 2, 1) @ by + slips(rays, T, e)
 
 
@@ -141,6 +132,6 @@ def curvature(rays: Rays, T, traction) -> npt.NDArray[np.float64]:
     by_dofs = turned @ np.concatenate(by, axis=2)  # (point, dof, component of force and dof)
     by_dofs = by_dofs.reshape(num, nodes, 3, 3).transpose(0, 2, 1, 3)
     block = -T[:, At.R, :, None, None, None] * by_dofs[:, None]
-    drift = turned[:, None] @ feet(rays)  # (point, along, dof, component)
+    drift = turned[:, None] @ rays.feet()  # (point, along, dof, component)
     along = np.einsum("pkj,pkbc->pjbc", T[:, [At.Z1, At.Z2]], drift)
     return block - flat[:, None, :, None, None] * along[:, :, None]

@@ -401,14 +401,26 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
 
 def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
     """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
-    v = surface.polygons
-    if surface.gdim == 2:
-        key = v.ravel().astype(np.int64)
-    else:
-        ends = np.sort(np.stack((v, np.roll(v, -1, axis=1)), axis=2).astype(np.int64), axis=2)
-        key = (ends[..., 0] * len(surface.x) + ends[..., 1]).ravel()
-    facet = np.repeat(np.arange(len(v)), v.shape[1])
+    key = _edge_keys(surface)
+    facet = np.repeat(np.arange(len(key)), key.shape[1])
+    key = key.ravel()
     order = np.argsort(key, kind="stable")
     _, start, count = np.unique(key[order], return_index=True, return_counts=True)
     start = start[count == 2]
     return np.column_stack((facet[order[start]], facet[order[start + 1]]))
+
+
+def is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
+    """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
+    key = _edge_keys(surface)
+    _, where, count = np.unique(key, return_inverse=True, return_counts=True)
+    return (count[where] == 1).reshape(key.shape)
+
+
+def _edge_keys(surface: Surface) -> npt.NDArray[np.int64]:
+    """A number for each edge of facets (2D: each vertex), one for all that share it."""
+    start = surface.polygons.astype(np.int64)
+    if surface.gdim == 2:
+        return start
+    end = np.roll(start, -1, axis=1)
+    return np.minimum(start, end) * len(surface.x) + np.maximum(start, end)

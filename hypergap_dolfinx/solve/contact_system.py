@@ -20,12 +20,7 @@ from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import (
-    ContactRows,
-    Touching,
-    owned_values,
-    share_ends,
-)
+from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values, share_ends
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
