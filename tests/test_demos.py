@@ -281,9 +281,9 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("bouncing", "contact_patch", "gap_domain", "heat", "hertz_published", "incompressible"),
-    *("ironing", "kernel_speed", "periodic_cell", "periodic_cell_3d", "pressurised_cylinder"),
-    *("pressurised_sphere_hexahedra", "read_meshes"),
+    *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
+    *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
+    *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
