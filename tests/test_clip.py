@@ -16,6 +16,7 @@ from hypergap_dolfinx import InterfaceError
 from hypergap_dolfinx.gap import slab
 from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.cutting import Cutting
+from hypergap_dolfinx.gap.overhang import overhang
 from hypergap_dolfinx.gap.triangulation import project
 
 pytestmark = pytest.mark.serial
@@ -128,15 +129,24 @@ MOVED = {
 
 @pytest.mark.parametrize("scene", MOVED)
 def test_matching_meshes_moved_by_next_to_nothing(scene):
-    """Outlines are made one without new nodes; the turned one's nodes are inside of both."""
+    """They aren't cut; Σ without its overhang has the area that both have in common."""
     place, exact = MOVED[scene]
     one, other = square(4), square(4, place)
-    check(one, other, exact, 5.1e-7 if scene == "turned" else 1e-14)
-    (pair,) = clip(side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1]))
-    assert [len(piece.x) for piece in pair] == [25, 25]
-    assert len(slab.fill(pair).cells) == 3 * 32
-    apart = np.linalg.norm(pair[0].x[:, None] - pair[1].x, axis=2).min(axis=1)
-    assert (apart < 1e-15).sum() in (16, 17)  # the outlines' nodes, and what doesn't move
+    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
+    assert clip(*sides) == [sides]
+    made = slab.fill(sides)
+    assert len(made.cells) == 3 * 32
+    y = np.dstack((made.x[made.cells][:, :, :2], made.alpha[made.cells]))
+    volume = np.linalg.det(y[:, 1:] - y[:, :1]).sum() / 6
+    assert abs(volume - exact) > 1e-8
+    beyond = overhang([made], 1)
+    assert volume - beyond.weights.sum() == pytest.approx(exact, abs=2e-12)  # of second order
+
+
+def test_outlines_that_match_have_no_overhang():
+    one, other = square(4), square(4, lambda x: x + 1e-11 * np.sin(40 * x))
+    sides = side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1])
+    assert overhang([slab.fill(sides)], 1) is None
 
 
 def test_noise_is_not_cut_off():

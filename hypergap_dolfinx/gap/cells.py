@@ -53,6 +53,25 @@ class Hosts:
 
 
 @dataclass(frozen=True)
+class Overhang:
+    """Points of cells, with weights of what integrals dΓ_α dα over Σ have too much."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_points,)``."""
+    X: npt.NDArray[np.float64]
+    """Reference coordinates, ``(num_points, n)``."""
+    weights: npt.NDArray[np.float64]
+    """``(num_points,)``; negative where they lack something."""
+
+    def at(self, cells: npt.NDArray[np.intp], num_cells: int) -> "Overhang":
+        """What some of all cells have of it, with their new numbers."""
+        number = np.full(num_cells, -1)
+        number[cells] = np.arange(len(cells))
+        some = number[self.cells] >= 0
+        return Overhang(number[self.cells[some]], self.X[some], self.weights[some])
+
+
+@dataclass(frozen=True)
 class GapCells:
     """Σ before it is distributed.
 
@@ -86,6 +105,8 @@ class GapCells:
     """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
     straight: npt.NDArray[np.bool_] | None = None
     """Which edges of each tetrahedron stay straight, ``(num_cells, 6)``; None if none has to."""
+    overhang: Overhang | None = None
+    """What Σ has beyond what both sides have in common; None if nothing."""
 
 
 def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:

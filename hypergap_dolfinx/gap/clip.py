@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
-from hypergap_dolfinx.gap.align import aligned, are_moved
 from hypergap_dolfinx.gap.courses import crossings, upright
 from hypergap_dolfinx.gap.cut import Cut
-from hypergap_dolfinx.gap.outlines import compared, locate, meetings
+from hypergap_dolfinx.gap.outlines import differing, locate, meetings
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.triangulation import neighbours
 from hypergap_dolfinx.graph import components
@@ -146,11 +145,9 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
         NotFacingError: They have nothing in common.
         InterfaceError: Other parts are left of one than of the other.
     """
-    alone0, alone1, paired = compared(side0, side1)
-    alone = alone0, alone1
+    alone = differing(side0, side1)
     if not any(alone):
-        moved = [loops for loops in paired if are_moved(side0, side1, loops)]
-        return [aligned(side0, side1, moved) if moved else (side0, side1)]
+        return [(side0, side1)]
     sides = side0, side1 = side0.in_halves(), side1.in_halves()
     lengths = [
         np.linalg.norm(side.x[loop] - np.roll(side.x[loop], 1, axis=0), axis=1).mean()

@@ -85,7 +85,16 @@ class Compliance:
         N, self._v = kernel.geometry_at_points(self._element, domain.x, domain.alpha_vertices)
         self._normal = (N / np.linalg.norm(N, axis=2, keepdims=True)).reshape(-1, n)
         D, sign = domain.gap_factors(np.arange(len(domain.x)), rule)
-        self._sign = np.tile(sign, len(D))
+        cells, D = np.repeat(np.arange(len(D)), len(sign)), D.reshape(-1, D.shape[2])
+        self._sign = np.tile(sign, len(domain.x))
+        self._beyond: npt.NDArray | None = None  # ∂φ_a/∂α where Σ is wider than both sides
+        if domain.overhang is not None:
+            over = domain.overhang
+            self._beyond, normal = domain.overhang_derivatives()
+            self._normal = np.vstack((self._normal, normal))
+            D = np.vstack((D, np.sqrt(np.abs(over.weights))[:, None] * self._beyond))
+            self._sign = np.append(self._sign, -np.sign(over.weights))
+            cells = np.append(cells, over.cells)
         self._surfaces = [
             create_surface(part.function_space, facets1, "Γ1")
             if isinstance(part, fem.Function) and self._fits(part)
@@ -94,7 +103,7 @@ class Compliance:
         ]
         comm = domain.mesh.comm
         self._start = sum(comm.allgather(len(self._normal))[: comm.rank])
-        self._D = self._at_points(D, constraint)
+        self._D = self._at_points(cells, D, constraint)
         self.values()
 
     def _fits(self, c: fem.Function) -> bool:
@@ -111,7 +120,7 @@ class Compliance:
             )
         return True
 
-    def _at_points(self, D: npt.NDArray, constraint: Constraint) -> PETSc.Mat:
+    def _at_points(self, cells, D: npt.NDArray, constraint: Constraint) -> PETSc.Mat:
         """∂φ_A/∂α of the multipliers, with the weights' roots, a row a point. Collective."""
         dofmap = self._domain.space.dofmap
         nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
@@ -119,8 +128,8 @@ class Compliance:
         matrix = coo_matrix(
             self._domain.mesh.comm,
             (len(rows), constraint.R_A.getLocalSize()[0]),
-            np.repeat(rows, D.shape[2]),
-            np.repeat(nodes, D.shape[1], axis=0),
+            np.repeat(rows, D.shape[1]),
+            nodes[cells],
             D,
         )
         product = matrix.matMult(constraint.R_A)
@@ -204,8 +213,12 @@ class Compliance:
         )
         f = np.zeros(len(alpha))
         np.add.at(f, use[point], value * nodal[np.searchsorted(np.unique(surface.dofs), dof)])
+        f = f.reshape(hosts.alpha.shape)
         dphi = kernel.alpha_derivatives(self._element, self._v)
-        return np.einsum("cpa,ca->cp", dphi, f.reshape(hosts.alpha.shape)).ravel()
+        found = np.einsum("cpa,ca->cp", dphi, f).ravel()
+        if self._beyond is None:
+            return found
+        return np.append(found, (self._beyond * f[self._domain.overhang.cells]).sum(axis=1))
 
     def matrix(self, values: npt.NDArray) -> PETSc.Mat:
         """C for given :meth:`values`, with rows and columns as B's rows. Collective."""

@@ -146,6 +146,10 @@ def create_constraint(
     G_e = domain.gap_matrices()
     narrow = domain.narrow_cells()
     G_e[narrow] = 0
+    if domain.overhang is not None:
+        D_e, _ = domain.overhang_derivatives()
+        outer = domain.overhang.weights[:, None, None] * D_e[:, :, None] * D_e[:, None]
+        np.subtract.at(G_e, domain.overhang.cells, outer)
     rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
     columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
     G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)

@@ -21,7 +21,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap import kernel
-from hypergap_dolfinx.gap.cells import Hosts, geometry_element, interpolate_geometry
+from hypergap_dolfinx.gap.cells import Hosts, Overhang, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap.quadrilaterals import middle_rows
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.straight import straightened
@@ -70,6 +70,9 @@ class GapDomain:
     least: npt.NDArray[np.float64]
     """Least share of a function's square that this part has, ``(num_facets1,)``; see
     :mod:`~hypergap_dolfinx.gap.coverage`."""
+    overhang: Overhang | None = None
+    """What is beyond what both sides have in common, to be taken out of integrals; None if nothing.
+    See :mod:`~hypergap_dolfinx.gap.overhang`."""
 
     @property
     def geometry(self) -> basix.finite_element.FiniteElement:
@@ -160,6 +163,23 @@ class GapDomain:
         D = size[..., None] * kernel.alpha_derivatives(element, v)
         return D, np.sign(element.weights)
 
+    def overhang_derivatives(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """∂φ_a/∂α and unit normals at the points of the overhang, whose weights are not in them.
+
+        Returns:
+            ``(num_points, num_nodes)`` and ``(num_points, n)``.
+        """
+        assert self.overhang is not None
+        cells, points = self.overhang.cells, self.overhang.X
+        dpsi, dphi = (
+            np.moveaxis(e.tabulate(1, points)[1:, :, :, 0], 0, 2)
+            for e in (self.geometry, self.element)
+        )  # (point, node, ξ_j)
+        x, alpha = self.x[cells], self.alpha_vertices[cells]
+        X = np.einsum("pmi,pmj->pij", x - x[:, :1], dpsi)
+        N, v = kernel.normal_and_direction(X, alpha[:, 1:] - alpha[:, :1])
+        return np.einsum("paj,pj->pa", dphi, v), N / np.linalg.norm(N, axis=1, keepdims=True)
+
 
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
     """Mesh Σ between two surfaces and distribute it. Collective.
@@ -203,6 +223,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         patch=gap.patch,
         covered=gap.covered,
         least=gap.least,
+        overhang=gap.overhang and gap.overhang.at(order, len(gap.cells)),
     )
 
 

@@ -78,21 +78,17 @@ class Rim:
             found.append((edge, s[each, edge], (distance - explained) / length, near, to_node))
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
-    def is_on(self, other: "Rim") -> tuple[bool, npt.NDArray[np.intp] | None]:
+    def is_on(self, other: "Rim") -> bool:
         """Whether its nodes lie on another one's edges, as far as straight edges can tell.
 
         It goes the other way round, as outlines of surfaces do that face each other: else these lie
         beside each other.
-
-        Returns:
-            That; and the other one's node beside each of its nodes, None if they aren't pairs.
         """
         edge, s, off, nearest, to_node = self.off(other)
         if is_along(self.x, other.x, edge, s):
-            return False, None
+            return False
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        twins = nearest if paired and to_node.max() <= NEARLY else None
-        return twins is not None or bool(off.max() <= OFF), twins
+        return bool(off.max() <= OFF) or (paired and bool(to_node.max() <= NEARLY))
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
@@ -121,40 +117,21 @@ def _along(apart, normal):
     return np.abs(height), np.linalg.norm(apart - height[:, None] * normal, axis=1)
 
 
-Loop = npt.NDArray[np.intp]
-Beside = tuple[Loop, Loop]
-"""A loop of Γ0's outline, and the node of Γ1 beside each of its nodes."""
-
-
-def differing(side0: Side, side1: Side) -> tuple[list[Loop], list[Loop]]:
+def differing(side0: Side, side1: Side) -> tuple[list[npt.NDArray[np.intp]], ...]:
     """Loops of each side that have no counterpart on the other one."""
-    return compared(side0, side1)[:2]
-
-
-def compared(side0: Side, side1: Side) -> tuple[list[Loop], list[Loop], list[Beside]]:
-    """Loops of each side that have no counterpart on the other one, and the others of both.
-
-    Returns:
-        Those of Γ0, those of Γ1, and pairs of loops whose nodes lie beside each other.
-    """
     loops = [side.loops() for side in (side0, side1)]
     rims = [
         [Rim(side, loop) for loop in own] for side, own in zip((side0, side1), loops, strict=True)
     ]
     left = list(range(len(rims[1])))
-    alone: list[Loop] = []
-    paired: list[Beside] = []
+    alone = []
     for i, rim in enumerate(rims[0]):
-        for j in left:
-            is_on, nodes = rim.is_on(rims[1][j])
-            if is_on and rims[1][j].is_on(rim)[0]:
-                left.remove(j)
-                if nodes is not None:
-                    paired.append((loops[0][i], loops[1][j][nodes]))
-                break
-        else:
+        twin = next((j for j in left if rim.is_on(rims[1][j]) and rims[1][j].is_on(rim)), None)
+        if twin is None:
             alone.append(loops[0][i])
-    return alone, [loops[1][j] for j in left], paired
+        else:
+            left.remove(twin)
+    return alone, [loops[1][j] for j in left]
 
 
 @dataclass(frozen=True)

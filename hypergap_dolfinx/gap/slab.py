@@ -32,6 +32,7 @@ from hypergap_dolfinx.gap.coverage import covered_parts
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.gap.metric import areas
+from hypergap_dolfinx.gap.overhang import overhang
 from hypergap_dolfinx.gap.parting import pairs_of_pieces
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.slab_cells import Slab, key_of
@@ -371,6 +372,7 @@ def share(
         return found[np.argsort(order, kind="stable")]
 
     straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
+    degree = max(side.degree for slab in slabs for side in slab.sides)
     return SlabCells(
         x=np.vstack([slab.x for slab in slabs]),
         alpha=np.concatenate([slab.alpha for slab in slabs]),
@@ -380,8 +382,9 @@ def share(
         patch=patch,
         covered=covered,
         least=least,
-        degree=max(side.degree for slab in slabs for side in slab.sides),
+        degree=degree,
         hosts=hosts,
         straight=straight if straight.any() else None,
+        overhang=overhang(slabs, degree),
         slabs=slabs,
     )
