@@ -17,7 +17,7 @@ from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.metric import FLAT
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import through
+from hypergap_dolfinx.gap.rim import NO_WALLS, along
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
@@ -283,8 +283,8 @@ class Filling:
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
-    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges through the gap in walls, if the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
+    """Walls along the outlines, if the surfaces are curved, ``(num_walls, 3)``."""
 
     @property
     def cells(self) -> npt.NDArray[np.integer]:
@@ -391,7 +391,7 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
         filling = Filling(mesh, [])
         if problem.curved:
-            walls = through(front.walls, problem.x, problem.n0, problem.rims)
+            walls = along(front.walls, problem.x, problem.n0, problem.rims)
             filling = replace(filling, walls=walls)
         if not front.is_valid:
             fronts.append((front, filling))
