@@ -35,9 +35,6 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
-PARALLEL = 1e-2
-"""The same where edges would have to be straight: a cell between two edges that are parallel but
-for what they are curved is turned over, and a cone in its place is not."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -334,6 +331,23 @@ class _Workshop:
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
         return filling.with_cells(cells) if whole else filling
 
+    def mended(self, filling: Filling) -> Filling:
+        """Cones where cells stay turned over, as long as that leaves fewer of them.
+
+        A cell between two edges that are parallel but for what they are curved may be turned over
+        though its vertices' simplex isn't.
+        """
+        margins = self.margins
+        bad = margins(filling) <= 0 if margins else np.zeros(0, dtype=bool)
+        while bad.any() and (made := self.coned(filling, bad)):
+            assert margins
+            made = self.swapped(made)
+            left = margins(made) <= 0
+            if left.sum() >= bad.sum():
+                break
+            filling, bad = made, left
+        return filling
+
     def straightened(self, filling: Filling) -> Filling:
         """Straight edges where cells stay turned over."""
         margins = self.margins
@@ -356,17 +370,14 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
         problem: The surfaces.
         place: Puts a node between the surfaces.
         margins: Tells cells that are turned over though their vertices' simplices aren't: curved
-            ones. They are swapped for others. Where some stay, the cells with the fewest are taken
-            and edges of these made straight.
+            ones. They are swapped for others. Where some stay, the cells with the fewest are taken,
+            and cones in their place; if that doesn't do, edges of these are made straight.
 
     Returns:
         The cells, None if there are none.
     """
     for flat in (THIN, FLAT):
         filling = _construct(problem, place, margins, flat)
-        if filling and len(filling.straight):
-            other = _construct(problem, place, margins, PARALLEL)
-            filling = filling if other is None or len(other.straight) else other
         if filling:
             return filling
     return None
@@ -412,4 +423,4 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
     if not found:
         return None
     _, filling, shop = min(found, key=lambda entry: entry[0])
-    return shop.straightened(filling)
+    return shop.straightened(shop.mended(filling))

@@ -17,7 +17,7 @@ from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
 
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges
+APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges, and of parameters
 REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
 
 
