@@ -15,9 +15,9 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FLAT
+from hypergap_dolfinx.gap.metric import FACES, FLAT
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import NO_WALLS, along
+from hypergap_dolfinx.gap.rim import NO_WALLS, along, in_walls
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
@@ -301,6 +301,7 @@ Margins = Callable[[Filling], npt.NDArray[np.float64]]
 class _Workshop:
     """Between which triangles cells are sought, and how they are mended."""
 
+    problem: Problem
     outer: npt.NDArray[np.integer]
     """The boundary's, counterclockwise seen from inside."""
     place: Place
@@ -338,6 +339,8 @@ class _Workshop:
         though its vertices' simplex isn't.
         """
         margins = self.margins
+        if margins:
+            filling = self.peeled(filling)
         bad = margins(filling) <= 0 if margins else np.zeros(0, dtype=bool)
         while bad.any() and (made := self.coned(filling, bad)):
             assert margins
@@ -346,6 +349,26 @@ class _Workshop:
             if left.sum() >= bad.sum():
                 break
             filling, bad = made, left
+        return filling
+
+    def peeled(self, filling: Filling) -> Filling:
+        """Without cells turned over that are nothing but what walls bend by: walls without them."""
+        assert self.margins
+        p, found = self.problem, True
+        while found:
+            found = False
+            for i in np.flatnonzero(self.margins(filling) <= 0)[::-1]:
+                faces = filling.cells[i][FACES]
+                on = in_walls(faces, filling.walls)
+                between_edges = (filling.mesh.alpha[filling.cells[i]] == 0).sum() == 2
+                fresh = along(faces[~on], p.x, p.n0, p.rims)
+                if between_edges and on.sum() == 2 and len(fresh) == 2:
+                    left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
+                    walls, self.outer = (np.vstack((w, fresh)) for w in left)
+                    filling = replace(
+                        filling.with_cells(np.delete(filling.cells, i, 0)), walls=walls
+                    )
+                    found = True
         return filling
 
     def straightened(self, filling: Filling) -> Filling:
@@ -390,7 +413,7 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
 
     def workshop(front: Front) -> _Workshop:
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
-        return _Workshop(outer, place, margins)
+        return _Workshop(problem, outer, place, margins)
 
     tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
