@@ -15,9 +15,9 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap import cavity, prisms, swaps
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FLAT
+from hypergap_dolfinx.gap.metric import FACES, FLAT
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import through
+from hypergap_dolfinx.gap.rim import NO_WALLS, along, in_walls
 from hypergap_dolfinx.gap.straight import NONE, straighten
 from hypergap_dolfinx.gap.walls import Rim, rims
 
@@ -35,9 +35,6 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
-PARALLEL = 1e-2
-"""The same where edges would have to be straight: a cell between two edges that are parallel but
-for what they are curved is turned over, and a cone in its place is not."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -283,8 +280,8 @@ class Filling:
     """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
-    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges through the gap in walls, if the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
+    """Walls along the outlines, if the surfaces are curved, ``(num_walls, 3)``."""
 
     @property
     def cells(self) -> npt.NDArray[np.integer]:
@@ -304,6 +301,7 @@ Margins = Callable[[Filling], npt.NDArray[np.float64]]
 class _Workshop:
     """Between which triangles cells are sought, and how they are mended."""
 
+    problem: Problem
     outer: npt.NDArray[np.integer]
     """The boundary's, counterclockwise seen from inside."""
     place: Place
@@ -334,6 +332,45 @@ class _Workshop:
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
         return filling.with_cells(cells) if whole else filling
 
+    def mended(self, filling: Filling) -> Filling:
+        """Cones where cells stay turned over, as long as that leaves fewer of them.
+
+        A cell between two edges that are parallel but for what they are curved may be turned over
+        though its vertices' simplex isn't.
+        """
+        margins = self.margins
+        if margins:
+            filling = self.peeled(filling)
+        bad = margins(filling) <= 0 if margins else np.zeros(0, dtype=bool)
+        while bad.any() and (made := self.coned(filling, bad)):
+            assert margins
+            made = self.swapped(made)
+            left = margins(made) <= 0
+            if left.sum() >= bad.sum():
+                break
+            filling, bad = made, left
+        return filling
+
+    def peeled(self, filling: Filling) -> Filling:
+        """Without cells turned over that are nothing but what walls bend by: walls without them."""
+        assert self.margins
+        p, found = self.problem, True
+        while found:
+            found = False
+            for i in np.flatnonzero(self.margins(filling) <= 0)[::-1]:
+                faces = filling.cells[i][FACES]
+                on = in_walls(faces, filling.walls)
+                between_edges = (filling.mesh.alpha[filling.cells[i]] == 0).sum() == 2
+                fresh = along(faces[~on], p.x, p.n0, p.rims)
+                if between_edges and on.sum() == 2 and len(fresh) == 2:
+                    left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
+                    walls, self.outer = (np.vstack((w, fresh)) for w in left)
+                    filling = replace(
+                        filling.with_cells(np.delete(filling.cells, i, 0)), walls=walls
+                    )
+                    found = True
+        return filling
+
     def straightened(self, filling: Filling) -> Filling:
         """Straight edges where cells stay turned over."""
         margins = self.margins
@@ -356,17 +393,14 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
         problem: The surfaces.
         place: Puts a node between the surfaces.
         margins: Tells cells that are turned over though their vertices' simplices aren't: curved
-            ones. They are swapped for others. Where some stay, the cells with the fewest are taken
-            and edges of these made straight.
+            ones. They are swapped for others. Where some stay, the cells with the fewest are taken,
+            and cones in their place; if that doesn't do, edges of these are made straight.
 
     Returns:
         The cells, None if there are none.
     """
     for flat in (THIN, FLAT):
         filling = _construct(problem, place, margins, flat)
-        if filling and len(filling.straight):
-            other = _construct(problem, place, margins, PARALLEL)
-            filling = filling if other is None or len(other.straight) else other
         if filling:
             return filling
     return None
@@ -379,7 +413,7 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
 
     def workshop(front: Front) -> _Workshop:
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
-        return _Workshop(outer, place, margins)
+        return _Workshop(problem, outer, place, margins)
 
     tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
@@ -391,7 +425,7 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
         filling = Filling(mesh, [])
         if problem.curved:
-            walls = through(front.walls, problem.x, problem.n0, problem.rims)
+            walls = along(front.walls, problem.x, problem.n0, problem.rims)
             filling = replace(filling, walls=walls)
         if not front.is_valid:
             fronts.append((front, filling))
@@ -412,4 +446,4 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
     if not found:
         return None
     _, filling, shop = min(found, key=lambda entry: entry[0])
-    return shop.straightened(filling)
+    return shop.straightened(shop.mended(filling))

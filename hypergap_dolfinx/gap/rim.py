@@ -16,29 +16,30 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.outlines import CORNER
 from hypergap_dolfinx.gap.pieces import CORNERS, Side
+from hypergap_dolfinx.gap.straight import EDGES
 from hypergap_dolfinx.gap.surface import lengths
 from hypergap_dolfinx.gap.walls import Rim
 
+NO_WALLS = np.empty((0, 3), dtype=np.intp)
 NEWTON = 8  # steps to the nearest point of a curved edge
 CONVERGED = 1e-13  # a step, in edges, that is the last one
 WITHIN = 0.95  # of an edge's length along the outline, where a corner is not at its end
 FURTHER = 100  # edges that a point may be away along an outline
 
 
-def through(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
-    """Edges of walls that go from one side to the other, and don't cut off a corner.
+def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
+    """Walls that lie along the outlines: those that don't cut off a corner.
 
     Args:
-        walls: Triangles, ``(num_triangles, 3)``.
+        walls: Triangles, ``(num_walls, 3)``.
         x: Vertex coordinates of both sides.
         n0: Number of vertices of Γ0, which come first.
         rims: The loops that walls are between.
 
     Returns:
-        ``(num_edges, 2)``, of Γ0's vertex and Γ1's.
+        Some of them.
     """
-    edges = np.sort(walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
-    edges = np.unique(edges[(edges[:, 0] < n0) & (edges[:, 1] >= n0)], axis=0)
+    edges = walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
     keep = np.ones(len(edges), dtype=bool)
     for rim in rims:
         s = np.full(len(x), np.nan)
@@ -51,7 +52,31 @@ def through(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
         middle, half = (np.where(far, 0.5 + y, z) for y, z in ((middle, middle), (-half, half)))
         apart = (corners[:, None] - middle + 0.5) % 1 - 0.5
         keep &= ~(np.abs(apart) < WITHIN * half).any(axis=0)
-    return edges[keep]
+    return walls[keep.reshape(-1, 3).all(axis=1)]
+
+
+def in_walls(vertices: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
+    """Whether edges or triangles are some walls' or edges of these.
+
+    Args:
+        vertices: ``(num, 2)`` or ``(num, 3)``; if more none is.
+        walls: Triangles, ``(num_walls, 3)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    size = vertices.shape[1]
+    if not len(walls) or size > 3:
+        return np.zeros(len(vertices), dtype=bool)
+    parts = walls if size == 3 else walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
+    return np.isin(*(np.sort(v, axis=1) @ (1 << 21 * np.arange(size)) for v in (vertices, parts)))
+
+
+def kinds(cells: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
+    """A number for each cell that tells which of its faces and edges are in walls, ``(num,)``."""
+    parts = [cells[:, [i for i in range(4) if i != k]] for k in range(4)]
+    parts += [cells[:, edge] for edge in EDGES]
+    return sum(in_walls(part, walls).astype(int) << i for i, part in enumerate(parts))
 
 
 class Outline:

@@ -35,6 +35,7 @@ from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.overhang import overhang
 from hypergap_dolfinx.gap.parting import pairs_of_pieces
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.rim import kinds
 from hypergap_dolfinx.gap.slab_cells import Slab, key_of
 from hypergap_dolfinx.gap.straight import NONE, marked, straightened
 from hypergap_dolfinx.gap.surface import Surface
@@ -140,8 +141,7 @@ class _Margins:
         self._lots = lots if lot == len(self._lots) else self._lots
         cells = filling.cells
         inner = (cells >= self._num_vertices).any(axis=1)
-        walls = marked(cells, filling.walls) @ (1 << np.arange(6))  # other fronts have others
-        kind = 64 * np.where(inner, lot + 1, 0) + walls
+        kind = 1024 * np.where(inner, lot + 1, 0) + kinds(cells, filling.walls)
         data = np.column_stack((cells, kind)).astype(np.int64).tobytes()
         keys = [data[i : i + 40] for i in range(0, len(data), 40)]
         at = np.array([self._number.get(key, -1) for key in keys], dtype=np.intp)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.jit import as_ints, library
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import Outline
-from hypergap_dolfinx.gap.straight import NONE, across, have
+from hypergap_dolfinx.gap.rim import NO_WALLS, Outline, in_walls
+from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
 
@@ -30,8 +30,8 @@ class Slab:
     """Hosts of the interior vertices, ``(1, num_interior)``, in the pieces' triangles."""
     straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
-    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges through the gap along the curved outlines of both sides, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
+    """Triangles along the curved outlines of both sides, ``(num_walls, 3)``."""
     known: dict[bytes, Hosts] = field(default_factory=dict, init=False)
     """Hosts of all cells' points, by :func:`key_of` points: each is asked for twice or more."""
 
@@ -223,7 +223,7 @@ class Slab:
         v, w, cell = v[first], w[first], np.repeat(cells, some.sum())[first]
         shape = len(cells), int(some.sum())
         alpha, moved = self.alpha[v], have(v, self.straight)
-        wall = across(v, alpha, self.walls) & ~moved
+        wall = in_walls(v, self.walls) & (np.ptp(alpha, axis=1) > 0) & ~moved
         x = np.einsum("nv,nvi->ni", w, self.x[v])
         found.alpha[:, some] = np.einsum("nv,nv->n", w, alpha)[which].reshape(shape)
         for i, side in enumerate(self.sides):

@@ -41,25 +41,6 @@ def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
     return np.isin(_keys(pairs), _keys(edges)).any(axis=1)
 
 
-def across(vertices, alpha, edges: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-    """Whether all pairs of vertices with different α are the ends of one of some edges.
-
-    Args:
-        vertices: ``(num, num_vertices)``.
-        alpha: As many.
-        edges: ``(num_edges, 2)``.
-
-    Returns:
-        ``(num,)``; not if there are no such pairs.
-    """
-    if not len(edges):
-        return np.zeros(len(vertices), dtype=bool)
-    i, j = np.triu_indices(vertices.shape[1], 1)
-    apart = alpha[:, i] != alpha[:, j]
-    found = np.isin(_keys(np.stack((vertices[:, i], vertices[:, j]), axis=2)), _keys(edges))
-    return apart.any(axis=1) & (found | ~apart).all(axis=1)
-
-
 def marked(cells: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
     """Which edges of cells are among some.
 

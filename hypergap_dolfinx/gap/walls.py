@@ -17,7 +17,7 @@ from hypergap_dolfinx.gap.strip import merge
 from hypergap_dolfinx.gap.surface import NOISE
 
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges
+APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges, and of parameters
 REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
 
 
@@ -133,7 +133,8 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
     size = np.ptp(x0, axis=0).max()
     shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
-    if any(side.surface.curved[side.facets].any() for side in (side0, side1)):
+    curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
+    if curved:
         shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
     first = int(distance.argmin())
     start = int(nearest[first])
@@ -155,7 +156,23 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         ends = np.array((-np.inf, np.inf))
         t = x0[1] - x0[0]
         s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
+    elif curved:  # where edges are short, surfaces may be further apart than that
+        ends = np.union1d(ends, _joined(s0, s1))
     return loop0, loop1, s0, s1, ends
+
+
+def _joined(s0, s1) -> npt.NDArray[np.float64]:
+    """Make parameters of nodes one, in place, that are one but for the surfaces' approximation.
+
+    Returns:
+        Those of Γ0 that some of Γ1 became.
+    """
+    inner, d0, d1 = s1[1:-1], np.diff(s0), np.diff(s1)
+    k = np.clip(np.searchsorted((s0[1:] + s0[:-1]) / 2, inner), 1, len(s0) - 2)  # the nearest
+    size = np.minimum(np.minimum(d0[k - 1], d0[k]), np.minimum(d1[:-1], d1[1:]))
+    near = np.abs(inner - s0[k]) < APPROXIMATED * size
+    inner[near] = s0[k[near]]
+    return inner[near]
 
 
 def _shortest(x) -> npt.NDArray[np.float64]:
