@@ -87,14 +87,14 @@ class Compliance:
         D, sign = domain.gap_factors(np.arange(len(domain.x)), rule)
         cells, D = np.repeat(np.arange(len(D)), len(sign)), D.reshape(-1, D.shape[2])
         self._sign = np.tile(sign, len(domain.x))
-        self._beyond: npt.NDArray | None = None  # ∂φ_a/∂α where Σ is wider than both sides
-        if domain.overhang is not None:
-            over = domain.overhang
-            self._beyond, normal = domain.overhang_derivatives()
+        self._beyond: tuple[npt.NDArray, npt.NDArray] | None = None  # cells and ∂φ_a/∂α there
+        if (beyond := domain.overhang) is not None:
+            dphi, normal = domain.overhang_derivatives()
+            self._beyond = beyond.cells, dphi
             self._normal = np.vstack((self._normal, normal))
-            D = np.vstack((D, np.sqrt(np.abs(over.weights))[:, None] * self._beyond))
-            self._sign = np.append(self._sign, -np.sign(over.weights))
-            cells = np.append(cells, over.cells)
+            D = np.vstack((D, np.sqrt(np.abs(beyond.weights))[:, None] * dphi))
+            self._sign = np.append(self._sign, -np.sign(beyond.weights))
+            cells = np.append(cells, beyond.cells)
         self._surfaces = [
             create_surface(part.function_space, facets1, "Γ1")
             if isinstance(part, fem.Function) and self._fits(part)
@@ -213,12 +213,13 @@ class Compliance:
         )
         f = np.zeros(len(alpha))
         np.add.at(f, use[point], value * nodal[np.searchsorted(np.unique(surface.dofs), dof)])
-        f = f.reshape(hosts.alpha.shape)
+        f_nodes = f.reshape(hosts.alpha.shape)
         dphi = kernel.alpha_derivatives(self._element, self._v)
-        found = np.einsum("cpa,ca->cp", dphi, f).ravel()
+        found = np.einsum("cpa,ca->cp", dphi, f_nodes).ravel()
         if self._beyond is None:
             return found
-        return np.append(found, (self._beyond * f[self._domain.overhang.cells]).sum(axis=1))
+        cells, dphi = self._beyond
+        return np.append(found, (dphi * f_nodes[cells]).sum(axis=1))
 
     def matrix(self, values: npt.NDArray) -> PETSc.Mat:
         """C for given :meth:`values`, with rows and columns as B's rows. Collective."""

@@ -40,7 +40,7 @@ def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
     """
     found, start = [], 0
     for slab in slabs:
-        cells, at, weights = _points(*_leaning(slab), degree)
+        cells, at, weights = _points(_leaning(slab), degree)
         found.append((start + cells, at, weights))
         start += len(slab.cells)
     whole = Overhang(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
@@ -116,16 +116,21 @@ def _twins(slab: Slab, triangles, normal, length) -> npt.NDArray[np.intp]:
     return np.where((nearest >= 0) & mutual, nearest, -1)
 
 
-def _points(cells, corners, length, off, degree: int) -> tuple[npt.NDArray, ...]:
+def _points(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArray, ...]:
     """Points of leaning walls for products of two derivatives of functions of a degree.
 
     A wall triangle has its points at s along the edge and at a share of the way up to the other
     outline, s at most. There it is out by that share of what the node is; what is in common ends
     with the inner one of both outlines.
 
+    Args:
+        triangles: As from :func:`_leaning`.
+        degree: Of the functions.
+
     Returns:
         Their cells, reference coordinates and weights, with the width that is left out.
     """
+    cells, corners, length, off = triangles
     gauss, weights = basix.make_quadrature(basix.CellType.interval, 2 * degree + 2)
     gauss = gauss[:, 0]
     first, last = off.T
