@@ -38,11 +38,11 @@ class Cells:
     cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
 
-    def flat(self) -> npt.NDArray[np.bool_]:
-        """Which cells are flat or inverted, ``(num_cells,)``."""
+    def flat(self, limit: float = FLAT) -> npt.NDArray[np.bool_]:
+        """Which cells are flat or inverted: D over its scale up to a limit, ``(num_cells,)``."""
         v = self.cells
         D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
-        return ~(D > FLAT * scale)
+        return ~(D > limit * scale)
 
 
 def unmatched(cells, outer) -> npt.NDArray[np.integer]:

@@ -35,6 +35,9 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
+PARALLEL = 1e-2
+"""As ``FLAT``, of cells between edges of both outlines that are taken away if curved cells are
+turned over: they fill nothing but what walls bend by."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -352,22 +355,22 @@ class _Workshop:
         return filling
 
     def peeled(self, filling: Filling) -> Filling:
-        """Without cells turned over that are nothing but what walls bend by: walls without them."""
+        """Without cells that are nothing but what walls bend by: walls take their places."""
         assert self.margins
-        p, found = self.problem, True
+        p, found = self.problem, bool(self.num_bad(filling))
         while found:
             found = False
-            for i in np.flatnonzero(self.margins(filling) <= 0)[::-1]:
+            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL)
+            gone &= (filling.mesh.alpha[filling.cells] == 0).sum(axis=1) == 2
+            for i in np.flatnonzero(gone)[::-1]:
                 faces = filling.cells[i][FACES]
                 on = in_walls(faces, filling.walls)
-                between_edges = (filling.mesh.alpha[filling.cells[i]] == 0).sum() == 2
-                fresh = along(faces[~on], p.x, p.n0, p.rims)
-                if between_edges and on.sum() == 2 and len(fresh) == 2:
+                fresh = along(faces[~on], p.x, p.n0, p.rims) if on.sum() == 2 else NO_WALLS
+                if len(fresh) == 2:
                     left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
                     walls, self.outer = (np.vstack((w, fresh)) for w in left)
-                    filling = replace(
-                        filling.with_cells(np.delete(filling.cells, i, 0)), walls=walls
-                    )
+                    filling = filling.with_cells(np.delete(filling.cells, i, axis=0))
+                    filling = replace(filling, walls=walls)
                     found = True
         return filling
 
