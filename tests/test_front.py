@@ -233,6 +233,31 @@ def test_swaps():
     np.testing.assert_array_equal(swaps.improve(cells, alpha, quality), cells)
 
 
+def derivatives(made):
+    """Largest ∂λ/∂α of each cell: A of its faces, seen along n, over D."""
+    x = made.x[made.cells]
+    D, _ = areas(x, made.alpha[made.cells], made.normal)
+    a, b, c = (x[:, FACES][:, :, k] for k in range(3))
+    return np.abs(np.einsum("cfi,ci->cf", np.cross(b - a, c - a), made.normal)).max(axis=1) / D
+
+
+def test_cells_that_extrapolate_are_swapped(monkeypatch):
+    """Such cells decide about the condition of G: hardly any are left."""
+    sides = ball(100), ball(500, seed=1)
+    swapped = derivatives(filled(*sides))
+    monkeypatch.setattr(front, "EXTRAPOLATE", 1e300)
+    before = derivatives(filled(*sides))
+    print((before > 2).sum(), before.max(), (swapped > 2).sum(), swapped.max())
+    assert (swapped > 2).sum() < 0.2 * (before > 2).sum() and swapped.max() < 0.5 * before.max()
+
+
+def test_closed_surfaces_are_swept():
+    """What comes after a cell is beside it: not somewhere on the surface, and in no cache."""
+    made = filled(ball(1000), ball(800, seed=1))
+    place = made.x[made.cells].mean(axis=1) @ front.GENERIC
+    assert np.corrcoef(place, np.arange(len(place)))[0, 1] > 0.8
+
+
 @pytest.mark.parametrize("step", (10, 20, 60))
 def test_cavities(monkeypatch, step):
     """Cells taken away from a front that got through are replaced with cones."""

@@ -23,6 +23,9 @@ from hypergap_dolfinx.gap.walls import Rim, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
+SWEEP = 0.1
+"""The displacement, in edges, that heights of closed surfaces stand for besides: with it a front
+goes from one end to the other, and what it works on stays in a cache."""
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
 VISITS = 30_000_000  # the same, times edges
@@ -38,6 +41,9 @@ edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
 PARALLEL = 1e-2
 """As ``FLAT``, of cells between edges of both outlines that are taken away if curved cells are
 turned over: they fill nothing but what walls bend by."""
+EXTRAPOLATE = 2.0
+"""∂λ/∂α of a cell's barycentric coordinates from which it is swapped for others, if these have
+smaller ones. They are at most one where the vertices lie on what they face."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -204,6 +210,9 @@ def advance(
         edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
         sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
         lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
+    sides = (n1, n0) if reverse else (n0, n1)
+    if not problem.rims:
+        vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
     walls = problem.walls(sign * shift, weights)
     start = np.ascontiguousarray(np.vstack((start, number[walls])))
@@ -212,16 +221,21 @@ def advance(
     cells = np.empty((max_cells, 4), dtype=np.int32)
     left = np.empty((len(start) + 2 * n, 3), dtype=np.int32)
     counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
-    sides = (n1, n0) if reverse else (n0, n1)
     data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
     status = lib.front_fill(*sides, pointer(vertices), flat, len(start), *data, pointer(counts))
-    cells = cells[: counts[0]]
+    made = cells[: counts[0]]
     if status == 0:
         outer = np.vstack((start, end[:, [1, 0, 2]]))
-        wrong = _check(sides[0], vertices, cells, outer)
+        front, room = made.copy(), min(2 * len(made), max_cells)
+        swaps = (1 / EXTRAPOLATE, len(front), room, pointer(cells))
+        num = lib.front_swap(sides[0], n, pointer(vertices), flat, *swaps)
+        made, status = cells[:num], 0 if num > 0 else 2
+        wrong = _check(sides[0], vertices, made, outer)
+        if any(wrong):
+            made, wrong = front, _check(sides[0], vertices, front, outer)
     if status > 1:
         raise MemoryError("no memory for the cells of the gap domain")
-    return Front(order[cells], walls, int(counts[1]), wrong)
+    return Front(order[made], walls, int(counts[1]), wrong)
 
 
 def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:

@@ -18,6 +18,8 @@ from hypergap_dolfinx.gap.rim import NO_WALLS, Outline, in_walls
 from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
+CHUNK = 8192  # cells at a time: what fits in a cache
+
 
 @dataclass(frozen=True)
 class Slab:
@@ -195,15 +197,17 @@ class Slab:
             some: Which points, ``(num_points,)``.
             found: The hosts of all points.
         """
-        vertices = self.cells[cells][:, local[some]]
         own = slice(None) if some.all() else some
-        found.alpha[:, own] = self.alpha[vertices]
-        for i, side in enumerate(self.sides):
-            facets = self._vertices.facets[i][vertices]
-            other = np.nonzero(facets < 0)
-            facets[other] = side.facets[self.beside[i][cells]][other[0]]
-            found.facets[i][:, own] = facets
-            found.X[i][:, own] = self._vertices.X[i].take(vertices, axis=0)
+        for start in range(0, len(cells), CHUNK):
+            part = slice(start, start + CHUNK)
+            vertices = self.cells[cells[part]][:, local[some]]
+            found.alpha[part, own] = self.alpha[vertices]
+            for i, side in enumerate(self.sides):
+                facets = self._vertices.facets[i][vertices]
+                other = np.nonzero(facets < 0)
+                facets[other] = side.facets[self.beside[i][cells[part]][other[0]]]
+                found.facets[i][part, own] = facets
+                found.X[i][part, own] = self._vertices.X[i].take(vertices, axis=0)
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.
