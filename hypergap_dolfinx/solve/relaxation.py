@@ -1,0 +1,85 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What helps Newton's iteration where it goes to and fro: bodies that are viscous for a while.
+
+Forces between bodies are continuous, with kinks where nodes pass. At one of them an equilibrium can
+end: where a corner ploughs with friction, bodies snap to another one, which Newton's steps from
+both sides of the kink never find. Viscous ones flow there. That is pseudo-transient continuation:
+the bodies' stiffness times a share is added to the tangent, and goes with the residual.
+"""
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+TURNS = -0.5
+"""Cosine between steps from which they go to and fro."""
+SHRINKS = 0.5
+"""Length of a step, over the last one's, below which it ends even so."""
+SHARE = 0.3
+"""Share of the bodies' stiffness at first."""
+GROWS = 4.0
+"""Times the share where steps turn again, or are longer than those that went to and fro."""
+FALLS = 0.1
+"""Times the share at least from step to step where the residual falls."""
+LEAST = 1e-3
+"""Share that is none."""
+RELAXED = 50
+"""Steps that are granted beside those of a load step."""
+
+
+class Relaxation:
+    """Of the iteration for one load step."""
+
+    def __init__(self, comm: MPI.Comm):
+        """None at first.
+
+        Args:
+            comm: Communicator of the bodies.
+        """
+        self._comm = comm
+        self._last: Sequence[npt.NDArray[np.float64]] | None = None
+        self._length = self._longest = self._residual = 0.0
+        self._turns = self.acts = False
+        self.share = 0.0
+        """Of the bodies' stiffness, to be added to the tangent."""
+
+    def look(self, residual: float, *, settled: bool):
+        """Choose the share for the next step.
+
+        Args:
+            residual: Of the forces.
+            settled: Whether sets are those of the last step: else they are why it turned.
+        """
+        if self.acts and self._turns:
+            self.share = max(GROWS * self.share, SHARE)
+        elif self.acts:
+            self.share *= min(max(residual / max(self._residual, 1e-300), FALLS), 1)
+            self.share *= self.share > LEAST
+        elif self._turns and settled:
+            self.acts, self.share, self._longest = True, SHARE, self._length
+        self._residual, self._turns = residual, False
+
+    def takes(self, moves: Sequence[npt.NDArray[np.float64]]) -> bool:
+        """Whether a step isn't too long. Collective.
+
+        Args:
+            moves: This rank's changes of displacements, of each body.
+        """
+        last = moves if self._last is None else self._last
+        pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
+        here = [(a @ b, a @ a, b @ b) for a, b in pairs]
+        product, square, before = self._comm.allreduce(np.sum(here, axis=0))
+        self._length = np.sqrt(square)
+        if self.acts and self._length > self._longest:
+            self._turns = True
+            return False
+        self._turns = product < TURNS * np.sqrt(square * before) and square > SHRINKS**2 * before
+        self._last = moves
+        return True
