@@ -22,6 +22,8 @@ TURNS = -0.5
 """Cosine between steps from which they go to and fro."""
 SHRINKS = 0.5
 """Length of a step, over the last one's, below which it ends even so."""
+NOISE = 1e-6
+"""Length of a step, over that of the load step's first one, below which it is round-off's."""
 SHARE = 0.3
 """Share of the bodies' stiffness at first."""
 GROWS = 4.0
@@ -45,7 +47,7 @@ class Relaxation:
         """
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
-        self._length = self._longest = self._residual = 0.0
+        self._first = self._length = self._longest = self._residual = 0.0
         self._turns = self.acts = False
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
@@ -77,9 +79,11 @@ class Relaxation:
         here = [(a @ b, a @ a, b @ b) for a, b in pairs]
         product, square, before = self._comm.allreduce(np.sum(here, axis=0))
         self._length = np.sqrt(square)
+        self._first = self._first or self._length
         if self.acts and self._length > self._longest:
             self._turns = True
             return False
-        self._turns = product < TURNS * np.sqrt(square * before) and square > SHRINKS**2 * before
+        least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
+        self._turns = product < TURNS * np.sqrt(square * before) and self._length > least
         self._last = moves
         return True
