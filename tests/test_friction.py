@@ -192,9 +192,9 @@ def test_relaxation():
         for _ in range(30):
             F, slope = force(x)
             if use:
-                relaxation.look(abs(F), settled=True)
+                relaxation.look(abs(F))
             dx = F / (slope + relaxation.share)
-            if relaxation.takes([np.array([dx])]):
+            if relaxation.takes([np.array([dx])], exact=True):
                 x -= dx
             found.append(x)
         assert (abs(found[-1] - 1.55) <= 1e-12) == use

@@ -147,7 +147,7 @@ class ContactSystem(NonlinearSystem):
             if step >= STEPS and not relaxation.acts:
                 break
             before = held
-            relaxation.look(self._unbalanced, settled=settled)
+            relaxation.look(self._unbalanced)
             if step:
                 self.assemble_matrix()
             if step == 0 and self._slides(jump):
@@ -156,7 +156,8 @@ class ContactSystem(NonlinearSystem):
                 # The last load step's pressures are as good as those of sets that are settled
                 exact = settled or (step == 0 and self._continues())
                 state = self._state() if relaxation.acts else None
-                if not relaxation.takes(self._step(exact, jump, relaxation.share)) and state:
+                moves = self._step(exact, jump, relaxation.share)
+                if not relaxation.takes(moves, exact=exact) and state:
                     self._restore(state)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")

@@ -48,32 +48,33 @@ class Relaxation:
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
         self._first = self._length = self._longest = self._residual = 0.0
-        self._turns = self.acts = False
+        self._turns = self._exact = self.acts = False
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
 
-    def look(self, residual: float, *, settled: bool):
+    def look(self, residual: float):
         """Choose the share for the next step.
 
         Args:
             residual: Of the forces.
-            settled: Whether sets are those of the last step: else they are why it turned.
         """
         if self.acts and self._turns:
             self.share = max(GROWS * self.share, SHARE)
         elif self.acts:
             self.share *= min(max(residual / max(self._residual, 1e-300), FALLS), 1)
             self.share *= self.share > LEAST
-        elif self._turns and settled:
+        elif self._turns and self._exact:
             self.acts, self.share, self._longest = True, SHARE, self._length
         self._residual, self._turns = residual, False
 
-    def takes(self, moves: Sequence[npt.NDArray[np.float64]]) -> bool:
+    def takes(self, moves: Sequence[npt.NDArray[np.float64]], *, exact: bool) -> bool:
         """Whether a step isn't too long. Collective.
 
         Args:
             moves: This rank's changes of displacements, of each body.
+            exact: Whether it was made with the exact tangent: else that may be why it turned.
         """
+        self._exact = exact
         last = moves if self._last is None else self._last
         pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
         here = [(a @ b, a @ a, b @ b) for a, b in pairs]
