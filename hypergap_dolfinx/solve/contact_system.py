@@ -155,9 +155,8 @@ class ContactSystem(NonlinearSystem):
             else:
                 # The last load step's pressures are as good as those of sets that are settled
                 exact = settled or (step == 0 and self._continues())
-                state = self._state() if relaxation.acts else None
-                moves = self._step(exact, jump, relaxation.share)
-                if not relaxation.takes(moves, exact=exact) and state:
+                state = self._state()
+                if not relaxation.takes(self._step(exact, jump, relaxation.share), exact=exact):
                     self._restore(state)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")

@@ -22,6 +22,8 @@ TURNS = -0.5
 """Cosine between steps from which they go to and fro."""
 SHRINKS = 0.5
 """Length of a step, over the last one's, below which it ends even so."""
+LONG = 3.0
+"""Length of a step, over that of the load step's first one, from which it goes nowhere."""
 NOISE = 1e-6
 """Length of a step, over that of the load step's first one, below which it is round-off's."""
 SHARE = 0.3
@@ -81,8 +83,8 @@ class Relaxation:
         product, square, before = self._comm.allreduce(np.sum(here, axis=0))
         self._length = np.sqrt(square)
         self._first = self._first or self._length
-        if self.acts and self._length > self._longest:
-            self._turns = True
+        if self._length > (self._longest if self.acts else LONG * self._first) and exact:
+            self._turns, self._length = True, self._first
             return False
         least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
         self._turns = product < TURNS * np.sqrt(square * before) and self._length > least
