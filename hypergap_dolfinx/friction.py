@@ -35,8 +35,7 @@ class Friction:
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
         """
-        number = isinstance(elastic_slip, int | float | np.number)
-        if not (number and np.isfinite(elastic_slip) and elastic_slip >= 0):
+        if not (_is_number(elastic_slip) and np.isfinite(elastic_slip) and elastic_slip >= 0):
             raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip!r}.")
         self.elastic_slip = float(elastic_slip)
         """Slip up to which friction grows to μ p."""
@@ -53,7 +52,7 @@ class Friction:
                     f"the coefficient of friction is a scalar, not of shape {value.value.shape}."
                 )
             self._value = value
-        elif isinstance(value, int | float | np.number):
+        elif _is_number(value):
             self._value = np.array(float(value))
         else:
             raise ValueError(
@@ -111,6 +110,14 @@ def friction_of(
     if elastic_slip:
         raise ValueError("elastic_slip is for contact with friction: give friction too.")
     return None
+
+
+def _is_number(value) -> bool:
+    """Whether it is a real number, or an array of no dimensions with one."""
+    kinds = int | float | np.number | np.ndarray
+    return (
+        isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
+    )
 
 
 def _unfit(f: fem.Function, V: fem.FunctionSpace) -> str | None:

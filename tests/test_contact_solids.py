@@ -19,6 +19,7 @@ import meshes
 from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
+from hypergap_dolfinx.gap import moments
 from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.opposite import Frames, find_pieces
@@ -215,6 +216,30 @@ def test_opposite_where_they_slide():
             if pair is matching and size < 1e-2:
                 g0, m0, _ = Opening.between(comm, pair, (u0, u1)).gap((u0, u1))
                 assert np.abs(m - m0).max() <= 3 * size and np.abs(g - g0).max() <= 3 * size
+
+
+@pytest.mark.parametrize("degree", [2, 4, 6])
+def test_rule(degree):
+    """Polynomials are integrated exactly; another first corner, or one on an edge, is no change."""
+    corners = np.array(((0, 0), (2, 0.3), (1.6, 1), (0.2, 0.9)))
+    many = np.insert(corners, 1, (1.2, 0.18), axis=0)
+    polygons = [np.vstack((corners, corners[-1:])), many, np.roll(many, 2, axis=0)]
+    points, _, weights = moments.rule(np.array(polygons), degree)
+    points, weights = points.reshape(3, -1, 2), weights.reshape(3, -1)
+    for other in (1, 2):
+        close(points[other], points[0], 1e-12)
+        close(weights[other], weights[0], 1e-12)
+    inner, whole = basix.make_quadrature(basix.CellType.quadrilateral, degree + 1)
+    x, y = inner.T[..., None]
+    at = (1 - x) * (1 - y) * corners[0] + x * (1 - y) * corners[1]
+    at = at + x * y * corners[2] + (1 - x) * y * corners[3]
+    edges = (1 - y) * (corners[1] - corners[0]) + y * (corners[2] - corners[3])
+    others = (1 - x) * (corners[3] - corners[0]) + x * (corners[2] - corners[1])
+    whole = whole * (edges[:, 0] * others[:, 1] - edges[:, 1] * others[:, 0])
+    for i in range(degree + 1):
+        exact = whole @ (at[:, 0] ** i * at[:, 1] ** (degree - i))
+        found = weights[0] @ (points[0, :, 0] ** i * points[0, :, 1] ** (degree - i))
+        assert found == pytest.approx(exact, rel=1e-12)
 
 
 def test_nearest_sheet():

@@ -20,6 +20,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.gap import slip_columns
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.plane import PlaneOpening
+from hypergap_dolfinx.solve.relaxation import Relaxation
 
 comm = MPI.COMM_WORLD
 STEP = 1e-5  # of differences of the fourth order
@@ -118,7 +119,7 @@ def rotating(dim, swap=False, **options):
 
 @pytest.mark.ranks(2)
 def test_rotation():
-    """What is pressed and sheared turns by 36° in steps of 4.5°: neither slip nor any change.
+    """What is pressed and sheared turns by 4.5° eight times, then by 90°: no slip, no change.
 
     Some of it has slipped before. The law of friction holds, forces and work balance.
     """
@@ -138,6 +139,9 @@ def test_rotation():
         assert np.abs(contact.slips(problem)).max() <= 1e-12
         close(rows.now.p, p, 1e-9)
         close(rows.now.q, q, 1e-9)
+    go(8 * np.pi / 40 + np.pi / 2, 0.04, -0.1)  # farther than facets are long
+    assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
+    close(rows.now.p, p, 1e-9)
     below, above = (part.sum(axis=0) for part in rows.acting())
     assert np.abs(below + above).max() <= 1e-14
 
@@ -175,6 +179,26 @@ def test_lent_directions():
     on = rows.spread(contact.slipping)
     close(np.linalg.norm(shears[on], axis=1), 0.1 * p[on], 0.01)
     assert on[lost].all()
+
+
+def test_relaxation():
+    """Where an equilibrium ends at a kink Newton's steps go to and fro, viscous ones flow on."""
+
+    def force(x):
+        return (x - 0.05, 1.0) if x < 0 else (-0.05 - 0.5 * x, -0.5) if x < 1 else (x - 1.55, 1.0)
+
+    for use in (False, True):
+        x, relaxation, found = -0.1, Relaxation(MPI.COMM_SELF), []
+        for _ in range(30):
+            F, slope = force(x)
+            if use:
+                relaxation.look(abs(F))
+            dx = F / (slope + relaxation.share)
+            if relaxation.takes([np.array([dx])], exact=True):
+                x -= dx
+            found.append(x)
+        assert (abs(found[-1] - 1.55) <= 1e-12) == use
+        assert relaxation.share == 0 or not use
 
 
 def test_slides_off():
@@ -234,6 +258,8 @@ def test_input():
     mu.x.array[:] = -1.0
     with raises(ValueError, "is -1 on Γ1"):
         contact.friction.at_vertices()
+    number = Contact(*sides, friction=np.array(0.3), elastic_slip=np.array(0.1)).friction
+    assert (number.at_vertices() == 0.3).all() and number.elastic_slip == 0.1
     plain = Contact(*sides)
     with raises(ValueError, "is in no problem"):
         _ = plain.sticking

@@ -23,6 +23,7 @@ import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap import heights, slip_columns
 from hypergap_dolfinx.gap.heights import Rays, by_dofs
+from hypergap_dolfinx.gap.moments import rule
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
 from hypergap_dolfinx.gap.opposite import (
@@ -434,45 +435,9 @@ def _cast(surfaces, frames: Frames, pieces: Pieces, *, exact: bool):
     """
     degree = max(surface.geometry.degree for surface in surfaces)
     linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
-    X, piece, weights = _rule(pieces, 1 if linear else 2 * degree if exact else 2)
+    X, piece, weights = rule(pieces.X, 1 if linear else 2 * degree if exact else 2)
     facets = tuple(f[piece] for f in pieces.facets)
     return heights.cast(surfaces, frames, facets, X), piece, weights
-
-
-def _rule(pieces: Pieces, degree: int):
-    """Points on pieces, which piece each is in, and weights.
-
-    One on each piece for degree 1, three for degree 2: they have its middle and its moments.
-    """
-    first, steps = pieces.X[:, :1], pieces.X - pieces.X[:, :1]
-    a, b = steps[:, 1:-1], steps[:, 2:]
-    areas = 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-    if degree <= 2:
-        total, piece = areas.sum(axis=1), np.arange(len(areas))
-        share = areas / total[:, None]
-        middle = np.einsum("pt,pti->pi", share, a + b) / 3
-        if degree == 1:
-            return first[:, 0] + middle, piece, total
-        # ∫ x xᵀ over a triangle with a corner at 0
-        square = sum(np.einsum("pt,pti,ptj->pij", share, end, end) for end in (a, b))
-        mixed = np.einsum("pt,pti,ptj->pij", share, a, b)
-        moments = (2 * square + mixed + mixed.swapaxes(1, 2)) / 12
-        moments -= middle[:, :, None] * middle[:, None]
-        # The square root's lower triangle
-        c = np.sqrt(np.maximum(moments[:, 0, 0], 1e-300))
-        d = moments[:, 0, 1] / c
-        e = np.sqrt(np.maximum(moments[:, 1, 1] - d**2, 0))
-        turns = 2 * np.pi / 3 * np.arange(3)
-        u, v = 2**0.5 * np.cos(turns), 2**0.5 * np.sin(turns)
-        away = np.stack((c[:, None] * u, d[:, None] * u + e[:, None] * v), axis=2)
-        X = first + middle[:, None] + away
-        return X.reshape(-1, 2), np.repeat(piece, 3), np.repeat(total / 3, 3)
-    piece, triangle = np.nonzero(areas > 0)
-    points, weights = basix.make_quadrature(basix.CellType.triangle, degree)
-    a, b = a[piece, triangle], b[piece, triangle]
-    X = first[piece] + a[:, None] * points[:, :1] + b[:, None] * points[:, 1:]
-    weights = 2 * areas[piece, triangle, None] * weights
-    return X.reshape(-1, 2), np.repeat(piece, len(points)), weights.ravel()
 
 
 def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:

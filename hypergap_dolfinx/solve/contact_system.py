@@ -25,9 +25,12 @@ from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
+from hypergap_dolfinx.solve.leading import leading
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
+from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.options import Options
+from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -83,6 +86,7 @@ class ContactSystem(NonlinearSystem):
         ]
         share_ends(self._rows, pieces.interfaces)
         self._free: FreeMotions | None = None
+        self._tied = bool(pieces.interfaces)
         self._iterations = 0
 
     def _prepare(self):
@@ -122,9 +126,11 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             rows.set_out()
         self._constraints.read_jumps()
+        self._lead()
         before: list[npt.NDArray] = []
         polished = False
-        for step in range(STEPS + 1):
+        relaxation = Relaxation(self._u[0].function_space.mesh.comm)
+        for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
                 rows.look()
             self._residual(self._x, self._b)
@@ -138,18 +144,22 @@ class ContactSystem(NonlinearSystem):
                     self._check_pushing()
                     return step
                 polished = True
-            if step == STEPS:
+            if step >= STEPS and not relaxation.acts:
                 break
             before = held
+            relaxation.look(self._unbalanced)
             if step:
                 self.assemble_matrix()
             if step == 0 and self._slides(jump):
                 self._carry()
             else:
                 # The last load step's pressures are as good as those of sets that are settled
-                self._step(settled or (step == 0 and self._continues()), jump)
+                exact = settled or (step == 0 and self._continues())
+                state = self._state()
+                if not relaxation.takes(self._step(exact, jump, relaxation.share), exact=exact):
+                    self._restore(state)
             self._iterations += 1
-        raise SolveError(f"Newton's iteration did not end in {STEPS} steps.")
+        raise SolveError(f"Newton's iteration did not end in {step} steps.")
 
     def _check_pushing(self):
         """Raise if what is active only to hold a body would have to pull it."""
@@ -241,10 +251,11 @@ class ContactSystem(NonlinearSystem):
         if num_free and rubbing:
             num_free = hold_by_sticking(rubbing, np.vstack((holds[on], across)))
         if num_free:
+            slid = ": it fell or slid away, its load may be more than friction can hold"
             raise SolveError(
                 f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
                 f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact"
-                f"{'' if rubbing else ' without friction'}; hold them by boundary conditions."
+                f"{slid if rubbing else ' without friction'}; hold them by boundary conditions."
             )
 
     def _load(self) -> npt.NDArray[np.float64]:
@@ -301,6 +312,7 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
+        self._unbalanced = worst
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
@@ -320,6 +332,34 @@ class ContactSystem(NonlinearSystem):
             rows.now.p.any() and far > FAR * rows.sides[1].reference.size.max()
             for rows in self._rows
         )
+
+    def _lead(self):
+        """Let bodies that are prescribed to move far follow as rigid ones. Collective.
+
+        Forces go along with what keeps together, and are none where one leaves the other.
+        """
+        jump = self._jump()
+        if self._tied or not self._slides(jump):
+            return
+        comm = self._u[0].function_space.mesh.comm
+        motions = []
+        for u, moves, held in zip(self._u, jump, self._constraints.prescribed, strict=True):
+            x = places(u.function_space)
+            whole = held.reshape(x.shape).all(axis=1)
+            x = (x + owned_values(u).reshape(x.shape))[whole]
+            motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
+        if None in motions:
+            return
+        for rows in self._rows:
+            u1 = rows.displacements([owned_values(f) for f in rows.fields])[1]
+            x = rows.sides[1].displaced(u1).x
+            shifts = [0 * x if body is None else motions[body].shift(x) for body in rows.bodies]
+            if np.abs(shifts[1] - shifts[0]).max() > FAR * rows.sides[1].reference.size.max():
+                rows.forget()
+        for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
+            x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
+            part.array[:] += motion.shift(x).ravel()
+        self._assign(self._x)
 
     def _carry(self):
         """Move prescribed bodies under the forces that they have, and forget those. Collective.
@@ -342,12 +382,18 @@ class ContactSystem(NonlinearSystem):
             rows.forget()
         self._assign(self._x)
 
-    def _step(self, settled: bool, jump: Sequence[npt.NDArray[np.float64]]):
+    def _step(
+        self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
+    ) -> list[npt.NDArray[np.float64]]:
         """Solve for one step, and take it. Collective.
 
         Args:
             settled: Whether the sets are those of the last step: then the tangent is exact.
             jump: What prescribed displacements have to move.
+            viscous: Share of the bodies' stiffness that is added.
+
+        Returns:
+            This rank's changes of displacements, of each body.
         """
         num = self._A.getNestSize()[0]
         blocks: list[list[PETSc.Mat | None]] = [
@@ -356,6 +402,9 @@ class ContactSystem(NonlinearSystem):
         own: list[PETSc.Mat] = []
         if settled:
             self._subtract_curvature(blocks, own)
+        if viscous:
+            for i, K in enumerate(self._K):
+                self._add(blocks, own, (i, i), K, viscous)
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
         right = [part.copy() for part in self._b.getNestSubVecs()]
         found = {}
@@ -378,6 +427,7 @@ class ContactSystem(NonlinearSystem):
                 obj.destroy()
         for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
             x.axpy(-1.0, dx)
+        moves = [part.array_r.copy() for part in solution[: len(self._u)]]
         multipliers = dict(zip(found, solution[num:], strict=True))
         for c, rows in enumerate(self._rows):
             if c in found:
@@ -387,22 +437,28 @@ class ContactSystem(NonlinearSystem):
         for part in solution:
             part.destroy()
         self._assign(self._x)
+        return moves
 
     def _subtract_curvature(self, blocks: list[list[PETSc.Mat | None]], own: list[PETSc.Mat]):
         """Make blocks of K those of K − Σ p ∂²g. Collective."""
         for rows in self._rows:
-            for (i, j), H in rows.curvature_blocks().items():
-                before = blocks[i][j]
-                H.scale(-1.0)
-                if before is None:
-                    blocks[i][j] = H
-                    own.append(H)
-                    continue
-                if all(before is not mine for mine in own):
-                    before = blocks[i][j] = before.copy()
-                    own.append(before)
-                before.axpy(1.0, H, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            for at, H in rows.curvature_blocks().items():
+                self._add(blocks, own, at, H, -1.0)
                 H.destroy()
+
+    def _add(self, blocks, own: list[PETSc.Mat], at, part: PETSc.Mat, share: float):
+        """Add a share of a matrix to a block, of which a copy is made first. Collective."""
+        i, j = at
+        before = blocks[i][j]
+        if before is None:
+            blocks[i][j] = part.copy()
+            blocks[i][j].scale(share)
+            own.append(blocks[i][j])
+            return
+        if all(before is not mine for mine in own):
+            before = blocks[i][j] = before.copy()
+            own.append(before)
+        before.axpy(share, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
     def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
         """The solution's parts. Collective."""

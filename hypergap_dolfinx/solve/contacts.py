@@ -89,7 +89,7 @@ class ContactRows:
         self._contact, self.fields, self.bodies = touching.contact, touching.u, touching.bodies
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
-        self._first: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
+        self._first: tuple[Gaps, npt.NDArray, npt.NDArray, Sparse] | None = None
         self.apart: npt.NDArray[np.float64] | None = None
         """:attr:`distance` where the load step starts, if nothing pushes there."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
@@ -150,9 +150,10 @@ class ContactRows:
             self._follow()
         else:
             if self._first is None:
-                self.now.opening = self._contact.gaps(self.at, self._held)
-                self._first = self.now.opening.gap(self.at)
-            start, self.m, self.C = self._first
+                opening = self._contact.gaps(self.at, self._held)
+                self._first = opening, *opening.gap(self.at)
+            # A first load step that failed gave back that there was none
+            self.now.opening, start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
         self._lend()
         self._look_behind()

@@ -271,7 +271,8 @@ class FrictionRows(ContactRows):
         if self._soft:
             # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
             size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
-            soft = now.on & (force > 0)
+            # What had no pressure sticks at first: else friction could hold nothing
+            soft = now.on & ((force > 0) | ~now.sticks)
             turn = np.where(now.sticks, one, across)
             by_slip = np.where(soft, -force / size * turn, scale * one)
             by_p = np.where(soft, self.mu * self._reach / size, 0)

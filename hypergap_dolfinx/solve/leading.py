@@ -1,0 +1,58 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Rigid motions that prescribed displacements lead bodies along: linear ones distort what turns."""
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+SPREAD = 1e-12
+"""Square of the extent of points, over that of their longest direction, that says nothing of how
+a body turns around it."""
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """A rotation around a point, which then goes to another."""
+
+    turn: npt.NDArray[np.float64]
+    """``(n, n)``."""
+    start: npt.NDArray[np.float64]
+    end: npt.NDArray[np.float64]
+
+    def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """By how much points move, ``(num, n)`` each."""
+        return (x - self.start) @ self.turn.T + self.end - x
+
+
+def leading(
+    comm: MPI.Comm, x: npt.NDArray[np.float64], moves: npt.NDArray[np.float64]
+) -> RigidMotion | None:
+    """The rigid motion that is nearest to how points move, if they tell it. Collective.
+
+    Args:
+        comm: Communicator.
+        x: This rank's points, ``(num, n)``.
+        moves: How they move, ``(num, n)``.
+    """
+    n, ends = x.shape[1], (x, x + moves)
+    num = comm.allreduce(len(x))
+    if not num:
+        return None
+    if not comm.allreduce(bool(moves.any()), MPI.LOR):
+        return RigidMotion(np.eye(n), np.zeros(n), np.zeros(n))
+    start, end = comm.allreduce(np.array([part.sum(axis=0) for part in ends])) / num
+    before, after = (part - middle for part, middle in zip(ends, (start, end), strict=True))
+    square, product = comm.allreduce(np.array((before.T @ before, after.T @ before)))
+    extents = np.linalg.eigvalsh(square)
+    if extents[1 - n] <= SPREAD * extents[-1]:
+        return None
+    left, _, right = np.linalg.svd(product)
+    left[:, -1] *= np.linalg.det(left @ right)  # no reflection
+    return RigidMotion(left @ right, start, end)
