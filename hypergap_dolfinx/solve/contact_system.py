@@ -356,6 +356,8 @@ class ContactSystem(NonlinearSystem):
             shifts = [0 * x if body is None else motions[body].shift(x) for body in rows.bodies]
             if np.abs(shifts[1] - shifts[0]).max() > FAR * rows.sides[1].reference.size.max():
                 rows.forget()
+            elif isinstance(rows, FrictionRows) and rows.bodies[1] is not None:
+                rows.turn(motions[rows.bodies[1]])
         for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
             x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
             part.array[:] += motion.shift(x).ravel()

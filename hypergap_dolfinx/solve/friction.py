@@ -14,6 +14,8 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap.moving import Displacements, Sparse
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touching
+from hypergap_dolfinx.solve.leading import RigidMotion
+from hypergap_dolfinx.solve.modes import places
 
 EXCEEDS = 1e-7
 """Traction of what sticks beyond what friction can hold, over the largest, that is none."""
@@ -56,6 +58,7 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
+        self._accepted_at: Displacements | None = None
         self._fixed: Sparse | None = None
         self._carried = False
         self._elastic = np.zeros((across, num))  # part of slip that would go back
@@ -69,12 +72,20 @@ class FrictionRows(ContactRows):
     def set_out(self):
         """Read the coefficient of friction. Collective."""
         self.mu = self._friction.at_vertices()
+        self._since = self._accepted_at
+
+    def turn(self, motion: RigidMotion):
+        """What slip is counted from goes along with a rigid motion of both bodies. Collective."""
+        assert self._since is not None
+        x = self.displacements([places(V).ravel() for V in self.spaces])
+        u0, u1 = (u + motion.shift(at + u) for at, u in zip(x, self._since, strict=True))
+        self._since = u0, u1
 
     def look(self):
         """Find gaps and slips where the bodies are. Collective."""
         super().look()
         if self._since is None:
-            self._since = self.u
+            self._since = self._accepted_at = self.u
         opening = self.now.opening
         if opening is None:
             self.T = self.S = Sparse.empty()
@@ -110,7 +121,7 @@ class FrictionRows(ContactRows):
         self.dissipated -= float((now.q * now.on * self.m * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
         now.sticks |= ~now.on
-        self._since = self.u
+        self._since = self._accepted_at = self.u
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
