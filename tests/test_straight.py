@@ -14,7 +14,7 @@ from helpers import close, comm, interpolated, raises, residual
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import InvertedCellError, Tie
-from hypergap_dolfinx.gap import front, straight, swaps
+from hypergap_dolfinx.gap import mending, straight, swaps
 from hypergap_dolfinx.gap.cells import geometry_element
 from hypergap_dolfinx.gap.slab import mesh_slab
 from hypergap_dolfinx.gap.surface import create_surface
@@ -70,7 +70,7 @@ def test_no_cell_is_turned_over(monkeypatch):
     domain = Tie(*curved_sides(2, 0.3)).domain
     domain.gap_matrices()
     monkeypatch.setattr(straight, "straighten", lambda *_: straight.NONE)
-    monkeypatch.setattr(front, "straighten", lambda *_: straight.NONE)
+    monkeypatch.setattr(mending, "straighten", lambda *_: straight.NONE)
     with raises(InvertedCellError, "inverted"):
         Tie(*curved_sides(2, 0.3)).domain.gap_matrices()
 

@@ -6,19 +6,19 @@
 """Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap import cavity, prisms, swaps
+from hypergap_dolfinx.gap import cavity, prisms
 from hypergap_dolfinx.gap.cavity import Place
 from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FACES, FLAT
+from hypergap_dolfinx.gap.mending import Filling, Margins, Workshop
+from hypergap_dolfinx.gap.metric import FLAT
 from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import NO_WALLS, along, in_walls
-from hypergap_dolfinx.gap.straight import NONE, straighten
+from hypergap_dolfinx.gap.rim import along
 from hypergap_dolfinx.gap.walls import Rim, rims
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
@@ -38,9 +38,6 @@ gets through is taken. Facets that are cut may be narrower than a displacement."
 THIN = 1e-4
 """As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
 edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
-PARALLEL = 1e-2
-"""As ``FLAT``, of cells between edges of both outlines that are taken away if curved cells are
-turned over: they fill nothing but what walls bend by."""
 EXTRAPOLATE = 2.0
 """∂λ/∂α of a cell's barycentric coordinates from which it is swapped for others, if these have
 smaller ones. They are at most one where the vertices lie on what they face."""
@@ -138,6 +135,10 @@ class Problem:
         """Side walls, counterclockwise seen from inside, with Γ1 displaced."""
         found = [rim.walls(self.n0, shift, weights)[:, ::-1] for rim in self.rims]
         return np.vstack(found) if found else np.empty((0, 3), dtype=np.intp)
+
+    def along(self, walls: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
+        """Of walls, ``(num_walls, 3)``, those that lie along the outlines."""
+        return along(walls, self.x, self.n0, self.rims)
 
 
 def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -287,120 +288,6 @@ def ready(problem: Problem, make: Callable) -> Front | None:
     return Front(cells, walls, 0, _check(n0, vertices, cells, outer))
 
 
-@dataclass(frozen=True)
-class Filling:
-    """Cells between two surfaces."""
-
-    mesh: cavity.Cells
-    """The cells; interior vertices are numbered behind the others."""
-    hosts: list[tuple]
-    """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
-    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
-    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
-    """Walls along the outlines, if the surfaces are curved, ``(num_walls, 3)``."""
-
-    @property
-    def cells(self) -> npt.NDArray[np.integer]:
-        """``(num_cells, 4)``."""
-        return self.mesh.cells
-
-    def with_cells(self, cells) -> "Filling":
-        """Other cells between the same vertices."""
-        return replace(self, mesh=replace(self.mesh, cells=cells))
-
-
-Margins = Callable[[Filling], npt.NDArray[np.float64]]
-"""How far cells are from being turned over: not positive where they are somewhere."""
-
-
-@dataclass
-class _Workshop:
-    """Between which triangles cells are sought, and how they are mended."""
-
-    problem: Problem
-    outer: npt.NDArray[np.integer]
-    """The boundary's, counterclockwise seen from inside."""
-    place: Place
-    margins: Margins | None
-
-    def num_bad(self, filling: Filling) -> int:
-        return int((self.margins(filling) <= 0).sum()) if self.margins else 0
-
-    def coned(self, filling: Filling, gone) -> Filling | None:
-        """Cones where cells are taken away or missing."""
-        made = cavity.fill(filling.with_cells(filling.cells[~gone]).mesh, self.outer, self.place)
-        if made is None or not cavity.is_whole(made[0].cells, self.outer):
-            return None
-        return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])
-
-    def swapped(self, filling: Filling) -> Filling:
-        """Other cells where some are turned over."""
-        margins = self.margins
-        if margins is None:
-            return filling
-        mesh = filling.mesh
-
-        def upright(cells):  # so are their vertices' simplices: else no straight edges help
-            made = filling.with_cells(cells)
-            return np.where(made.mesh.flat(), -np.inf, margins(made))
-
-        cells = swaps.improve(mesh.cells, mesh.alpha, upright)
-        whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
-        return filling.with_cells(cells) if whole else filling
-
-    def mended(self, filling: Filling) -> Filling:
-        """Cones where cells stay turned over, as long as that leaves fewer of them.
-
-        A cell between two edges that are parallel but for what they are curved may be turned over
-        though its vertices' simplex isn't.
-        """
-        margins = self.margins
-        if margins:
-            filling = self.peeled(filling)
-        bad = margins(filling) <= 0 if margins else np.zeros(0, dtype=bool)
-        while bad.any() and (made := self.coned(filling, bad)):
-            assert margins
-            made = self.swapped(made)
-            left = margins(made) <= 0
-            if left.sum() >= bad.sum():
-                break
-            filling, bad = made, left
-        return filling
-
-    def peeled(self, filling: Filling) -> Filling:
-        """Without cells that are nothing but what walls bend by: walls take their places."""
-        assert self.margins
-        p, found = self.problem, bool(self.num_bad(filling))
-        while found:
-            found = False
-            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL)
-            gone &= (filling.mesh.alpha[filling.cells] == 0).sum(axis=1) == 2
-            for i in np.flatnonzero(gone)[::-1]:
-                faces = filling.cells[i][FACES]
-                on = in_walls(faces, filling.walls)
-                fresh = along(faces[~on], p.x, p.n0, p.rims) if on.sum() == 2 else NO_WALLS
-                if len(fresh) == 2:
-                    left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
-                    walls, self.outer = (np.vstack((w, fresh)) for w in left)
-                    filling = filling.with_cells(np.delete(filling.cells, i, axis=0))
-                    filling = replace(filling, walls=walls)
-                    found = True
-        return filling
-
-    def straightened(self, filling: Filling) -> Filling:
-        """Straight edges where cells stay turned over."""
-        margins = self.margins
-        if margins is None:
-            return filling
-
-        def with_straight(cells, edges):
-            return margins(replace(filling.with_cells(cells), straight=edges))
-
-        edges = straighten(filling.cells, filling.mesh.alpha, with_straight)
-        return replace(filling, straight=edges)
-
-
 def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
     """Cells between two surfaces, by the first front that gets through.
 
@@ -428,9 +315,9 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
     alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
 
-    def workshop(front: Front) -> _Workshop:
+    def workshop(front: Front) -> Workshop:
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
-        return _Workshop(problem, outer, place, margins)
+        return Workshop(outer, place, margins, problem.along)
 
     tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
@@ -442,8 +329,7 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
         filling = Filling(mesh, [])
         if problem.curved:
-            walls = along(front.walls, problem.x, problem.n0, problem.rims)
-            filling = replace(filling, walls=walls)
+            filling = replace(filling, walls=problem.along(front.walls))
         if not front.is_valid:
             fronts.append((front, filling))
             continue

@@ -31,6 +31,7 @@ from hypergap_dolfinx.gap.clip import COARSER, SNAP, TRIES, clip
 from hypergap_dolfinx.gap.coverage import covered_parts
 from hypergap_dolfinx.gap.jit import library
 from hypergap_dolfinx.gap.kernel import GapElement, curved_rule, geometry_at_points
+from hypergap_dolfinx.gap.mending import Filling
 from hypergap_dolfinx.gap.metric import areas
 from hypergap_dolfinx.gap.overhang import overhang
 from hypergap_dolfinx.gap.parting import pairs_of_pieces
@@ -79,7 +80,7 @@ def _place(sides: tuple[Side, Side]) -> Place:
     return place
 
 
-def _slab(sides: tuple[Side, Side], filling: front.Filling) -> Slab:
+def _slab(sides: tuple[Side, Side], filling: Filling) -> Slab:
     """The cells with their interior vertices' hosts as arrays."""
     alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
     f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
@@ -130,11 +131,11 @@ class _Margins:
         self._nodes = [np.empty((0, len(points), 3))]
         self._lots: list[list] = []  # interior vertices of one lot have other numbers in the next
 
-    def __call__(self, filling: front.Filling) -> npt.NDArray[np.float64]:
+    def __call__(self, filling: Filling) -> npt.NDArray[np.float64]:
         at = self._find(filling)
         return curved_margins(_slab(self.sides, filling), np.concatenate(self._nodes)[at])
 
-    def _find(self, filling: front.Filling) -> npt.NDArray[np.intp]:
+    def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
         """The numbers of cells, which are those of their nodes and of these nodes' hosts."""
         lots = [*self._lots, filling.hosts]
         lot = next(i for i, hosts in enumerate(lots) if hosts is filling.hosts)
@@ -156,7 +157,7 @@ class _Margins:
             self._number.update((keys[i], at[i]) for i in new)
         return at
 
-    def tell(self, slab: Slab, filling: front.Filling):
+    def tell(self, slab: Slab, filling: Filling):
         """Let a slab of these cells know what was found."""
         if self._hosts:
             each = self._find(filling)
