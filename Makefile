@@ -103,6 +103,11 @@ lint: env
 types: env
 	$(BIN)/mypy
 
+# Tests and package are compiled to bytecode once, not by each of a dozen processes: 6 s each, where
+# a machine asks Python to keep none
+test-serial test-mpi-2 test-mpi-3 test-mpi-4 test-blas test-complex: \
+	export PYTHONDONTWRITEBYTECODE :=
+
 # One thread a rank: the meshes are small, and ranks times threads would be more than the cores
 test-serial test-mpi-2 test-mpi-3 test-mpi-4 test-blas test-complex: export OMP_NUM_THREADS := 1
 

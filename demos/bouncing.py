@@ -40,7 +40,7 @@ CELLS = {1: (32, 4), 2: (20, 3)}  # around and across, for each degree
 class Ball:
     """The ball, the floor and the time loop."""
 
-    def __init__(self, comm, degree=1, height=1.0, step=0.01, mass=False):
+    def __init__(self, comm, degree=1, height=1.0, step=0.01, mass=False, friction=None, length=4):
         """Make them; the ball is at rest.
 
         Args:
@@ -49,11 +49,15 @@ class Ball:
             height: How far it falls.
             step: Time step.
             mass: Whether the ball's surface keeps its mass.
+            friction: The floor's coefficient of friction, if it has one.
+            length: Of the floor.
         """
         n = CELLS[degree]
         ball, ft = meshes.ring_sector(comm, *n, HOLE, R, angle=2 * np.pi, degree=degree)
         floor, floor_ft = meshes.block(
-            comm, (20, 1), lambda x: np.array((4, 0.4)) * (x - (0.5, 1)) - (0, R + height)
+            comm,
+            (5 * length, 1),
+            lambda x: np.array((length, 0.4)) * (x - (0.5, 1)) - (0, R + height),
         )
         V = fem.functionspace(ball, ("Lagrange", degree, (2,)))
         V_floor = fem.functionspace(floor, ("Lagrange", 1, (2,)))
@@ -62,7 +66,7 @@ class Ball:
         self.dt = fem.Constant(ball, default_scalar_type(step))
 
         # No density in cells that have nodes on the surface
-        rho = fem.Function(fem.functionspace(ball, ("Discontinuous Lagrange", 0)))
+        self.rho = rho = fem.Function(fem.functionspace(ball, ("Discontinuous Lagrange", 0)))
         rho.x.array[:] = 1
         if not mass:
             whole = self.integral(rho * ufl.dx)
@@ -79,7 +83,7 @@ class Ball:
         F = inertia + ufl.derivative(self.stored(u) * dx, u)
 
         sides = (V_floor, floor_ft.find(meshes.TOP)), (V, self.facets)
-        self.contact = Contact(*sides)
+        self.contact = Contact(*sides, friction=friction)
         u_floor = fem.Function(V_floor)
         self.problem = ContactProblem([None, F], [u_floor, u], contacts=[self.contact])
 

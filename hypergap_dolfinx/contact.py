@@ -286,7 +286,7 @@ class Contact:
         Returns:
             ``(num_vertices,)``, in the order of ``surfaces[1].x``.
         """
-        rows = problem.rows(self)
+        rows = self._solved_rows(problem)
         if rows.now.opening is None:
             return np.zeros(len(rows.g))
         return self._opening(rows).smoothed(rows.at, rows.spread(rows.now.p))
@@ -307,7 +307,7 @@ class Contact:
             ValueError: Not one of the problem's contacts, or not solved yet.
             InterfaceError: Nothing of Γ1 is opposite Γ0, so there is no Σ; ``"body"`` has 0 then.
         """
-        rows = problem.rows(self)
+        rows = self._solved_rows(problem)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
         cells = self._opening(rows).cells(rows.at, rows.spread(rows.now.p * rows.now.on))
@@ -322,7 +322,7 @@ class Contact:
         Returns:
             ``(num_vertices, n)``, in the order of ``surfaces[1].x``, the same on every rank.
         """
-        rows = self._rubbing(problem.rows(self))
+        rows = self._rubbing(self._solved_rows(problem))
         if rows.now.opening is None:
             return np.zeros((len(rows.g), self.spaces[1].mesh.geometry.dim))
         opening = self._opening(rows)
@@ -335,7 +335,7 @@ class Contact:
             problem: A solved problem with this contact.
             on: ``"sigma"`` or ``"body"``.
         """
-        rows = self._rubbing(problem.rows(self))
+        rows = self._rubbing(self._solved_rows(problem))
         if self._on_body(on):
             return self._at_vertices(self.shears(problem), "shear")
         cells = self._opening(rows).cells(rows.at, rows.shears)
@@ -350,7 +350,7 @@ class Contact:
         Returns:
             ``(num_vertices, n)``, the same on every rank; 0 where there is no contact.
         """
-        return self._rubbing(problem.rows(self)).slipped.copy()
+        return self._rubbing(self._solved_rows(problem)).slipped.copy()
 
     def slip(self, problem) -> fem.Function:
         """The same as a function of degree 1 on Γ1's body. Collective.
@@ -366,7 +366,14 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        return self._rubbing(problem.rows(self)).dissipated
+        return self._rubbing(self._solved_rows(problem)).dissipated
+
+    def _solved_rows(self, problem) -> ContactRows:
+        if not hasattr(problem, "rows"):
+            raise ValueError(
+                f"give the ContactProblem with this contact, not a {type(problem).__name__}."
+            )
+        return problem.rows(self)
 
     def _rubbing(self, rows: ContactRows | None) -> FrictionRows:
         if not isinstance(rows, FrictionRows):
@@ -431,7 +438,7 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        return displaced(self._sides, problem.rows(self).u)
+        return displaced(self._sides, self._solved_rows(problem).u)
 
     def force(self, problem) -> npt.NDArray[np.float64]:
         """The force on Γ1's body, friction's too; Γ0's feels the opposite.
@@ -442,7 +449,7 @@ class Contact:
         Returns:
             ``(n,)``, the same on every rank.
         """
-        return problem.rows(self).acting()[1].sum(axis=0)
+        return self._solved_rows(problem).acting()[1].sum(axis=0)
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""

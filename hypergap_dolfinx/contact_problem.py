@@ -123,15 +123,17 @@ class ContactProblem(ContactSystem):
             raise ValueError(
                 "there are no contacts; bodies without any are a NonlinearTiedProblem."
             )
-        if not (isinstance(rtol, float | int | np.floating) and rtol >= 0):
-            raise ValueError(f"rtol is a number ≥ 0, not {rtol!r}.")
-        ties = [ties] if isinstance(ties, Tie) else ties
+        if not (isinstance(rtol, float | int | np.floating) and 0 <= rtol < 1):
+            raise ValueError(f"rtol is a number ≥ 0 and below 1, not {rtol!r}.")
+        ties = [ties] if isinstance(ties, Tie) else list(ties or ())
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
-        wrong = next((c for c in contacts if not isinstance(c, Contact)), None)
-        if wrong is not None:
-            raise ValueError(
-                f"contacts has a {type(wrong).__name__}: make each with Contact(side0, side1)."
-            )
+        for name, given, kind in (("contacts", contacts, Contact), ("ties", ties, Tie)):
+            wrong = next((one for one in given if not isinstance(one, kind)), None)
+            if wrong is not None:
+                raise ValueError(
+                    f"{name} has a {type(wrong).__name__}: make each with "
+                    f"{kind.__name__}(side0, side1)."
+                )
         _check_apart(contacts, ties)
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]

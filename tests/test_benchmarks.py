@@ -5,10 +5,13 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Problems with exact answers: heat through rings and slabs, the traction on a curved interface."""
 
+from itertools import product
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from helpers import sweep
 
 import meshes
 import ufl
@@ -42,8 +45,7 @@ def l2_error(us, exact, degree):
     return np.sqrt(comm.allreduce(total))
 
 
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2, 3))
+@pytest.mark.parametrize(("swap", "degree"), sweep(product((False, True), (1, 2, 3)), 2))
 def test_thermal_rings(degree, swap):
     """Closed rings .8 / .9 / 1 at T = 1 inside and 2 outside."""
     errors, at_interface = [], []
@@ -163,8 +165,7 @@ def multiplier_error(n, degree, swap):
     return np.sqrt(q.integrate((error**2).sum(-1)) / q.integrate((exact**2).sum(-1)))
 
 
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2, 3))
+@pytest.mark.parametrize(("swap", "degree"), sweep(product((False, True), (1, 2, 3)), 2))
 def test_multiplier_on_a_curved_interface(degree, swap):
     errors = [multiplier_error(n, degree, swap) for n in (4, 8, 16)]
     rates = np.log2(np.divide(errors[:-1], errors[1:]))

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Elastic
-from helpers import raises
+from helpers import raises, two_ranks
 
 import meshes
 from dolfinx import default_scalar_type, fem
@@ -59,7 +59,7 @@ class Blocks:
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
 
-@pytest.mark.ranks(sliding=["finite"])
+@two_ranks(sliding=["finite"])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_touches_and_parts(sliding):
     """Nothing, then a force, then nothing again."""

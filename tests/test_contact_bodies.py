@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Body, Elastic, lame_constants, rectangle
+from helpers import two_ranks
 
 import dolfinx
 import meshes
@@ -134,7 +135,7 @@ def clamp():
     return Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", 1, (2,))))
 
 
-@pytest.mark.ranks(swap=[True])
+@two_ranks(swap=[True])
 @pytest.mark.parametrize("swap", (False, True))
 def test_one_mesh_with_itself(swap):
     """A clamp that closes, as one mesh, and as three bodies with matching meshes that are tied."""

@@ -132,6 +132,10 @@ def test_problem(caplog):
         contact.force(problem)
     with raises(ValueError, "contacts has a str"):
         scene.problem(["contact"])
+    with raises(ValueError, r"ties has a str: make each with Tie\(side0, side1\)"):
+        scene.problem([contact], ["tie"])
+    with raises(ValueError, "give the ContactProblem with this contact, not a list"):
+        contact.pressure([problem])
     with raises(ValueError, "Γ0 of contact 0 is on a space of no body"):
         ContactProblem(scene.F[1:], scene.u[1:], contacts=[contact])
     with raises(ValueError, "contact 0 is between two rigid bodies"):
@@ -142,8 +146,8 @@ def test_problem(caplog):
     for none in ([], None):
         with raises(ValueError, "there are no contacts"):
             ContactProblem(scene.F, scene.u, contacts=none)
-    for rtol in (-1.0, "1e-8"):
-        with raises(ValueError, "rtol is a number ≥ 0, not"):
+    for rtol in (-1.0, np.inf, "1e-8"):
+        with raises(ValueError, "rtol is a number ≥ 0 and below 1, not"):
             scene.problem([contact], rtol=rtol)
     energy = ufl.inner(scene.u[0], scene.u[0]) * ufl.dx
     for F, kind in (

@@ -22,7 +22,7 @@ from assembly import (
     stretching,
     tie,
 )
-from helpers import sweep
+from helpers import sweep, two_ranks
 
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
@@ -76,7 +76,7 @@ def test_four_blocks(name, cells):
         check_ties(bodies, FOUR, swaps, [(0, BOTTOM, (0, 1))], degree)
 
 
-@pytest.mark.ranks(name=["Q2"])
+@two_ranks(name=["Q2"])
 @pytest.mark.parametrize("name", ("P1", "Q2"))
 def test_four_blocks_between_walls(name):
     cell, degree = ELEMENTS[name]
@@ -91,9 +91,10 @@ def test_four_blocks_between_walls(name):
 
 
 @pytest.mark.ranks(2, cells=[(2, 3, 4), (3, 1, 2)])
-@pytest.mark.parametrize("cut", (0.5, 0.37))
-@pytest.mark.parametrize("cells", ((1, 1, 1), (2, 3, 4), (3, 1, 2), (5, 4, 1)))
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("cut", "cells", "name"),
+    sweep(product((0.5, 0.37), ((1, 1, 1), (2, 3, 4), (3, 1, 2), (5, 4, 1)), NAMES), 2),
+)
 def test_t_junction(name, cells, cut):
     """Two blocks under one, which gives both ties all of its lower side."""
     cell, degree = ELEMENTS[name]
@@ -175,7 +176,7 @@ def test_three_nested_frames(name):
         check_ties(bodies, pairs, swaps, [(2, RIGHT, (0, 1))], degree, traction=traction)
 
 
-@pytest.mark.ranks(swaps=[(False, True)])
+@two_ranks(swaps=[(False, True)])
 @pytest.mark.parametrize("swaps", ((False, False), (False, True), (True, False), (True, True)))
 def test_layers(swaps):
     """A body of one layer of cells: all of its dofs are in Γ0 or Γ1 of two ties."""

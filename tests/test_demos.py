@@ -226,6 +226,14 @@ DEMOS = {
         pictures=("read_meshes",),
         needs=("gmsh",),
     ),
+    "rolling": Demo(
+        "--step 0.03 --time 1.2",
+        {"expected": 0.72342, "speed": 0.7377, "dissipated": 0.2870},
+        {"energy_error": 1e-3, "halvings": 0},
+        accuracy=1e-2,
+        pictures=("rolling",),
+        needs=("matplotlib",),
+    ),
     "stability": Demo(
         "--quick",
         pictures=("stability",),
@@ -281,9 +289,10 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("bouncing", "contact_patch", "gap_domain", "heat", "hertz_published", "incompressible"),
-    *("ironing", "kernel_speed", "periodic_cell", "periodic_cell_3d", "pressurised_cylinder"),
-    *("pressurised_sphere_hexahedra", "read_meshes"),
+    *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
+    *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
+    *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
+    "rolling",
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 

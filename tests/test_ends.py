@@ -55,9 +55,8 @@ def blocks(name, ratio):
     ]
 
 
-@pytest.mark.ranks(2, name=["P1-P2"], ends=sweep(PAIRS, 2))
-@pytest.mark.parametrize("ends", PAIRS, ids="-".join)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.ranks(2, name=["P1-P2"])
+@pytest.mark.parametrize(("name", "ends"), sweep(product(NAMES, PAIRS), 2))
 def test_ends(name, ends):
     """Non-zero displacements are prescribed, those of the patch test."""
     ratios = ((1, 1), (2, 3), (5, 1), (1, 5)) if comm.size == 1 else ((2, 3),)

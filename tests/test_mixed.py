@@ -326,7 +326,8 @@ def test_what_can_still_move():
         prescribed(part.V, part.facets(BOTTOM, TOP, tag), linear)
         for part, tag in ((left, LEFT), (right, RIGHT))
     ]
-    with raises(SolveError, "singular: a pressure .* is known up to a constant only; hold it at a"):
+    # Where MUMPS meets a pivot that is zero to all digits, it fails before that is found out
+    with raises(SolveError, "singular.* a pressure .*known up to a constant only.* hold it at a"):
         TiedProblem([left.a, right.a], [None, None], bcs=bcs, ties=[tie]).solve()
     Q = left.W.sub(1)
     corner = fem.locate_dofs_geometrical(

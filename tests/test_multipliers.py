@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 from assembly import comm, dense, linear, problem, rectangle, tie
+from helpers import sweep
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
@@ -75,9 +76,8 @@ def rows_of(p) -> np.ndarray:
 
 
 @pytest.mark.ranks(2, held=["below"], name=["P2"])
-@pytest.mark.parametrize("held", ("outside", "below"))
+@pytest.mark.parametrize(("held", "scene"), sweep(product(("outside", "below"), SCENES), 2))
 @pytest.mark.parametrize("name", ("Q1", "P2", pytest.param("Q3", marks=pytest.mark.slow)))
-@pytest.mark.parametrize("scene", SCENES)
 def test_no_row_follows_from_the_others(scene, name, held):
     """And there are no more of them than free dofs that can answer, each to one."""
     bodies, pairs = SCENES[scene](*ELEMENTS[name])

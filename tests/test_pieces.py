@@ -107,9 +107,10 @@ def tags(body: Body, tag: int, num: int):
 
 
 @two_ranks(cells=[(10, 7)], name=["Q1"])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("cells", ((10, 4), (10, 7), (40, 7)))
-@pytest.mark.parametrize("name", ("Q1", "P2"))
+@pytest.mark.parametrize(
+    ("name", "swap", "cells"),
+    sweep(product(("Q1", "P2"), (False, True), ((10, 4), (10, 7), (40, 7))), 2),
+)
 def test_one_interface_as_many_ties(name, cells, swap):
     """Tags on one side, the whole other side in each tie; or tags on both where they fit."""
     cell, degree = ELEMENTS[name]
@@ -158,9 +159,10 @@ def check_choices(bodies, pairs, choices, bound):
         assert error <= bound
 
 
-@pytest.mark.ranks(2, cells=[(2, 3, 4, 5)], name=["P2"])
-@pytest.mark.parametrize("cells", ((2, 3, 4, 5), (4, 6, 3, 5)))
-@pytest.mark.parametrize("name", ELEMENTS)
+@pytest.mark.ranks(2, cells=[(4, 6, 3, 5)], name=["P2"])
+@pytest.mark.parametrize(
+    ("cells", "name"), sweep(product(((2, 3, 4, 5), (4, 6, 3, 5)), ELEMENTS), 2)
+)
 def test_four_blocks(name, cells):
     cell, degree = ELEMENTS[name]
     corners = ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
@@ -173,8 +175,7 @@ def test_four_blocks(name, cells):
 
 
 @pytest.mark.ranks(2, cut=[0.37], name=["P2"])
-@pytest.mark.parametrize("cut", (0.5, 0.37))
-@pytest.mark.parametrize("name", ELEMENTS)
+@pytest.mark.parametrize(("cut", "name"), sweep(product((0.5, 0.37), ELEMENTS), 2))
 def test_t_junction(name, cut):
     cell, degree = ELEMENTS[name]
     corners = (((0, 0), (cut, 0.5)), ((cut, 0), (1, 0.5)), ((0, 0.5), (1, 1)))

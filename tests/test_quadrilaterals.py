@@ -206,9 +206,10 @@ def check_patch(bodies, degree, swap):
     assert worst <= 1e-10
 
 
-@pytest.mark.ranks(2, degree=[(2, 2)], swap=[False])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", ((1, 1), (2, 2), (1, 2)))
+@pytest.mark.ranks(2, degree=[(2, 2)], swap=[True])
+@pytest.mark.parametrize(
+    ("swap", "degree"), sweep(product((False, True), ((1, 1), (2, 2), (1, 2))), 2)
+)
 def test_traction_of_distorted_facets(degree, swap):
     check_patch(blocks((3, 4), "distorted"), degree, swap)
 

@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """3D interfaces of every kind: closed, with edges and corners, with holes, in several patches."""
 
+from itertools import product
+
 from mpi4py import MPI
 
 import numpy as np
@@ -358,9 +360,9 @@ def test_scalar():
 
 
 @pytest.mark.ranks(n=[(4, 3)], degree=[1], swap=sweep((True, False), 2))
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("degree", (1, 2))
-@pytest.mark.parametrize("n", ((4, 3), (3, 4), (7, 3)))
+@pytest.mark.parametrize(
+    ("swap", "degree", "n"), sweep(product((False, True), (1, 2), ((4, 3), (3, 4), (7, 3))), 2)
+)
 def test_sides_prescribed_all_around(n, degree, swap):
     """In corners whole facets are prescribed: λ follows its neighbours there."""
     bodies = []

@@ -39,6 +39,7 @@ CHARTS = {
     "friction": ("friction", "--scene", "cattaneo"),
     "hertz": ("hertz",),
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
+    "rolling": ("rolling",),
     "stability": ("stability",),
 }
 COMPLEX = {"wave": ("wave", "--degrees", "2")}

@@ -14,9 +14,15 @@ from typing import Any, ClassVar
 from petsc4py import PETSc
 
 from dolfinx import fem
+from hypergap_dolfinx.gap.surface import is_mixed
 from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.blocks import ConstraintBlocks
 from hypergap_dolfinx.solve.options import Options, names_types
+
+PRESSURE = (
+    "; in mixed spaces a pressure that is known up to a constant only makes a matrix singular too: "
+    "hold it at a node"
+)
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ class KSPSolver(Solver):
 
     def _advice(self) -> str:
         """What a message on a failure says to do."""
-        return self.ADVICE
+        return self.ADVICE + (PRESSURE if any(map(is_mixed, self._system.spaces)) else "")
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
