@@ -242,6 +242,21 @@ def test_rule(degree):
         assert found == pytest.approx(exact, rel=1e-12)
 
 
+@pytest.mark.parametrize("degree", [2, 4, 6])
+def test_rule_on_slivers(degree):
+    """As narrow as round-off, in any direction: weights are no larger than areas."""
+    x = np.random.default_rng(0).uniform(size=(200, 3, 2))
+    x[:, 1:] -= x[:, :1]
+    x[:, 2] = x[:, 1] * x[:, 2, :1] + np.logspace(-14, -2, 200)[:, None] * x[:, 2]
+    turned = np.linalg.det(x[:, 1:]) < 0
+    x[turned, 1:] = x[turned, :0:-1]
+    x[:, 0], area = 0, np.linalg.det(x[:, 1:]) / 2
+    points, each, weights = moments.rule(np.concatenate((x, x[:, -1:]), axis=1)[area > 0], degree)
+    assert np.isfinite(points).all()
+    some = area[area > 0]
+    assert (np.bincount(each, np.abs(weights)) <= 3 * some).all()
+
+
 def test_nearest_sheet():
     """Of sheets one behind the other only the nearest one counts, also where it ends."""
     below, above = (side.reference for side in sides((lambda x, y: 0 * x,) * 2, offset=0.31))

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Quadrature on polygons, from their moments. NumPy alone.
+"""Quadrature on polygons, from their moments.
 
 Integrands aren't polynomials where facets are curved: a rule on triangles that a polygon is cut
 into gives another value where another cut is taken, or where a corner comes on a straight edge.
@@ -20,6 +20,9 @@ import basix
 REACH = 0.2
 """By how much points are farther from the middle for each degree, in standard deviations of the
 polygon; for degree 0 they would be at 1, a square's edges are at 1.7, a triangle's at 1.4."""
+WIDTH = 1e-6
+"""Standard deviation over that along a polygon at which points are across it at least: what slivers
+have is round-off."""
 
 
 def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
@@ -48,10 +51,11 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
     mixed = np.einsum("pt,pti,ptj->pij", share, a, b)
     second = (2 * square + mixed + mixed.swapaxes(1, 2)) / 12
     second -= middle[:, :, None] * middle[:, None]
-    # The square root's lower triangle
-    c = np.sqrt(np.maximum(second[:, 0, 0], 1e-300))
+    # The square root's lower triangle. Where points lie is free: any weights that fit are right
+    least = WIDTH**2 * (second[:, 0, 0] + second[:, 1, 1]) + 1e-300
+    c = np.sqrt(np.maximum(second[:, 0, 0], least))
     d = second[:, 0, 1] / c
-    e = np.sqrt(np.maximum(second[:, 1, 1] - d**2, 0))
+    e = np.sqrt(np.maximum(second[:, 1, 1] - d**2, least if degree > 2 else 0))
     points, inverse = _points(degree)
     away = np.stack((c[:, None] * points[:, 0], d[:, None] * points[:, 0]), axis=2)
     away[..., 1] += e[:, None] * points[:, 1]
@@ -64,7 +68,7 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
     y = a[:, :, None] * inner[:, :1] + b[:, :, None] * inner[:, 1:] - middle[:, None, None]
     y[..., 0] /= c[:, None, None]
     y[..., 1] -= d[:, None, None] * y[..., 0]
-    y[..., 1] /= np.maximum(e, 1e-300)[:, None, None]
+    y[..., 1] /= e[:, None, None]
     moments = np.einsum("pt,q,ptqk->pk", 2 * areas, weights, _monomials(y, degree))
     return at, each, (moments @ inverse).ravel()
 
