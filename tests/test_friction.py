@@ -79,8 +79,8 @@ def test_slip_in_space(monkeypatch):
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
 
 
-def rotating(dim, swap=False, **options):
-    """A block on another one, far ends of which a rigid motion takes along."""
+def rotating(dim, swap=False, rigid=False, **options):
+    """A block on another one, far ends of which a rigid motion takes along, or all of the lower."""
     u, F, bcs, sides, goals = [], [], [], [], []
     low, high = 2 * dim - 1, 2 * dim
     for i in (0, 1):
@@ -94,12 +94,13 @@ def rotating(dim, swap=False, **options):
         cell = "quadrilateral" if dim == 2 else "hexahedron"
         mesh, ft = meshes.block(comm, (*[2 + i] * (dim - 1), 2), place, cell=cell)
         V = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
-        body, goal = Elastic.on(V, (1.0, 1.0), large=True), fem.Function(V)
+        body = Elastic.on(V, (1.0, 1.0), large=True)
+        fixed = rigid and i == 0
+        goals.append(body.u if fixed else fem.Function(V))
         dofs = fem.locate_dofs_topological(V, dim - 1, ft.find(high if i else low))
-        bcs.append(fem.dirichletbc(goal, dofs))
+        bcs += [] if fixed else [fem.dirichletbc(goals[i], dofs)]
         u.append(body.u)
-        F.append(body.F)
-        goals.append(goal)
+        F.append(None if fixed else body.F)
         sides.append((V, ft.find((high, low)[i])))
     contact = Contact(*sides[:: -1 if swap else 1], **options)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-11)
@@ -144,6 +145,17 @@ def test_rotation():
     close(rows.now.p, p, 1e-9)
     below, above = (part.sum(axis=0) for part in rows.acting())
     assert np.abs(below + above).max() <= 1e-14
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_rotation_with_an_obstacle(swap):
+    """A quarter turn in one load step, of an obstacle and of what is pressed on it."""
+    contact, problem, go = rotating(2, swap, rigid=True, friction=0.1)
+    go(0, 0, -0.1)
+    p = contact.rows.now.p.copy()
+    go(np.pi / 2, 0, -0.1)
+    assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
+    close(contact.rows.now.p, p, 1e-9)
 
 
 def test_back_and_forth():

@@ -351,13 +351,22 @@ class ContactSystem(NonlinearSystem):
         if None in motions:
             return
         for rows in self._rows:
-            u1 = rows.displacements([owned_values(f) for f in rows.fields])[1]
-            x = rows.sides[1].displaced(u1).x
-            shifts = [0 * x if body is None else motions[body].shift(x) for body in rows.bodies]
-            if np.abs(shifts[1] - shifts[0]).max() > FAR * rows.sides[1].reference.size.max():
+            assert rows.start is not None
+            now = rows.displacements([owned_values(f) for f in rows.fields])
+            x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
+            of_sides = []
+            for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):
+                moved = None if body is not None else side.displaced(u).x - x  # by the user
+                motion = motions[body] if moved is None else leading(MPI.COMM_SELF, x, moved)
+                of_sides.append(motion)
+            if None in of_sides:
                 rows.forget()
-            elif isinstance(rows, FrictionRows) and rows.bodies[1] is not None:
-                rows.turn(motions[rows.bodies[1]])
+                continue
+            shift0, shift1 = (motion.shift(x1) for motion in of_sides)
+            if np.abs(shift1 - shift0).max() > FAR * rows.sides[1].reference.size.max():
+                rows.forget()
+            elif isinstance(rows, FrictionRows):
+                rows.turn(of_sides[1])
         for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
             x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
             part.array[:] += motion.shift(x).ravel()

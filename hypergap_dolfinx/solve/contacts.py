@@ -92,6 +92,8 @@ class ContactRows:
         self._first: tuple[Gaps, npt.NDArray, npt.NDArray, Sparse] | None = None
         self.apart: npt.NDArray[np.float64] | None = None
         """:attr:`distance` where the load step starts, if nothing pushes there."""
+        self.start: Displacements | None = None
+        """Where the load step starts; None in the first one."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
@@ -223,6 +225,7 @@ class ContactRows:
 
     def accept(self):
         """The state is that from which the next load step starts."""
+        self.start = self.u
         if self.now.opening is not None:
             self._accepted = self._behind, self.m > 0
 
