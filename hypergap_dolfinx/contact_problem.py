@@ -118,6 +118,12 @@ class ContactProblem(ContactSystem):
                 f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
                 "and nothing else."
             )
+        for i, V in enumerate(f.function_space for f in u):
+            if V.value_shape != (V.mesh.geometry.dim,):
+                raise ValueError(
+                    f"body {i} has values of shape {V.value_shape}; in contact problems bodies "
+                    "have displacements and nothing else."
+                )
         contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
         if not contacts:
             raise ValueError(

@@ -143,6 +143,9 @@ def test_problem(caplog):
     for F, u in ((scene.F[0], scene.u), (scene.F, None), (scene.F, contact.spaces)):
         with raises(ValueError, "F and u are lists, with one form and one function for each body"):
             ContactProblem(F, u, contacts=[contact])
+    heat = fem.Function(fem.functionspace(scene.bodies[0].mesh, ("Lagrange", 1)))
+    with raises(ValueError, r"body 2 has values of shape \(\); in contact problems bodies have"):
+        ContactProblem([*scene.F, None], [*scene.u, heat], contacts=[contact])
     for none in ([], None):
         with raises(ValueError, "there are no contacts"):
             ContactProblem(scene.F, scene.u, contacts=none)
