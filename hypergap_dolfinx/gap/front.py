@@ -228,8 +228,11 @@ def advance(
     if status == 0:
         outer = np.vstack((start, end[:, [1, 0, 2]]))
         front, room = made.copy(), min(2 * len(made), max_cells)
-        swaps = (1 / EXTRAPOLATE, len(front), room, pointer(cells))
-        num = lib.front_swap(sides[0], n, pointer(vertices), flat, *swaps)
+        swaps = ((1 - 1e-9) / EXTRAPOLATE, len(front), room, pointer(cells))
+        along = vertices[:, :3] @ GENERIC
+        rank = np.empty(n, dtype=np.int32)
+        rank[np.lexsort((along, np.arange(n) >= sides[0]))] = np.arange(n, dtype=np.int32)
+        num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
         made, status = cells[:num], 0 if num > 0 else 2
         wrong = _check(sides[0], vertices, made, outer)
         if any(wrong):

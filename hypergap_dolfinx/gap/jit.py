@@ -28,8 +28,8 @@ int front_fill(int n0, int n1, const double *vertices, double flat, int num_star
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts);
-int front_swap(int n0, int n, const double *vertices, double flat, double least, int num, int max,
-               int *cells);
+int front_swap(int n0, int n, const double *vertices, const int *rank, double flat, double least,
+               int num, int max, int *cells);
 int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
                 int *found);
 int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,

@@ -11,12 +11,18 @@
 // the condition of G.
 
 #define RING 6 // cells around an edge at most
+#define MORE (1 + 1e-9) // what is better by less is as good: round-off doesn't choose
 
 typedef struct {
   Points points;
   int *cells, num, max; // cells that are gone have −1 as their first vertex
   int *first, *next;    // cells at each vertex: 4 c + k, and who comes next
+  const int *rank;      // of each vertex
 } Cells;
+
+typedef struct {
+  int ranks[4], cell;
+} Bad;
 
 typedef struct {
   double value;        // the least of the cells that come
@@ -59,6 +65,35 @@ static int may_be_edge(const Cells *all, int a, int b)
   return (a < all->points.n0) != (b < all->points.n0);
 }
 
+// The vertices by their ranks, and as even as before: which swaps are made mustn't depend on how
+// vertices and cells are numbered.
+static void sort_vertices(const int *rank, int *v)
+{
+  int odd = 0;
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3 - i; ++k)
+      if (rank[v[k]] > rank[v[k + 1]])
+      {
+        int w = v[k];
+        v[k] = v[k + 1], v[k + 1] = w;
+        odd = !odd;
+      }
+  if (odd)
+  {
+    int w = v[2];
+    v[2] = v[3], v[3] = w;
+  }
+}
+
+static int by_ranks(const void *a, const void *b)
+{
+  const int *v = ((const Bad *)a)->ranks, *w = ((const Bad *)b)->ranks;
+  for (int k = 0; k < 4; ++k)
+    if (v[k] != w[k])
+      return v[k] < w[k] ? -1 : 1;
+  return 0;
+}
+
 static void link_cell(Cells *all, int c)
 {
   for (int k = 0; k < 4; ++k)
@@ -95,9 +130,10 @@ static void try_face(const Cells *all, int cell, int k, Swap *best)
     return;
   const int come[3][4] = {{a, b, c, d}, {a, b, d, e}, {a, b, e, c}};
   double value = INFINITY;
-  for (int i = 0; i < 3 && value > best->value; ++i)
+  for (int i = 0; i < 3 && value > MORE * best->value; ++i)
     value = fmin(value, quality(&all->points, come[i][0], come[i][1], come[i][2], come[i][3]));
-  if (!(value > best->value) || fmin(quality_of(all, cell), quality_of(all, other)) >= value)
+  double before = fmin(quality_of(all, cell), quality_of(all, other));
+  if (!(value > MORE * fmax(best->value, before)))
     return;
   best->value = value;
   best->num_gone = 2, best->num_come = 3;
@@ -128,14 +164,18 @@ static int ring(const Cells *all, int a, int b, int *cells, int *polygon)
     to[num] = v[rest[1 - odd % 2]];
     cells[num++] = i / 4;
   }
-  for (int i = 0, at = 0; i < num; ++i)
+  int start = 0;
+  for (int j = 1; j < num; ++j)
+    if (all->rank[from[j]] < all->rank[from[start]])
+      start = j;
+  for (int i = 0, at = start; i < num; ++i)
   {
     polygon[i] = from[at];
     int next = -1;
     for (int j = 0; j < num; ++j)
       if (from[j] == to[at])
         next = j;
-    if (next < 0 || (next == 0) != (i == num - 1))
+    if (next < 0 || (next == start) != (i == num - 1))
       return 0;
     at = next;
   }
@@ -159,18 +199,18 @@ static void try_edge(const Cells *all, int a, int b, Swap *best)
         for (int k = i + 1; k < j; ++k)
         {
           double least = fmin(value[i][k], value[k][j]);
-          if (least > fmax(best->value, value[i][j]))
+          if (least > MORE * fmax(best->value, value[i][j]))
             least = fmin(least, quality(&all->points, p[i], p[k], p[j], b));
-          if (least > fmax(best->value, value[i][j]))
+          if (least > MORE * fmax(best->value, value[i][j]))
             least = fmin(least, quality(&all->points, p[k], p[i], p[j], a));
-          if (least > value[i][j])
+          if (least > MORE * value[i][j])
           {
             value[i][j] = least;
             cut[i][j] = k;
           }
         }
     }
-  if (!n || !(value[0][n - 1] > fmax(best->value, before)))
+  if (!n || !(value[0][n - 1] > MORE * fmax(best->value, before)))
     return;
   best->value = value[0][n - 1];
   best->num_gone = n, best->num_come = 0;
@@ -206,6 +246,7 @@ static int swap(Cells *all, int cell)
   for (int i = 0; i < best.num_come; ++i)
   {
     memcpy(all->cells + 4 * all->num, best.come[i], 4 * sizeof(int));
+    sort_vertices(all->rank, all->cells + 4 * all->num);
     link_cell(all, all->num++);
   }
   return 1;
@@ -215,12 +256,14 @@ static int swap(Cells *all, int cell)
 //
 // flat        D of a cell, over its scale, up to which there is to be none
 // least       cells of lower quality are swapped
+// rank        of each vertex, the same however they are numbered
 // num, cells  the cells, with room for max
 // Returns the number of cells, −1: no memory.
-int front_swap(int n0, int n, const double *vertices, double flat, double least, int num, int max,
-               int *cells)
+int front_swap(int n0, int n, const double *vertices, const int *rank, double flat, double least,
+               int num, int max, int *cells)
 {
   Cells all = {{n0, n, (const Vertex *)vertices, flat}, cells, num, max};
+  all.rank = rank;
   all.first = malloc((n + 1) * sizeof(int));
   all.next = malloc((4 * (size_t)max + 1) * sizeof(int));
   if (!all.first || !all.next)
@@ -228,20 +271,40 @@ int front_swap(int n0, int n, const double *vertices, double flat, double least,
     free(all.first), free(all.next);
     return -1;
   }
-  int linked = 0, kept = 0;
-  for (int c = 0; c < all.num; ++c) // those that come are behind
+  int kept = 0, num_bad = 0;
+  for (int c = 0; c < num; ++c)
   {
-    if (cells[4 * c] < 0 || quality_of(&all, c) >= least)
-      continue;
-    if (!linked) // most fronts have none
-    {
-      memset(all.first, -1, n * sizeof(int));
-      for (int i = 0; i < num; ++i)
-        link_cell(&all, i);
-      linked = 1;
-    }
-    swap(&all, c);
+    sort_vertices(rank, cells + 4 * c);
+    num_bad += quality_of(&all, c) < least;
   }
+  Bad *bad = malloc((num_bad + 1) * sizeof(Bad));
+  if (!bad)
+  {
+    free(all.first), free(all.next);
+    return -1;
+  }
+  if (num_bad) // most fronts have none
+  {
+    memset(all.first, -1, n * sizeof(int));
+    for (int c = 0, i = 0; c < num; ++c)
+    {
+      link_cell(&all, c);
+      if (quality_of(&all, c) < least)
+      {
+        for (int k = 0; k < 4; ++k)
+          bad[i].ranks[k] = rank[cells[4 * c + k]];
+        bad[i++].cell = c;
+      }
+    }
+    qsort(bad, num_bad, sizeof(Bad), by_ranks);
+  }
+  for (int i = 0; i < num_bad; ++i)
+    if (cells[4 * bad[i].cell] >= 0)
+      swap(&all, bad[i].cell);
+  for (int c = num; c < all.num; ++c) // those that came
+    if (cells[4 * c] >= 0 && quality_of(&all, c) < least)
+      swap(&all, c);
+  free(bad);
   for (int c = 0; c < all.num; ++c)
     if (cells[4 * c] >= 0)
       memmove(cells + 4 * kept++, cells + 4 * c, 4 * sizeof(int));
