@@ -149,6 +149,11 @@ class Ball:
         }
 
 
+def energies(rows):
+    """What the ball has at each time step, of all kinds."""
+    return np.array([row["kinetic"] + row["elastic"] + row["potential"] for row in rows])
+
+
 def bounces(rows, energy):
     """What each bounce took: the first and the last time with contact, and the energy.
 
@@ -156,7 +161,7 @@ def bounces(rows, energy):
         rows: The time steps.
         energy: Of the ball when it was dropped.
     """
-    total = np.array([row["kinetic"] + row["elastic"] + row["potential"] for row in rows])
+    total = energies(rows)
     on = np.array([row["in_contact"] > 0 for row in rows])
     starts, ends = (np.flatnonzero(np.diff(on.astype(int)) == sign) + 1 for sign in (1, -1))
     return [
@@ -199,8 +204,7 @@ def picture(rows, outlines, folder):
     above.axis("off")
     for name in ("kinetic", "elastic", "potential"):
         below.plot(t, [row[name] for row in rows], label=name)
-    total = [row["kinetic"] + row["elastic"] + row["potential"] for row in rows]
-    below.plot(t, total, "k", label="all")
+    below.plot(t, energies(rows), "k", label="all")
     below.set(xlabel="time", ylabel="energy", xlim=(0, t[-1]))
     below.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1))
     folder.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the package and the meshes
-from bouncing import Ball, R
+from bouncing import Ball, R, energies
 
 from hypergap_dolfinx import progress
 
@@ -110,7 +110,7 @@ def picture(rows, expected, folder):
     axes[0].axhline(expected, color="k", lw=0.8, ls="--", label="v₀ / (1 + k²)")
     axes[1].plot(t, [-row["fx"] / row["fy"] for row in rows], "C3", label="friction / pressure")
     lost = np.array([row["dissipated"] for row in rows])
-    total = np.array([row["kinetic"] + row["elastic"] + row["potential"] for row in rows])
+    total = energies(rows)
     axes[2].plot(t, total - total[0], label="energy")
     axes[2].plot(t, -(lost - lost[0]), "k--", lw=0.8, label="− dissipated")
     for ax in axes:
@@ -142,7 +142,7 @@ def main():
         progress.show(comm, f"step {step} of {steps}")
     progress.show(comm)
     kinetic = args.speed**2 / 2 * ball.weight
-    total = np.array([row["kinetic"] + row["elastic"] + row["potential"] for row in rows])
+    total = energies(rows)
     lost = np.array([row["dissipated"] for row in rows])
     result = {
         "expected": expected,

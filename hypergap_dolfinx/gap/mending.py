@@ -94,11 +94,11 @@ class Workshop:
         though its vertices' simplex isn't.
         """
         margins = self.margins
-        if margins:
-            filling = self.peeled(filling)
-        bad = margins(filling) <= 0 if margins else np.zeros(0, dtype=bool)
+        if margins is None:
+            return filling
+        filling = self.peeled(filling)
+        bad = margins(filling) <= 0
         while bad.any() and (made := self.coned(filling, bad)):
-            assert margins
             made = self.swapped(made)
             left = margins(made) <= 0
             if left.sum() >= bad.sum():

@@ -93,7 +93,7 @@ class ContactRows:
         self.apart: npt.NDArray[np.float64] | None = None
         """:attr:`distance` where the load step starts, if nothing pushes there."""
         self.start: Displacements | None = None
-        """Where the load step starts; None in the first one."""
+        """Where the load step starts; None before anything was looked at."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
@@ -148,6 +148,8 @@ class ContactRows:
             InterfaceError: There is no Σ, though the sides face each other.
         """
         self.u = self.displacements([owned_values(f) for f in self.fields])
+        if self.start is None:
+            self.start = self.u
         if self._follows:
             self._follow()
         else:

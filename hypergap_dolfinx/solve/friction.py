@@ -58,7 +58,6 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
-        self._accepted_at: Displacements | None = None
         self._fixed: Sparse | None = None
         self._carried = False
         self._elastic = np.zeros((across, num))  # part of slip that would go back
@@ -72,7 +71,7 @@ class FrictionRows(ContactRows):
     def set_out(self):
         """Read the coefficient of friction. Collective."""
         self.mu = self._friction.at_vertices()
-        self._since = self._accepted_at
+        self._since = self.start
 
     def turn(self, motion: RigidMotion):
         """What slip is counted from goes along with a rigid motion of both bodies. Collective."""
@@ -85,7 +84,7 @@ class FrictionRows(ContactRows):
         """Find gaps and slips where the bodies are. Collective."""
         super().look()
         if self._since is None:
-            self._since = self._accepted_at = self.u
+            self._since = self.start
         opening = self.now.opening
         if opening is None:
             self.T = self.S = Sparse.empty()
@@ -121,7 +120,7 @@ class FrictionRows(ContactRows):
         self.dissipated -= float((now.q * now.on * self.m * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
         now.sticks |= ~now.on
-        self._since = self._accepted_at = self.u
+        self._since = self.start
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
