@@ -19,10 +19,14 @@ from run_time.copies import copies, row
 
 NAME = "NGSolve"
 DIMS = (2, 3)
-PENALTIES = (0.02, 1.0, 10.0, 100.0, 2000.0)
-"""k h / E. The tutorial has 0.02 for its ball on a block, and 2000 for its rod in a hole."""
+NUMBERS = (1.0, 10.0, 100.0)
+"""k h / E."""
+AUTHORS = {(2, 1): 0.02, (2, 2): 0.02, (3, 1): 1000.0, (3, 2): 1000.0}
+"""Of dimension and degree: what the tutorial has for its ball on a block, and its rod in a hole."""
 POINTS = {2: 20, 3: 10}
 """Degree to which the energy is integrated. The tutorial has 200 for the ball, 10 for the rod."""
+STEPS = 40
+"""Newton steps at most."""
 BODIES = ("block", "round")
 
 
@@ -66,13 +70,13 @@ def curve(V, off):
     return u
 
 
-def solve(bodies, degree, penalty, stopwatch):
+def solve(bodies, degree, number, stopwatch):
     """Press the round body on the block.
 
     Args:
         bodies: What ``hertz.pair`` gives.
         degree: Of displacements and geometry.
-        penalty: One of :data:`PENALTIES`.
+        number: The penalty, over E / h.
         stopwatch: Called when all meshes are there; what it gives is called at the end.
 
     Returns:
@@ -81,7 +85,7 @@ def solve(bodies, degree, penalty, stopwatch):
     parts = copies(bodies)
     mesh, off = meshed(parts)
     dim = mesh.dim
-    k = penalty * hertz.E / parts[0].size
+    k = number * hertz.E / parts[0].size
     V = ngsolve.VectorH1(
         mesh, order=degree, dirichletx=".*_x", dirichlety=".*_y", dirichletz=".*_z"
     )
@@ -99,22 +103,23 @@ def solve(bodies, degree, penalty, stopwatch):
         mesh.Boundaries("block_touch"), mesh.Boundaries("round_touch")
     )
     x = ngsolve.CF((ngsolve.x, ngsolve.y, ngsolve.z)[:dim]) + curved
-    overlap = (x + u - x.Other() - u.Other()) * contact.normal
+    normal = ngsolve.specialcf.normal(dim)
+    overlap = (x + u - x.Other() - u.Other()) * normal
     contact.AddEnergy(IfPos(overlap, k / 2 * overlap**2, 0))
     moved, now = ngsolve.GridFunction(V), ngsolve.GridFunction(V)
-    depth = hertz.a**2 / (2 * hertz.R)
+    depth = hertz.a**2 / hertz.R
     moved.Set(ngsolve.CF((*(0,) * (dim - 1), -depth)), definedon=mesh.Materials("round"))
     now.vec.data = moved.vec + curved.vec
     contact.Update(now, form, POINTS[dim], hertz.a)
     small = 1e-9 * (hertz.P[dim] * depth) ** 0.5  # of the root of an energy
     status, steps = NewtonMinimization(
-        form, moved, inverse="sparsecholesky", printing=False, maxerr=small
+        form, moved, inverse="sparsecholesky", printing=False, maxerr=small, maxit=STEPS
     )
     times = stop()
 
     now.vec.data = moved.vec + curved.vec
     contact.Update(now, maxdist=hertz.a)
-    overlap = -contact.gap * contact.normal
+    overlap = -contact.gap * normal
     surface = mesh.Boundaries("block_touch")
     kind = {2: ngsolve.ET.SEGM, 3: ngsolve.ET.TRIG}[dim]
     rule = ngsolve.IntegrationRule(kind, 15)
@@ -126,6 +131,6 @@ def solve(bodies, degree, penalty, stopwatch):
     weights = np.array(rule.weights)
     dx_ = np.outer(areas, weights / weights.sum()).ravel()
     return row(
-        NAME, dim, degree, at, p, dx_, dofs=V.ndof, steps=steps, penalty=penalty,
+        NAME, dim, degree, at, p, dx_, dofs=V.ndof, steps=steps, number=number,
         converged=status == 0, **times,
     )  # fmt: skip

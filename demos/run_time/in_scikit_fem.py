@@ -18,8 +18,10 @@ from run_time.copies import copies, row
 
 NAME = "scikit-fem"
 DIMS = (2,)
-PENALTIES = (1.0, 10.0, 100.0, 1000.0)
-"""γ h / E. The method's authors have 100 for degree 1 and 1000 for degree 2 in their examples."""
+NUMBERS = (1.0, 10.0, 100.0)
+"""γ h / E."""
+AUTHORS = {(2, 1): 100.0, (2, 2): 1000.0}
+"""Of dimension and degree: what the method's authors have in their scripts of contact."""
 STEPS = 40
 """Iterations at most, as in the authors' example of a nonlinear contact."""
 
@@ -41,13 +43,13 @@ def found(mesh, vertices):
     return np.array([number[tuple(e)] for e in np.sort(vertices).tolist()])
 
 
-def solve(bodies, degree, penalty, stopwatch):
+def solve(bodies, degree, number, stopwatch):
     """Press the round body on the block.
 
     Args:
         bodies: What ``hertz.pair`` gives.
         degree: Of displacements and geometry.
-        penalty: One of :data:`PENALTIES`.
+        number: Nitsche's γ, over E / h.
         stopwatch: Called when all meshes are there; what it gives is called at the end.
 
     Returns:
@@ -60,7 +62,7 @@ def solve(bodies, degree, penalty, stopwatch):
         {name: found(basis.mesh, those) for name, those in part.facets.items()}
         for basis, part in zip(bases, parts, strict=True)
     ]
-    gamma = penalty * hertz.E / parts[0].size
+    gamma = number * hertz.E / parts[0].size
     mu, lmbda = hertz.lame()
 
     stop = stopwatch()
@@ -139,5 +141,5 @@ def solve(bodies, degree, penalty, stopwatch):
     p = np.maximum(pressure(), 0)
     return row(
         NAME, 2, degree, np.abs(x[0][0]), p, sides[0].dx, dofs=len(f), steps=steps,
-        penalty=penalty, converged=settled, **times,
+        number=number, converged=settled, **times,
     )  # fmt: skip
