@@ -25,7 +25,7 @@ from run_time.copies import row
 NAME = "hypergap"
 PARTS = ("bodies' assembly", "Σ, gaps, derivatives", "factors and solve", "rest")
 RATIO = 2 / 3  # round body's cells over the block's
-LEVELS = {(2, 1): (5, 10, 20, 40), (2, 2): (3, 5, 10, 20), (3, 1): (3, 4, 6, 8), (3, 2): (2, 3, 4)}
+LEVELS = {(2, 1): (5, 10, 20, 40), (2, 2): (3, 5, 10), (3, 1): (3, 4, 6, 8), (3, 2): (2, 3, 4)}
 """Of each dimension and degree a / h."""
 PEERS = ("in_ngsolve", "in_scikit_fem")
 
