@@ -623,7 +623,7 @@ def main():
     parser.add_argument("--degrees", default="1,2", metavar="1,2,3")
     parser.add_argument("--levels", type=int, default=4, help="the coarsest so many")
     parser.add_argument("--finest", action="store_true", help="the finest of these alone")
-    parser.add_argument("--sizes", metavar="0.05,0.02", help="cell sizes (n, h) instead of levels")
+    parser.add_argument("--sizes", metavar="0.05,0.02", help="n, h, a / h instead of levels")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--solver", choices=("direct", "bodies", "iterative"), help="of both")
     parser.add_argument("--dims", default="2,3", metavar="2,3", help="of contact")
@@ -633,6 +633,14 @@ def main():
     args = parser.parse_args()
     first = comm.rank == 0
     info, rows, peers, jit = header(), [], [], {}
+
+    def chosen(levels, number):
+        """The levels that are asked for."""
+        levels = levels[: args.levels]
+        if args.sizes:
+            levels = tuple(number(h) for h in args.sizes.split(","))
+        return levels[-1:] if args.finest else levels
+
     if first:
         print("\n".join(f"{name}: {value}" for name, value in info.items()))
     tied = SCENES if args.scene == "all" else [name for name in SCENES if name == args.scene]
@@ -646,19 +654,15 @@ def main():
                     "          n, h     dofs  L² displ.  L² stress  L² trac.  resid.  median "
                     f"[range] s   {' | '.join(PARTS)} | peak MiB | solver, iterations"
                 )
-            levels = SCENES[scene].levels[degree][: args.levels]
-            if args.sizes:
-                number = int if scene == "cylinder" else float
-                levels = tuple(number(h) for h in args.sizes.split(","))
-            for h in levels[-1:] if args.finest else levels:
+            number = int if scene == "cylinder" else float
+            for h in chosen(SCENES[scene].levels[degree], number):
                 level = measure(scene, degree, h, args.repeats, args.solver)
                 if first:
                     print_level(level)
                 rows += level
     if args.peers and comm.size == 1 and args.scene != "contact":
-        levels = SCENES["cylinder"].levels[2][: args.levels]
         print("\nscikit-fem's mortar method on a supermesh, cylinder, degree 2, and ours beside it")
-        for n in levels[-1:] if args.finest else levels:
+        for n in chosen(SCENES["cylinder"].levels[2], int):
             peers.append(measure_peer(n, args.repeats))
             peer, ours = peers[-1], peers[-1]["ours"]
             print(
@@ -670,11 +674,9 @@ def main():
             )
     pressed = []
     if args.scene in ("contact", "all"):
-        dims, degrees = (
-            [int(k) for k in part.split(",") if int(k) < 3 or part is args.dims]
-            for part in (args.dims, args.degrees)
-        )
-        pressed = contact.report(comm, dims, degrees, args.levels, args.repeats, args.peers)
+        dims = [int(dim) for dim in args.dims.split(",")]
+        degrees = [int(d) for d in args.degrees.split(",") if int(d) < 3]
+        pressed = contact.report(comm, dims, degrees, chosen, args.repeats, args.peers)
     if first and args.json:
         report = {**info, "compiling": jit, "rows": rows, "peers": peers, "contact": pressed}
         args.json.write_text(json.dumps(report, indent=1, ensure_ascii=False))

@@ -23,10 +23,12 @@ from hypergap_dolfinx import Contact, ContactProblem
 from run_time.copies import row
 
 NAME = "hypergap"
-PARTS = ("bodies' assembly", "Σ, gaps, derivatives", "factors and solve", "rest")
+PARTS = ("set-up", "bodies' assembly", "Σ, gaps, derivatives", "factors and solve", "rest")
 RATIO = 2 / 3  # round body's cells over the block's
 LEVELS = {(2, 1): (5, 10, 20, 40), (2, 2): (3, 5, 10), (3, 1): (3, 4, 6, 8), (3, 2): (2, 3, 4)}
 """Of each dimension and degree a / h."""
+NUMBERS = {1: (0.3, 1.0, 3.0), 2: (3.0, 10.0, 30.0)}
+"""Of each degree what other codes try, over E / h, beside their authors' numbers."""
 PEERS = ("in_ngsolve", "in_scikit_fem")
 
 
@@ -74,11 +76,11 @@ def part_of(function):
     file, _, name = function
     file = Path(file).as_posix()
     if "/hypergap_dolfinx/gap/" in file:
-        return PARTS[1]
-    if "/hypergap_dolfinx/solve/" in file and name in ("assemble_matrix", "_residual"):
-        return PARTS[0]
-    if file.endswith("/solve/saddle.py") and name == "solve":
         return PARTS[2]
+    if "/hypergap_dolfinx/solve/" in file and name in ("assemble_matrix", "_residual"):
+        return PARTS[1]
+    if file.endswith("/solve/saddle.py") and name == "solve":
+        return PARTS[3]
     return None
 
 
@@ -89,20 +91,22 @@ def shares(bodies, degree, sliding):
     """
     profile = cProfile.Profile(time.process_time)
     F, u, bcs, (below, above) = hertz.forms(bodies, degree)
+    seconds = dict.fromkeys(PARTS, 0.0)
     start = time.process_time()
     profile.enable()
     contact = Contact(above, below, sliding=sliding)
+    before = time.process_time()
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    seconds[PARTS[0]] = time.process_time() - before
     problem.solve()
     profile.disable()
     whole = time.process_time() - start
     problem.destroy()
-    seconds = dict.fromkeys(PARTS, 0.0)
     for function, (*_, callers) in pstats.Stats(profile).stats.items():
         part = part_of(function)
         if part:
             seconds[part] += sum(c[3] for by, c in callers.items() if part_of(by) != part)
-    seconds[PARTS[3]] = whole - sum(seconds.values())
+    seconds[PARTS[4]] = whole - sum(seconds.values())
     return {part: s / whole for part, s in seconds.items()}
 
 
@@ -129,7 +133,7 @@ def measure(bodies, degree, division, repeats):
 def measure_peer(peer, bodies, degree, division, repeats):
     """A code's rows: with its authors' number, and with that of the smallest error."""
     dim = bodies[0][0].geometry.dim
-    numbers = sorted({*peer.NUMBERS, peer.AUTHORS[dim, degree]})
+    numbers = sorted({*NUMBERS[degree], peer.AUTHORS[dim, degree]})
     tried = {k: peer.solve(bodies, degree, k, stopwatch) for k in numbers}
     ended = [found for found in tried.values() if found["converged"]]
     authors = tried[peer.AUTHORS[dim, degree]]
@@ -168,14 +172,14 @@ def print_row(row):
     )
 
 
-def report(comm, dims, degrees, num_levels, repeats, compare):
+def report(comm, dims, degrees, chosen, repeats, compare):
     """Sweep dimensions, degrees and levels.
 
     Args:
         comm: Communicator.
         dims: Numbers of dimensions.
         degrees: Of displacements.
-        num_levels: The coarsest so many.
+        chosen: Gives those of some levels that are asked for.
         repeats: Runs of each, of which the medians count.
         compare: Whether other codes run too.
 
@@ -186,7 +190,7 @@ def report(comm, dims, degrees, num_levels, repeats, compare):
     others = peers() if compare and comm.size == 1 else []
     for dim in dims:
         for degree in degrees:
-            levels = LEVELS[dim, degree][:num_levels]
+            levels = chosen(LEVELS[dim, degree], int)
             bodies = hertz.pair(comm, hertz.a / levels[0], degree, RATIO, dim)
             solve(bodies, degree, "small")  # compiles the forms
             if first:
@@ -282,7 +286,9 @@ def draw(rows, folder):
         if method.startswith(NAME)
     }
     bottom = np.zeros(len(own))
-    for part, shade in zip(PARTS, ("tab:cyan", "tab:blue", "tab:purple", "0.8"), strict=True):
+    for part, shade in zip(
+        PARTS, ("0.5", "tab:cyan", "tab:blue", "tab:purple", "0.8"), strict=True
+    ):
         height = np.array([100 * r["split"][part] for r in own.values()])
         axes[-1].bar(range(len(own)), height, bottom=bottom, color=shade, label=part)
         bottom += height

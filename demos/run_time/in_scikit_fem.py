@@ -18,10 +18,8 @@ from run_time.copies import copies, row
 
 NAME = "scikit-fem"
 DIMS = (2,)
-NUMBERS = (1.0, 10.0, 100.0)
-"""γ h / E."""
 AUTHORS = {(2, 1): 100.0, (2, 2): 1000.0}
-"""Of dimension and degree: scripts of scikit-fem's author have 1/γ = 1e-2 h / E and 1e-3 h / E."""
+"""γ h / E of dimension and degree, as scripts of scikit-fem's author have it."""
 STEPS = 40
 """Iterations at most."""
 
