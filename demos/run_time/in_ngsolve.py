@@ -20,7 +20,7 @@ from run_time.copies import copies, row
 NAME = "NGSolve"
 DIMS = (2, 3)
 AUTHORS = {(2, 1): 0.02, (2, 2): 0.02, (3, 1): 1000.0, (3, 2): 1000.0}
-"""k h / E of dimension and degree: the tutorial's for its ball on a block, and its rod in a hole."""
+"""k h / E of dimension and degree: the tutorial's for its ball on a block, its rod in a hole."""
 POINTS = {2: 20, 3: 10}
 """Degree to which the energy is integrated. The tutorial has 200 for the ball, 10 for the rod."""
 STEPS = 40
