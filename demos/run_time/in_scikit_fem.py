@@ -117,7 +117,7 @@ def solve(bodies, degree, number, stopwatch):
         ]
     )
     u = np.zeros(len(f))
-    u[bases[0].N :][bases[1].get_dofs(elements=True).all("u^2")] = -(hertz.a**2) / (2 * hertz.R)
+    u[bases[0].N :][bases[1].get_dofs(elements=True).all("u^2")] = -(hertz.a**2) / hertz.R
 
     def pressure():
         """At the points of both sides."""
