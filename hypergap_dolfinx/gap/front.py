@@ -24,8 +24,9 @@ from hypergap_dolfinx.gap.walls import Rim, rims
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
 SWEEP = 0.1
-"""The displacement, in edges, that heights of closed surfaces stand for besides: with it a front
-goes from one end to the other, and what it works on stays in a cache."""
+"""The displacement, in edges, that heights stand for besides: with it a front goes from one end to
+the other, and what it works on stays in a cache."""
+SWEPT = 10_000  # vertices of surfaces with walls, to which the displacement isn't told, that are swept
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up
 VISITS = 30_000_000  # of edges in it; of many edges
@@ -221,7 +222,7 @@ def advance(
         visits = max(VISITS, VISITS_EACH * len(edges))
         lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), SWEEPS, visits)
     sides = (n1, n0) if reverse else (n0, n1)
-    if not problem.rims:
+    if not problem.rims or n > SWEPT:
         vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
     walls = problem.walls(sign * shift, weights)
