@@ -59,7 +59,7 @@ def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
     """
     num, size = corners.shape
     found = np.full(num, -1, dtype=np.int32)
-    if num and size < 4:
+    if num and size < 4 and len(triangles):
         status = library().lib.find_facets(
             int(max(triangles.max(), corners.max())) + 1,
             len(triangles),
