@@ -26,7 +26,7 @@ GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in t
 SWEEP = 0.1
 """The displacement, in edges, that heights stand for besides: with it a front goes from one end to
 the other, and what it works on stays in a cache."""
-SWEPT = 10_000  # vertices of surfaces with walls, to which the displacement isn't told, that are swept
+SWEPT = 10_000  # vertices of surfaces with walls from which they are swept too
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up
 VISITS = 30_000_000  # of edges in it; of many edges
@@ -162,10 +162,10 @@ class Front:
     walls: npt.NDArray[np.intp]
     """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
     left: int
-    """Number of its triangles that are no facets of the surface where it ends, where cavities are."""
+    """Number of its triangles that are no facets of the surface where it ends: beside cavities."""
     wrong: tuple[int, int]
-    """Number of cells that are flat or inverted, and of faces that don't have one cell on each
-    side."""
+    """Number of cells that are flat or inverted, and of faces that don't have one cell, or a cavity,
+    on each side; where much is left nobody looks."""
 
     @property
     def is_valid(self) -> bool:

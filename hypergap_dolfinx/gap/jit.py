@@ -35,8 +35,8 @@ int find_facets(int n, int num_facets, const int *facets, int size, int num, con
 int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,
                const int *cells, int *bases);
 int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
-int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer, int *faces,
-                 int *counts);
+int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
+                 int *faces, int *counts);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
 """
