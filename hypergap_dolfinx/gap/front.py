@@ -164,7 +164,7 @@ class Front:
     left: int
     """Number of its triangles that are no facets of the surface where it ends: beside cavities."""
     wrong: tuple[int, int]
-    """Number of cells that are flat or inverted, and of faces that don't have one cell, or a cavity,
+    """Number of cells that are flat or inverted, and of faces that don't have one cell or a cavity
     on each side; where much is left nobody looks."""
 
     @property
