@@ -22,6 +22,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap import heights, slip_columns
+from hypergap_dolfinx.gap.columns import Blocks
 from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moments import rule
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
@@ -36,6 +37,8 @@ from hypergap_dolfinx.gap.opposite import (
     reference_corners,
 )
 from hypergap_dolfinx.gap.surface import Surface, is_outline, lengths
+
+COARSE = 2  # degree of the rule for second derivatives
 
 
 @dataclass
@@ -53,8 +56,28 @@ class _State:
     piece: npt.NDArray[np.intp]
     """The piece of each of them."""
     weights: npt.NDArray[np.float64]
+    exact: int
+    """Degree of that rule."""
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, once they are asked for."""
+
+    def coarse(self, on) -> tuple[Rays, npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """Rays from points of a rule of degree :data:`COARSE` at most on some pieces.
+
+        Args:
+            on: Numbers of pieces.
+
+        Returns:
+            The rays, and the piece and the weight of each.
+        """
+        if self.exact > COARSE:
+            rays, piece, weights = _cast(
+                self.surfaces, self.frames, self.pieces.some(on), COARSE
+            )
+            return rays, on[piece], weights
+        each = len(self.piece) // len(self.vertex)  # points follow each other as pieces do
+        points = (on[:, None] * each + np.arange(each)).ravel()
+        return self.rays.some(points), self.piece[points], self.weights[points]
 
     @property
     def areas(self) -> npt.NDArray[np.float64]:
@@ -160,7 +183,7 @@ class Opening:
             T = by_dofs(state.surfaces, rays)
             first = _first(piece)
             block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
-            dofs = self._dofs(rays)[first]
+            dofs = self._dofs(*rays.facets)[first]
             i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
             j.append(dofs.ravel())
             values.append(block.reshape(-1, 3))
@@ -175,40 +198,26 @@ class Opening:
             p: ``(num_multipliers,)``.
         """
         state = self._at(u)
-        i, j, values = [], [], []
-
-        def add(rays, half, axes):
-            rows, columns, half = self._by_facets(rays, half, axes)
-            i.append(rows.ravel())
-            j.append(columns.ravel())
-            values.append((half + half.transpose(0, 2, 1, 4, 3)).reshape(-1, 9))
-
         pressure = p[state.vertex]
         on = np.flatnonzero(pressure)
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = _cast(
-            state.surfaces, state.frames, state.pieces.some(on), exact=False
-        )
-        H = (pressure[on[piece]] * weights)[:, None, None] * rays.half_hessian()
+        rays, piece, weights = state.coarse(on)
+        facets = tuple(facet[on] for facet in state.pieces.facets)
+        first = _first(*facets)
+        pair = np.zeros(len(pressure), dtype=np.int32)  # of each piece
+        pair[on[first[1:]]] = 1
+        pair = np.cumsum(pair)
         T = by_dofs(state.surfaces, rays)
-        num, vectors, nodes = T.shape
-        half = T.transpose(0, 2, 1) @ H.reshape(num, vectors, -1)
-        half = half.reshape(num, nodes, 3, vectors, 3).transpose(0, 3, 1, 2, 4)
-        # The points of a piece are summed in one product
-        T, half = T.reshape(len(on), -1, nodes), half.reshape(len(on), -1, 9 * nodes)
-        block = (T.transpose(0, 2, 1) @ half).reshape(-1, nodes, nodes, 3, 3)
-        add(rays, block, (2, 1, 3, 4))
+        blocks = Blocks(len(first), T.shape[2])
+        blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays, T)
         edges = _edges(state, pressure != 0)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
             T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
-            a, b = (
-                (T @ part).reshape(-1, 2, 3 * nodes)  # two points on each edge
-                for part in _kinks(edges, pressure[edges.piece] * edges.weights)
-            )
-            block = (a.transpose(0, 2, 1) @ b).reshape(-1, nodes, 3, nodes, 3)
-            add(edges.rays, block, (1, 3, 2, 4))
-        return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
+            a, b = _kinks(edges, pressure[edges.piece] * edges.weights)
+            blocks.add_products(pair[edges.piece], T @ a, T @ b)
+        dofs = self._dofs(*(facet[first] for facet in facets))
+        return self._by_pairs(dofs, blocks.values)
 
     def slip(
         self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
@@ -228,7 +237,7 @@ class Opening:
         state = self._at(u)
         rays, first = state.rays, _first(state.piece)
         T = by_dofs(state.surfaces, rays)
-        dofs, vertex = self._dofs(rays), state.vertex[state.piece]
+        dofs, vertex = self._dofs(*rays.facets), state.vertex[state.piece]
         moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])[dofs]
         ends = slip_columns.directions(state.surfaces[1], state.frames)[lender[vertex]]
         results = []
@@ -262,14 +271,12 @@ class Opening:
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = _cast(
-            state.surfaces, state.frames, state.pieces.some(on), exact=False
-        )
+        rays, piece, weights = state.coarse(on)
         T = by_dofs(state.surfaces, rays)
-        block = slip_columns.curvature(rays, T, weights[:, None] * traction[on][piece])
-        i, j, block = self._by_facets(rays, block, (1, 3, 2, 4))
-        values = block.reshape(-1, 9)
-        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
+        block = slip_columns.curvature(rays, T, weights[:, None] * traction[piece])
+        first = _first(*rays.facets)
+        block = np.add.reduceat(block, first).transpose(0, 1, 3, 2, 4)
+        return self._by_pairs(self._dofs(*rays.facets)[first], block)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.
@@ -324,30 +331,16 @@ class Opening:
     def _num_dofs(self) -> int:
         return sum(len(side.dofs) for side in self.sides)
 
-    def _dofs(self, rays: Rays) -> npt.NDArray[np.intp]:
-        """Dofs of both facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
-        below, above = (side.at_facets[f] for side, f in zip(self.sides, rays.facets, strict=True))
+    def _dofs(self, f0, f1) -> npt.NDArray[np.intp]:
+        """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
+        below, above = (side.at_facets[f] for side, f in zip(self.sides, (f0, f1), strict=True))
         return np.hstack((below, len(self.sides[0].dofs) + above))
 
-    def _by_facets(self, rays: Rays, block, axes) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """Blocks, each of as many points, summed for each pair of facets; and their dofs.
-
-        Args:
-            rays: The points.
-            block: ``(num_blocks, ...)``.
-            axes: Those of the dofs of rows and columns, and of their components.
-
-        Returns:
-            Dofs of rows and of columns, ``(num_pairs, num_dofs, num_dofs)``, and the sums,
-            ``(num_pairs, num_dofs, num_dofs, 3, 3)``.
-        """
-        num = len(block)
-        each = len(rays.X) // num
-        first = _first(*(facet[::each] for facet in rays.facets))
-        total = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
-        dofs = self._dofs(rays)[::each][first]
-        rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
-        return rows, columns, total.transpose(0, *axes)
+    def _by_pairs(self, dofs, blocks) -> Sparse:
+        """Sum of blocks, ``(num, num_dofs, num_dofs, 3, 3)``, by dofs, ``(num, num_dofs)``."""
+        i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
+        values = blocks.reshape(-1, 9)
+        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
 
 
 def _first(*numbers) -> npt.NDArray[np.intp]:
@@ -417,25 +410,19 @@ def _place(sides: Sides, u: Displacements) -> _State:
             f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
             "along its normals; check the tags."
         )
-    rays, piece, weights = _cast(surfaces, frames, pieces, exact=True)
+    degree = max(surface.geometry.degree for surface in surfaces)
+    # What is linear on straight triangles has enough with 1
+    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
+    exact = 1 if linear else 2 * degree
+    rays, piece, weights = _cast(surfaces, frames, pieces, exact)
     vertex = _stand_ins(above, pieces)[pieces.vertex]
     copy = u[0].copy(), u[1].copy()
-    return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights)
+    return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights, exact)
 
 
-def _cast(surfaces, frames: Frames, pieces: Pieces, *, exact: bool):
-    """Rays from the points of a rule on pieces, which piece each is on, and weights.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        frames: Of Γ1.
-        pieces: The pieces.
-        exact: Whether the rule has twice the facets' degree, not 2; what is linear on straight
-            triangles has enough with 1.
-    """
-    degree = max(surface.geometry.degree for surface in surfaces)
-    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
-    X, piece, weights = rule(pieces.X, 1 if linear else 2 * degree if exact else 2)
+def _cast(surfaces, frames: Frames, pieces: Pieces, degree: int):
+    """Rays from the points of a rule on pieces, which piece each is on, and weights."""
+    X, piece, weights = rule(pieces.X, degree)
     facets = tuple(f[piece] for f in pieces.facets)
     return heights.cast(surfaces, frames, facets, X), piece, weights
 
