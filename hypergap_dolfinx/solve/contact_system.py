@@ -299,9 +299,13 @@ class ContactSystem(NonlinearSystem):
         parts = residual.getNestSubVecs()
         self._add_contact(parts, all_dofs=False)
         num = len(self._u)
-        worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
         saddle.destroy_parts(parts)
         residual.destroy()
+        if not np.isfinite(worst):
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        if not all(rows.is_closed(rows.closed) for rows in self._rows):
+            return False  # forces needn't be assembled to see that
         size, least = 0.0, 0.0
         for u, F, K in zip(self._u, self._F, self._K, strict=True):
             raw = compat.create_vector(u.function_space)
@@ -312,12 +316,7 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
-        self._unbalanced = worst
-        if not np.isfinite(worst):
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
-        if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
-            return False
-        return all(rows.is_closed(rows.closed) for rows in self._rows)
+        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)))
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""
