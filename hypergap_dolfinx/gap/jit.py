@@ -20,7 +20,9 @@ import numpy.typing as npt
 
 from dolfinx.jit import get_options
 
-NAMES = "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
+NAMES = (
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
+)
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,

@@ -71,9 +71,7 @@ class _State:
             The rays, and the piece and the weight of each.
         """
         if self.exact > COARSE:
-            rays, piece, weights = _cast(
-                self.surfaces, self.frames, self.pieces.some(on), COARSE
-            )
+            rays, piece, weights = _cast(self.surfaces, self.frames, self.pieces.some(on), COARSE)
             return rays, on[piece], weights
         each = len(self.piece) // len(self.vertex)  # points follow each other as pieces do
         points = (on[:, None] * each + np.arange(each)).ravel()

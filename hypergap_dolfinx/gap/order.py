@@ -36,6 +36,8 @@ class Order:
     """Whether it is a loop, ``(num_chains,)``."""
     ends: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
     """First and last facets of those that aren't loops."""
+    is_end: npt.NDArray[np.bool_]
+    """Whether a facet is a first and whether it is a last one, ``(2, num_facets)``."""
     chain: npt.NDArray[np.intp]
     """Of each facet, ``(num_facets,)``."""
     position: npt.NDArray[np.intp]
@@ -57,10 +59,13 @@ class Order:
         closed = np.array([part.closed for part in found])
         start = np.cumsum(count) - count
         ends = facets[start[~closed]], facets[(start + count - 1)[~closed]]
+        is_end = np.zeros((2, len(facets)), dtype=bool)
+        for which, some in zip(is_end, ends, strict=True):
+            which[some] = True
         chain, position = np.empty_like(facets), np.empty_like(facets)
         chain[facets] = np.repeat(np.arange(len(found)), count)
         position[facets] = np.arange(len(facets)) - np.repeat(start, count)
-        return cls(kinks, facets, start, count, closed, ends, chain, position)
+        return cls(kinks, facets, start, count, closed, ends, is_end, chain, position)
 
     def ways(self, length, a, b) -> npt.NDArray[np.float64]:
         """Ways between middles of facets of the same chains, the shorter ones round loops.

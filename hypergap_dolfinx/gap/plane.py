@@ -27,7 +27,7 @@ from hypergap_dolfinx.gap.surface import Surface, lengths
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells with their bases on one side."""
+    """Cells of which all bases have one element, and all apexes."""
 
     numbers: npt.NDArray[np.intp]
     """Of the variables of each: base's nodes, apex' nodes, parameters, ``(num, num_variables)``."""
@@ -36,8 +36,8 @@ class _Cells:
     """Areas, ``(num,)``."""
     vertices: npt.NDArray[np.intp]
     """Vertices of Γ1 with one half each, ``(num, 2)``."""
-    rank: npt.NDArray[np.int32]
-    """Rank of the body's cell at the base, ``(num,)``."""
+    which: npt.NDArray[np.bool_]
+    """Of all cells, ``(num_cells,)``."""
     places: tuple
     """Elements, nodes of bases and of apexes, parameters: what :mod:`fans` is asked about."""
 
@@ -55,8 +55,8 @@ class _State:
     """Σ at displacements."""
 
     u: Displacements
-    cells: tuple[_Cells, _Cells]
-    """With bases on Γ0 and on Γ1."""
+    cells: list[_Cells]
+    """All of them, or those with bases on Γ0 and those with bases on Γ1."""
     crossings: fans.Crossings
     numbers: npt.NDArray[np.intp]
     """Of the nodes at each crossing, ``(num_crossings, num_nodes0 + num_nodes1)``."""
@@ -65,8 +65,8 @@ class _State:
     fans: Fans
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
-    slopes: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
-    """Derivatives of slips by both sides' variables, likewise."""
+    slopes: list[npt.NDArray[np.float64]] | None = None
+    """Derivatives of cells' slips by their variables, likewise."""
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, likewise."""
 
@@ -322,10 +322,9 @@ class PlaneOpening:
         H.destroy()
         return Sparse.of(product)
 
-    def _slopes(self, state: _State) -> tuple[npt.NDArray, npt.NDArray]:
+    def _slopes(self, state: _State) -> list[npt.NDArray[np.float64]]:
         if state.slopes is None:
-            below, above = state.cells
-            state.slopes = slip_fans.slopes(*below.places), slip_fans.slopes(*above.places)
+            state.slopes = [slip_fans.slopes(*cells.places) for cells in state.cells]
         return state.slopes
 
     def _at_nodes(self, i: int, u) -> npt.NDArray[np.float64]:
@@ -356,11 +355,15 @@ class PlaneOpening:
             u: Displacements.
             p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
         """
-        every = self._at(u).cells
+        state = self._at(u)
+        every, side, base = state.cells, state.fans.side, state.fans.base
+        rank = np.empty(len(base), dtype=np.int32)
+        for i, moving in enumerate(self.sides):
+            rank[side == i] = moving.reference.owner[base[side == i]]
         m, volume = (np.concatenate(part) for part in zip(*((c.m, c.gap.value) for c in every)))
         return OpenCells(
             x=np.concatenate([cells.x for cells in every]),
-            rank=np.concatenate([cells.rank for cells in every]),
+            rank=np.concatenate([rank[cells.which] for cells in every]),
             gap=np.divide(volume, m, out=np.zeros_like(m), where=m > 0),
             pressure=np.concatenate([p[cells.vertices].mean(axis=1) for cells in every]),
         )
@@ -379,36 +382,31 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], last: _State | No
         mesh_strip(*surfaces)  # says why
         raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
     elements = surfaces[0].geometry, surfaces[1].geometry
-    count = [surface.nodes.shape[1] for surface in surfaces]
-    offsets = 0, len(surfaces[0].facets) * count[0]
-    num_nodes = offsets[1] + len(surfaces[1].facets) * count[1]
+    nodes = np.concatenate([surface.nodes.reshape(-1, 2) for surface in surfaces])
+    offsets = np.array((0, surfaces[0].nodes[..., 0].size))
 
-    def numbers(i: int, facets):
-        """Numbers of the nodes of facets of a side."""
-        return offsets[i] + facets[:, None] * count[i] + np.arange(count[i])
+    def numbers(side, facets, element):
+        """Numbers of the nodes of facets, each on its side, of one element."""
+        return (offsets[side] + facets * element.dim)[..., None] + np.arange(element.dim)
 
-    facets, unknown = found.crossings.facets.T, found.crossings.unknown
+    facets, unknown = found.crossings.facets, found.crossings.unknown
     each, s = np.arange(len(unknown)), np.empty((len(unknown), 2))
     s[each, unknown], s[each, 1 - unknown] = found.crossings.guess, found.crossings.given
-    X0, X1 = (surface.nodes[f] for surface, f in zip(surfaces, facets, strict=True))
-    crossings = fans.Crossings(elements, X0, X1, unknown, s)
+    at_crossings = [numbers(i, facets[:, i], elements[i]) for i in (0, 1)]
+    crossings = fans.Crossings(elements, *(nodes[part] for part in at_crossings), unknown, s)
     at = np.concatenate((POSITIONS, crossings.value))
     cells = []
-    for i in (0, 1):
-        mine = found.side == i
-        base, apex, parameters = found.base[mine], found.apex[mine], found.parameters[mine]
-        X, Q = surfaces[i].nodes[base], surfaces[1 - i].nodes[apex]
-        of = elements[i], elements[1 - i]
-        places = of, X, Q, at[parameters]
+    alike = elements[0] == elements[1]
+    for i, mine in enumerate([found.side >= 0] if alike else [found.side == i for i in (0, 1)]):
+        side, parameters = found.side[mine], found.parameters[mine]
+        base = numbers(side, found.base[mine], elements[i])
+        apex = numbers(1 - side, found.apex[mine], elements[1 - i])
+        places = (elements[i], elements[1 - i]), nodes[base], nodes[apex], at[parameters]
         gap = fans.Volumes(*places)
-        nodes = np.hstack((numbers(i, base), numbers(1 - i, apex)))
-        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(base), -1)
-        index = np.hstack((nodes, 2 * num_nodes + parameters))
+        variables = 2 * np.hstack((base, apex))[..., None] + np.arange(2)
+        variables = np.hstack((variables.reshape(len(base), -1), 2 * len(nodes) + parameters))
         m = 0.5 * lengths(gap.chord)
-        cells.append(
-            _Cells(index, gap, m, found.vertices[mine], surfaces[i].owner[base], places)
-        )
-    at_crossings = np.hstack((numbers(0, facets[0]), numbers(1, facets[1])))
+        cells.append(_Cells(variables, gap, m, found.vertices[mine], mine, places))
     copy = u[0].copy(), u[1].copy()
-    num, both = 2 * num_nodes + len(at), (cells[0], cells[1])
-    return _State(copy, both, crossings, at_crossings, num, found)
+    num = 2 * len(nodes) + len(at)
+    return _State(copy, cells, crossings, np.hstack(at_crossings), num, found)

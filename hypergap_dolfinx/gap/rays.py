@@ -116,7 +116,9 @@ class _Rays:
             # Positions along Γ1's edges, in lengths of them, of both ends of Γ0's
             s = np.einsum("fekx,fx->kfe", v0 - a[:, None, None], c) / length**2
             faces = (s[0] - s[1]) * length > FACES * size
-            before, behind = (POSITIONS[:, None, None] + np.zeros((3, 1, len(v0))) for _ in range(2))
+            before, behind = (
+                POSITIONS[:, None, None] + np.zeros((3, 1, len(v0))) for _ in range(2)
+            )
             before[..., order.ends[0]] -= END
             behind[..., order.ends[1]] += END
             k, row, facet = np.nonzero(faces & (s[0] > before) & (s[1] <= behind))
@@ -190,8 +192,9 @@ def _cover(rays: _Rays, order: Order, walls: npt.NDArray[np.intp], least) -> _Co
     facet[position[:, 1] - position[:, 0] <= least, Fixed.MIDDLE] = NONE
     # Where a ray meets an end of Γ0 the parameter is known
     parameter = np.full(facet.shape, NONE)
-    for number, ends in zip((Fixed.START, Fixed.END), order.ends, strict=True):
-        parameter[np.isin(facet, ends) & (rays.t == POSITIONS[number])] = number
+    for number in (Fixed.START, Fixed.END):
+        parameter[order.is_end[number, facet] & (rays.t == POSITIONS[number])] = number
+    parameter[facet < 0] = NONE
     parameter[:, Fixed.MIDDLE] = NONE
     parameter[:, :2] = np.where(cuts, (Fixed.END, Fixed.START), parameter[:, :2])
     parameter[:, :2] = np.where(walled, walls[..., 1], parameter[:, :2])
