@@ -107,6 +107,7 @@ class Rays:
         )
         return result
 
+    @cached_property
     def feet(self) -> npt.NDArray[np.float64]:
         """How the rays' ends move on Γ0, ∂ξ/∂q, ``(num, 2, 7, 3)``."""
         (_, _, m), (_, _, b) = self.normals, self.products

@@ -13,6 +13,7 @@ fill what is between them. Pieces' edges move with Γ0; as f is continuous acros
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -60,6 +61,11 @@ class _State:
     """Degree of that rule."""
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, once they are asked for."""
+
+    @cached_property
+    def by_dofs(self) -> npt.NDArray[np.float64]:
+        """∂q/∂u of the rays, ``(num_points, 7, num_dofs)``."""
+        return by_dofs(self.surfaces, self.rays)
 
     def coarse(self, on) -> tuple[Rays, npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Rays from points of a rule of degree :data:`COARSE` at most on some pieces.
@@ -170,15 +176,14 @@ class Opening:
             for part in (state.volumes, state.areas)
         )
         fixed = state.rays.gradient() * state.weights[:, None, None]
-        parts = [(state.rays, state.piece, fixed)]
+        parts = [(state.rays, state.piece, state.by_dofs, fixed)]
         rim = _edges(state, outline=True)
         if len(rim.piece):
             s, a, b = rim.rays.products
             moved = (rim.weights * s * a / b)[:, None, None] * rim.motion
-            parts.append((rim.rays, rim.piece, moved))
+            parts.append((rim.rays, rim.piece, by_dofs(state.surfaces, rim.rays), moved))
         i, j, values = [], [], []
-        for rays, piece, by_q in parts:
-            T = by_dofs(state.surfaces, rays)
+        for rays, piece, T, by_q in parts:
             first = _first(piece)
             block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
             dofs = self._dofs(*rays.facets)[first]
@@ -217,41 +222,64 @@ class Opening:
         dofs = self._dofs(*(facet[first] for facet in facets))
         return self._by_pairs(dofs, blocks.values)
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
-    ) -> tuple[Sparse, Sparse]:
+    def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0 is made of, in two directions at each vertex of Γ1.
 
         Args:
             u: Displacements.
-            since: Those from which slip is counted.
             lender: The vertex whose directions each has, ``(num_multipliers,)``: slips of
                 several are added where they share a traction.
 
         Returns:
-            T with s = T (u − u_since), and S = ∂s/∂u, with 2 num_multipliers rows: those of the
-            second directions are behind those of the first.
+            T with s = T (u − u_since), with 2 num_multipliers rows: those of the second directions
+            are behind those of the first.
         """
         state = self._at(u)
-        rays, first = state.rays, _first(state.piece)
-        T = by_dofs(state.surfaces, rays)
-        dofs, vertex = self._dofs(*rays.facets), state.vertex[state.piece]
-        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])[dofs]
-        ends = slip_columns.directions(state.surfaces[1], state.frames)[lender[vertex]]
-        results = []
-        for found in (
-            [slip_columns.slips(rays, T, ends[:, k]) for k in (0, 1)],
-            [slip_columns.slopes(rays, T, ends[:, k], moves) for k in (0, 1)],
-        ):
-            i, j, values = [], [], []
-            for k, part in enumerate(found):
-                block = np.add.reduceat(state.weights[:, None, None] * part, first)
-                rows = (k * self.num_multipliers + vertex)[first, None]
-                i.append(np.broadcast_to(rows, block.shape[:2]).ravel())
-                j.append(dofs[first].ravel())
-                values.append(block.reshape(-1, 3))
-            results.append(_summed(i, j, values, (1, 3), 3 * self._num_dofs))
-        return results[0], results[1]
+        T, directions = state.by_dofs, self._directions(state, lender, state.piece)
+        slips = [slip_columns.slips(state.rays, T, e) for e in directions]
+        return self._slip_rows(state, state.rays, state.piece, state.weights, slips)
+
+    def slip_slopes(
+        self,
+        u: Displacements,
+        since: Displacements,
+        lender: npt.NDArray[np.intp],
+        on: npt.NDArray[np.bool_],
+    ) -> Sparse:
+        """∂s/∂u, of the size of T.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+            lender: As for :meth:`slip`.
+            on: Vertices that are asked for, ``(num_multipliers,)``.
+        """
+        state = self._at(u)
+        points = np.flatnonzero(on[state.vertex[state.piece]])
+        if not len(points):
+            return Sparse.empty()
+        rays, piece = state.rays.some(points), state.piece[points]
+        T, directions = state.by_dofs[points], self._directions(state, lender, piece)
+        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
+        at_points = slip_columns.motions(T, moves[self._dofs(*rays.facets)])
+        slopes = [slip_columns.slopes(rays, T, e, at_points) for e in directions]
+        return self._slip_rows(state, rays, piece, state.weights[points], slopes)
+
+    def _directions(self, state: _State, lender, piece) -> npt.NDArray[np.float64]:
+        """Both directions of slip at points on pieces, ``(2, num_points, 3)``."""
+        directions = slip_columns.directions(state.surfaces[1], state.frames)
+        return directions[lender[state.vertex[piece]]].swapaxes(0, 1)
+
+    def _slip_rows(self, state: _State, rays: Rays, piece, weights, parts) -> Sparse:
+        """Rows of both directions' slips by dofs, of what points have, ``(num, num_dofs, 3)``."""
+        first, i, values = _first(piece), [], []
+        dofs = self._dofs(*rays.facets)[first]
+        for k, part in enumerate(parts):
+            block = np.add.reduceat(weights[:, None, None] * part, first)
+            rows = (k * self.num_multipliers + state.vertex[piece[first]])[:, None]
+            i.append(np.broadcast_to(rows, dofs.shape).ravel())
+            values.append(block.reshape(-1, 3))
+        return _summed(i, [dofs.ravel()] * 2, values, (1, 3), 3 * self._num_dofs)
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]

@@ -256,28 +256,47 @@ class PlaneOpening:
             add(nodes[on], moves[on, None, None] * state.crossings.second[on])
         return self._by_dofs_twice(state, i, j, values)
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
-    ) -> tuple[Sparse, Sparse]:
+    def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
 
         Args:
             u: Displacements.
-            since: Those from which slip is counted.
             lender: Not asked for: all slips are along Γ0.
 
         Returns:
-            T with s = T (u − u_since), and S = ∂s/∂u, of the size of C.
+            T with s = T (u − u_since), of the size of C.
+        """
+        state = self._at(u)
+        return self._rows_by_dofs(state, [self._slips(cells) for cells in state.cells])
+
+    def slip_slopes(
+        self,
+        u: Displacements,
+        since: Displacements,
+        lender: npt.NDArray[np.intp],
+        on: npt.NDArray[np.bool_],
+    ) -> Sparse:
+        """∂s/∂u, of the size of C.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+            lender: Not asked for.
+            on: Not asked for: all rows are there.
         """
         state = self._at(u)
         moves = [a - b for a, b in zip(u, since, strict=True)]
         nodes = np.concatenate([self._at_nodes(i, part).ravel() for i, part in enumerate(moves)])
-        T, S = [], []
-        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
-            alone = slip_fans.slips(*cells.places)
-            T.append(np.pad(alone, ((0, 0), (0, 3))))
-            S.append(T[-1] + np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :-3]]))
-        return self._rows_by_dofs(state, T), self._rows_by_dofs(state, S)
+        S = [
+            self._slips(cells) + np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :-3]])
+            for cells, slopes in zip(state.cells, self._slopes(state), strict=True)
+        ]
+        return self._rows_by_dofs(state, S)
+
+    @staticmethod
+    def _slips(cells: _Cells) -> npt.NDArray[np.float64]:
+        """What cells make of motions of their variables; those of parameters count for nothing."""
+        return np.pad(slip_fans.slips(*cells.places), ((0, 0), (0, 3)))
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]

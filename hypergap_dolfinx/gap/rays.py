@@ -10,8 +10,8 @@ base of a fan of cells with Γ1's vertex as apex, which has their whole weight; 
 the base of a cell with the ray's end as apex, of which the foot is the edge's middle: ∂ψ/∂α is a
 half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
 
-A place is a facet and the number of a parameter on it, ``(..., 2)``, both :data:`NONE` where there
-is none.
+A place is a facet and the number of a parameter on it, ``(..., 2)``; where there is none both are
+:data:`Fixed.NONE`.
 """
 
 from collections.abc import Sequence
@@ -34,16 +34,15 @@ FARTHER = 8.0
 CHUNK = 256  # edges of Γ1 at a time
 REACHED = 0.999
 """Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
-NONE = -1  # facet, parameter
 
 
 class Fixed(IntEnum):
     """Parameters that don't depend on displacements: an edge's start, end and middle."""
 
-    START, END, MIDDLE = range(3)
+    NONE, START, END, MIDDLE = range(-1, 3)
 
 
-POSITIONS = np.array((0.0, 1.0, 0.5))  # of these
+POSITIONS = np.array((0.0, 1.0, 0.5))  # of start, end and middle
 
 
 @dataclass(frozen=True)
@@ -91,12 +90,12 @@ class _Rays:
 
     hit: npt.NDArray[np.intp]
     """The nearest facet of Γ0 that faces an edge where it starts, ends and has its middle, or
-    :data:`NONE`, ``(num_facets1, 3)``."""
+    :data:`Fixed.NONE`, ``(num_facets1, 3)``."""
     t: npt.NDArray[np.float64]
     """Where on it, ``(num_facets1, 3)``."""
     cut: npt.NDArray[np.intp]
     """Where an edge is the nearest to an end of Γ0: the facet that ends there, of what starts and
-    of what ends on the edge, or :data:`NONE`, ``(num_facets1, 2)``."""
+    of what ends on the edge, or :data:`Fixed.NONE`, ``(num_facets1, 2)``."""
     foot: npt.NDArray[np.float64]
     """Where on the edge, ``(num_facets1, 2)``."""
 
@@ -106,7 +105,7 @@ class _Rays:
         v0, v1 = surface0.x[surface0.facets], surface1.x[surface1.facets]
         t0, t1 = v0[:, 1] - v0[:, 0], v1[:, 1] - v1[:, 0]
         size, num = lengths(t0), len(v1)
-        hit, t = np.full(3 * num, NONE), np.zeros(3 * num)
+        hit, t = np.full(3 * num, Fixed.NONE), np.zeros(3 * num)
         best = [np.full((num, len(ends)), np.inf) for ends in order.ends]
         position = [np.zeros((num, len(ends))) for ends in order.ends]
         for start in range(0, num, CHUNK):
@@ -136,7 +135,7 @@ class _Rays:
                     far = np.sqrt((x**2).sum(axis=2))
                     far[~faces[:, ends] | (at <= END) | (at >= 1 - END)] = np.inf
                     best[i][some], position[i][some] = far, at
-        cut, foot = np.full((num, 2), NONE), np.zeros((num, 2))
+        cut, foot = np.full((num, 2), Fixed.NONE), np.zeros((num, 2))
         for i, ends in enumerate(order.ends):  # Γ0 runs against Γ1
             if len(ends):
                 nearest, each = best[i].argmin(axis=0), np.arange(len(ends))
@@ -182,27 +181,27 @@ def _cover(rays: _Rays, order: Order, walls: npt.NDArray[np.intp], least) -> _Co
     facet, cut = rays.hit.copy(), rays.cut.copy()
     # Two parts of Γ0 with a hole between them: the larger counts
     hole = np.flatnonzero((cut >= 0).all(axis=1) & (rays.foot[:, 0] >= rays.foot[:, 1]))
-    cut[hole, (rays.foot[hole, 1] < 1 - rays.foot[hole, 0]).astype(int)] = NONE
+    cut[hole, (rays.foot[hole, 1] < 1 - rays.foot[hole, 0]).astype(int)] = Fixed.NONE
     walled = walls[..., 0] >= 0
     cuts = ~walled & (cut >= 0)
     facet[:, :2] = np.where(walled, walls[..., 0], np.where(cuts, cut, facet[:, :2]))
-    facet[(facet[:, :2] < 0).any(axis=1)] = NONE
+    facet[(facet[:, :2] < 0).any(axis=1)] = Fixed.NONE
     cuts &= facet[:, :1] >= 0
     position = np.where(cuts, rays.foot, (0.0, 1.0))
-    facet[position[:, 1] - position[:, 0] <= least, Fixed.MIDDLE] = NONE
+    facet[position[:, 1] - position[:, 0] <= least, Fixed.MIDDLE] = Fixed.NONE
     # Where a ray meets an end of Γ0 the parameter is known
-    parameter = np.full(facet.shape, NONE)
+    parameter = np.full(facet.shape, Fixed.NONE)
     for number in (Fixed.START, Fixed.END):
         parameter[order.is_end[number, facet] & (rays.t == POSITIONS[number])] = number
-    parameter[facet < 0] = NONE
-    parameter[:, Fixed.MIDDLE] = NONE
+    parameter[facet < 0] = Fixed.NONE
+    parameter[:, Fixed.MIDDLE] = Fixed.NONE
     parameter[:, :2] = np.where(cuts, (Fixed.END, Fixed.START), parameter[:, :2])
     parameter[:, :2] = np.where(walled, walls[..., 1], parameter[:, :2])
     # Others are those of crossings: where Γ0 ends on Γ1, and where rays meet Γ0
     limits = np.tile((Fixed.START, Fixed.END), (len(facet), 1)).astype(np.intp)
     f, k = np.nonzero(cuts)
-    g, m = np.nonzero((facet >= 0) & (parameter == NONE))
-    numbers = len(Fixed) + np.arange(len(f) + len(g))
+    g, m = np.nonzero((facet >= 0) & (parameter == Fixed.NONE))
+    numbers = len(POSITIONS) + np.arange(len(f) + len(g))
     limits[f, k], parameter[g, m] = np.split(numbers, [len(f)])
     crossings = Crossings(
         np.column_stack((np.append(facet[f, k], facet[g, m]), np.append(f, g))),
@@ -234,7 +233,7 @@ def cast(
     """
     order = Order.of(surface0, last.order if last else None)
     num = len(surface1.facets)
-    known = np.full((num, 2, 2), NONE)
+    known = np.full((num, 2, 2), Fixed.NONE)
     for a, b in walls:
         f, k = np.argwhere(surface1.facets == a)[0]
         known[f, k] = np.argwhere(surface0.facets == b)[0]
