@@ -26,11 +26,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.opposite import Frames, cross, reference_middle
+from hypergap_dolfinx.gap.opposite import LAST, Frames, cross, reference_middle
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
-LAST = 1e-8  # such a step on a reference facet, squared, is round-off
 
 
 class At(IntEnum):
