@@ -208,9 +208,9 @@ class Opening:
         rays, piece, weights = state.coarse(on)
         facets = tuple(facet[on] for facet in state.pieces.facets)
         first = _first(*facets)
-        pair = np.zeros(len(pressure), dtype=np.int32)  # of each piece
-        pair[on[first[1:]]] = 1
-        pair = np.cumsum(pair)
+        starts = np.zeros(len(pressure), dtype=np.intp)
+        starts[on[first[1:]]] = 1
+        pair = np.cumsum(starts)  # of each piece
         T = by_dofs(state.surfaces, rays)
         blocks = Blocks(len(first), T.shape[2])
         blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays, T)

@@ -396,7 +396,7 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], last: _State | No
     """
     surfaces = displaced(sides, u)
     at_walls = [wall.ends for wall in walls if wall.is_between(surfaces)]
-    found = cast(*surfaces, last and last.fans, at_walls)
+    found = cast(*surfaces, last.fans if last else None, at_walls)
     if not len(found.base):
         mesh_strip(*surfaces)  # says why
         raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
@@ -411,8 +411,8 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], last: _State | No
     facets, unknown = found.crossings.facets, found.crossings.unknown
     each, s = np.arange(len(unknown)), np.empty((len(unknown), 2))
     s[each, unknown], s[each, 1 - unknown] = found.crossings.guess, found.crossings.given
-    at_crossings = [numbers(i, facets[:, i], elements[i]) for i in (0, 1)]
-    crossings = fans.Crossings(elements, *(nodes[part] for part in at_crossings), unknown, s)
+    at0, at1 = (numbers(i, facets[:, i], elements[i]) for i in (0, 1))
+    crossings = fans.Crossings(elements, nodes[at0], nodes[at1], unknown, s)
     at = np.concatenate((POSITIONS, crossings.value))
     cells = []
     alike = elements[0] == elements[1]
@@ -428,4 +428,4 @@ def _place(sides: Sides, u: Displacements, walls: list[_Wall], last: _State | No
         cells.append(_Cells(variables, gap, m, found.vertices[mine], mine, places))
     copy = u[0].copy(), u[1].copy()
     num = 2 * len(nodes) + len(at)
-    return _State(copy, cells, crossings, np.hstack(at_crossings), num, found)
+    return _State(copy, cells, crossings, np.hstack((at0, at1)), num, found)

@@ -104,7 +104,7 @@ class FrictionRows(ContactRows):
         if opening is None or not self._follows:
             return self.T
         assert self._since is not None
-        on = self.spread(self.now.on).astype(bool)
+        on = self.spread(self.now.on.astype(float)) > 0
         return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
