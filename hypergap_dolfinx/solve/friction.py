@@ -87,16 +87,25 @@ class FrictionRows(ContactRows):
             self._since = self.start
         opening = self.now.opening
         if opening is None:
-            self.T = self.S = Sparse.empty()
+            self.T = Sparse.empty()
         elif self._follows:
-            self.T, self.S = opening.slip(self.u, self._since, self.lender)
+            self.T = opening.slip(self.u, self.lender)
         else:
             if self._fixed is None:
-                self._fixed, _ = opening.slip(self.at, self.at, self.lender)
-            self.T = self.S = self._fixed
-        self.T, self.S = self._lent(self.T), self._lent(self.S)
+                self._fixed = opening.slip(self.at, self.lender)
+            self.T = self._fixed
+        self.T = self._lent(self.T)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
+
+    def _slopes(self) -> Sparse:
+        """∂s/∂u of what is in contact."""
+        opening = self.now.opening
+        if opening is None or not self._follows:
+            return self.T
+        assert self._since is not None
+        on = self.spread(self.now.on).astype(bool)
+        return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -239,14 +248,14 @@ class FrictionRows(ContactRows):
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         by_slip, by_q, by_p, start = self._law(scale)
         gaps = self.g + self.times(moves)
-        slips = start + self._times(self.S, moves)
+        S = self._slopes()
+        slips = start + self._times(S, moves)
         right = np.concatenate((scale * gaps, np.einsum("kla,la->ka", by_slip, slips).ravel()))
         normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         # Row k of q is Σ_l by_slip[k, l] S_l
-        part, a = np.divmod(self.S.i, num)
+        part, a = np.divmod(S.i, num)
         along = [
-            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, part, a])
-            for k in range(across)
+            Sparse(num * (k + 1) + a, S.j, S.values * by_slip[k, part, a]) for k in range(across)
         ]
         forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
         corner = []
