@@ -34,7 +34,8 @@ from hypergap_dolfinx.errors import raise_on_all
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.samples import Samples
-from ufl.algorithms.analysis import extract_coefficients, extract_constants
+from ufl.algorithms.analysis import extract_constants, extract_type
+from ufl.classes import FormArgument, GeometricQuantity
 from ufl.core.expr import Expr
 
 Given = Callable[[Expr, Expr], Any]
@@ -85,14 +86,17 @@ class Law:
             raise ValueError(
                 f"the law gives values of shape {found.ufl_shape}, the jump has {jump.ufl_shape}."
             )
-        known = extract_coefficients(ufl.as_vector([*_entries(jump), *_entries(normal)]))
-        others = [f for f in extract_coefficients(found) if f not in known]
+        others = [f for f in _quantities(found) if f not in {*_quantities(jump), normal}]
         if others:
             raise ValueError(
-                f"the law has a function in it, {others[0]}: it may have the jump, the normal and "
-                "constants."
+                f"the law has {others[0]} in it: it may have the jump, the normal and constants."
             )
         return sign * found
+
+
+def _quantities(expression: Expr) -> set[Expr]:
+    """What an expression has of functions and of geometry."""
+    return extract_type(expression, (FormArgument, GeometricQuantity))
 
 
 def _entries(expression: Expr) -> list[Expr]:
