@@ -125,8 +125,8 @@ class Tie(disposal.Owner):
                 lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
                 ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
                 body, or a callable of x. Read anew when the matrix is assembled. Where all of both
-                sides is prescribed λ follows from c alone: one that is 0 when the problem is made
-                is to stay so.
+                sides is prescribed λ follows from c alone: one that was 0 when the problem was made
+                is to stay so, or an error says so.
             law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
                 softens and lets go, a spring that pushes and doesn't pull. A function of the jump
                 (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that

@@ -82,7 +82,11 @@ class ConstraintBlocks:
             for columns, group in zip(choice.columns, choice.interfaces, strict=True)
         ]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
-        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
+        unknown = [
+            name if len(np.unique(row)) < len(tie.constraint.dofs) * tie.block_size else None
+            for name, tie, (row, *_) in zip(self._names, self._ties, choice.entries, strict=True)
+        ]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
         self.openings = openings(self._ties, self._rows)
         self._full = self._pulled_back()
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
