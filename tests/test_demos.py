@@ -241,6 +241,13 @@ DEMOS = {
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
     ),
+    "peeling": Demo(
+        "--steps 8",
+        {"rows.5.moment": 1.0, "rows.7.moment": 1.0},
+        {"rows.*.newton": 7},
+        accuracy=1e-4,
+        pictures=("peeling",),
+    ),
     "periodic_cell": Demo(
         "--fibres",
         {"fibres.shear": 46.004},
