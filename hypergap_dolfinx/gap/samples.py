@@ -68,7 +68,7 @@ class Samples:
         """Destroy the PETSc matrix. Collective."""
         self.D.destroy()
 
-    def scaled_mass(self, values: npt.ArrayLike, block_size: int) -> PETSc.Mat:
+    def scaled_mass(self, values: float | npt.NDArray, block_size: int) -> PETSc.Mat:
         """∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα, the same for each component. Collective.
 
         Args:

@@ -101,6 +101,7 @@ def _reached(rows: dict[int, Extension], M: PETSc.Mat) -> PETSc.Mat:
     parts = []
     for k, (g, columns) in enumerate(mine.items()):
         E = rows[g].matrix
+        assert E is not None
         every = np.concatenate(comm.allgather(columns + E.getOwnershipRangeColumn()[0]))
         number = np.concatenate(
             [np.arange(num) + at for num, at in zip(counts[:, k], before[:, k])]
