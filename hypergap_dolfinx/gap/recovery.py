@@ -88,6 +88,14 @@ class Recovery:
         W[domain.narrow_cells()] = 0  # their entries cancel each other: round-off, and no area
         for faces in self._faces:
             np.add.at(W, faces.cells, faces.mass_matrices())
+        if (beyond := domain.overhang) is not None:  # λ's forces have none of it
+            dphi, _ = domain.overhang_derivatives()
+            parts = [(beyond, AGREE, dphi)]
+            if (rims := beyond.rims) is not None:
+                parts.append((rims, 1.0, tabulate(domain.element, rims.X)))
+            for points, factor, f in parts:
+                outer = factor * points.weights[:, None, None] * f[:, :, None] * f[:, None]
+                np.subtract.at(W, points.cells, outer)
         sizes = (dofmap.index_map.size_local,) * 2
         i, j = (np.broadcast_to(d, W.shape) for d in (dofs[:, :, None], dofs[:, None, :]))
         matrix = coo_matrix(domain.mesh.comm, sizes, i, j, W)
