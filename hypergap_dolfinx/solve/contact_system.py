@@ -298,7 +298,7 @@ class ContactSystem(NonlinearSystem):
         residual = self._b.copy()
         parts = residual.getNestSubVecs()
         self._add_contact(parts, all_dofs=False)
-        num = len(self._u)
+        num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
         self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
         saddle.destroy_parts(parts)
         residual.destroy()
