@@ -118,31 +118,31 @@ def rotating(dim, swap=False, rigid=False, **options):
     return contact, problem, go
 
 
-@pytest.mark.ranks(2)
-def test_rotation():
-    """What is pressed and sheared turns by 4.5° eight times, then by 90°: no slip, no change.
+@pytest.mark.ranks(2, dim=[2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rotation(dim):
+    """What is pressed and sheared turns by 4.5° eight times, then far: no slip, no change.
 
     Some of it has slipped before. The law of friction holds, forces and work balance.
     """
-    contact, problem, go = rotating(2, friction=0.1)
-    go(0, 0, -0.1)
-    go(0, 0.04, -0.1)
+    contact, problem, go = rotating(dim, friction=0.1)
+    shift = (0.04, 0.02)[: dim - 1]
+    go(0, *(0 * np.array(shift)), -0.1)
+    go(0, *shift, -0.1)
     rows = contact.rows
     assert contact.sticking.any() and contact.slipping.any() and contact.dissipation(problem) > 1e-6
-    p, q = rows.now.p.copy(), rows.now.q.copy()
-    np.testing.assert_array_less(np.abs(q[0]), 0.1 * p * (1 + 1e-12) + 1e-300)
-    close(np.abs(q[0, contact.slipping]), 0.1 * p[contact.slipping], 1e-12)
+    p, q = rows.now.p.copy(), np.linalg.norm(rows.now.q, axis=0)
+    np.testing.assert_array_less(q, 0.1 * p * (1 + 1e-12) + 1e-300)
+    close(q[contact.slipping], 0.1 * p[contact.slipping], 1e-12)
     work = (rows.now.q * rows.s).sum()
     assert work == pytest.approx(-contact.dissipation(problem), rel=1e-9)
-    for step in range(1, 9):
-        go(step * np.pi / 40, 0.04, -0.1)
-        assert problem.iterations <= 9 and problem.halvings == 0
-        assert np.abs(contact.slips(problem)).max() <= 1e-12
-        close(rows.now.p, p, 1e-9)
-        close(rows.now.q, q, 1e-9)
-    go(8 * np.pi / 40 + np.pi / 2, 0.04, -0.1)  # farther than facets are long
-    assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
-    close(rows.now.p, p, 1e-9)
+    far = 8 * np.pi / 40 + np.pi / (2, 4)[dim - 2]  # farther than facets are long
+    for angle in (*np.arange(1, 9) * np.pi / 40, far):
+        go(angle, *shift, -0.1)
+        assert problem.iterations == 1 and problem.halvings == 0
+        assert np.abs(contact.slips(problem)).max() <= 1e-15
+        close(rows.now.p, p, 1e-10)
+        close(np.linalg.norm(rows.now.q, axis=0), q, 1e-10)
     below, above = (part.sum(axis=0) for part in rows.acting())
     assert np.abs(below + above).max() <= 1e-14
 
