@@ -90,13 +90,13 @@ def problem(bodies, contact):
 def column(comm, slope, n, degree, dim):
     """A column, cut by a plane that leans to the left."""
     low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
-    bodies = []
+    bodies, height = [], max(1.0, 2 * slope)
     for i in (0, 1):
 
         def place(x, i=i):
             x = x.copy()
             z = x[:, -1].copy()
-            x[:, -1] += i - 1 + slope * x[:, 0] * (1 - z if i else z)
+            x[:, -1] = height * (z + i - 1) + slope * x[:, 0] * (1 - z if i else z)
             return x
 
         cell = "quadrilateral" if dim == 2 else "hexahedron"

@@ -19,6 +19,9 @@ from hypergap_dolfinx.solve.modes import places
 
 EXCEEDS = 1e-7
 """Traction of what sticks beyond what friction can hold, over the largest, that is none."""
+UNTOLD = 1e-12
+"""Weight of changes of what sticks: tractions that nothing tells stay as they are, where more
+vertices stick than displacements can move, as between walls that hold both bodies."""
 EXACT = 1e-11
 """Gap, in sizes of facets, beyond which one more Newton step is taken: times tractions, gaps are
 what moments of friction lack."""
@@ -298,9 +301,9 @@ class FrictionRows(ContactRows):
         share = np.minimum(force / np.maximum(trial, 1e-300), 1)
         turn = np.where(now.sticks, 0, share * across)
         by_slip = np.where(now.sticks, scale * one, -self._c * turn)
-        by_q = np.where(now.sticks, 0, one - turn)
-        way = np.where(now.sticks, 0, now.way)
-        return by_slip, by_q, -by_p * way, self.s, limit * way
+        by_q = np.where(now.sticks, -UNTOLD * one, one - turn)
+        rest = np.where(now.sticks, -UNTOLD * now.q, limit * now.way)
+        return by_slip, by_q, np.where(now.sticks, 0, -by_p * now.way), self.s, rest
 
     def _take(self, values: npt.NDArray[np.float64]):
         p, *q = values.reshape(-1, len(self.g))
