@@ -329,9 +329,8 @@ class ContactSystem(NonlinearSystem):
         far = comm.allreduce(max(np.abs(part).max(initial=0) for part in jump), MPI.MAX)
         assert self._free is not None
         return not self._free.num and any(
-            max(far, rows.pushed) > FAR * rows.sides[1].reference.size.max()
+            rows.now.p.any() and far > FAR * rows.sides[1].reference.size.max()
             for rows in self._rows
-            if rows.now.p.any()
         )
 
     def _lead(self):
@@ -342,10 +341,9 @@ class ContactSystem(NonlinearSystem):
         """
         jump, comm = self._jump(), self._u[0].function_space.mesh.comm
         assert self._free is not None
-        far = self._slides(jump)
         goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         pushes = any(rows.now.p.any() for rows in self._rows)
-        if self._tied or self._free.num or not (far or (goes and pushes)):
+        if self._tied or self._free.num or not (goes and pushes):
             return
         motions = []
         for u, moves, held in zip(self._u, jump, self._constraints.prescribed, strict=True):
@@ -355,7 +353,7 @@ class ContactSystem(NonlinearSystem):
             motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
         if None in motions:
             return
-        together = True
+        far, together = self._slides(jump), True
         for rows in self._rows:
             assert rows.start is not None
             now = rows.displacements([owned_values(f) for f in rows.fields])

@@ -252,15 +252,6 @@ class ContactRows:
         products = self.C.values * flat[self.C.j]
         return np.bincount(self.C.i, products, len(self.m)).astype(float)  # without any: integers
 
-    @property
-    def pushed(self) -> float:
-        """How far users moved what is rigid since the last load step. Collective."""
-        if self.start is None or None not in self.bodies:
-            return 0.0
-        now = self.displacements([owned_values(f) for f in self.fields])
-        i = self.bodies.index(None)
-        return float(np.abs(now[i] - self.start[i]).max(initial=0))
-
     def forces(self, p: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """Cᵀp at both sides' dofs, ``(num_dofs_i, n)`` each."""
         num = [len(side.dofs) for side in self.sides]
