@@ -25,7 +25,7 @@ from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
-from hypergap_dolfinx.solve.leading import leading
+from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
@@ -333,14 +333,17 @@ class ContactSystem(NonlinearSystem):
         )
 
     def _lead(self):
-        """Let bodies that are prescribed to move far follow as rigid ones. Collective.
+        """Let bodies that are prescribed to move far, or turn together, follow as rigid ones.
 
         Forces go along with what keeps together, and are none where one leaves the other.
+        Collective.
         """
-        jump = self._jump()
-        if self._tied or not self._slides(jump):
+        jump, comm = self._jump(), self._u[0].function_space.mesh.comm
+        assert self._free is not None
+        goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
+        pushes = any(rows.now.p.any() for rows in self._rows)
+        if self._tied or self._free.num or not (goes and pushes):
             return
-        comm = self._u[0].function_space.mesh.comm
         motions = []
         for u, moves, held in zip(self._u, jump, self._constraints.prescribed, strict=True):
             x = places(u.function_space)
@@ -349,6 +352,7 @@ class ContactSystem(NonlinearSystem):
             motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
         if None in motions:
             return
+        far, together = self._slides(jump), True
         for rows in self._rows:
             assert rows.start is not None
             now = rows.displacements([owned_values(f) for f in rows.fields])
@@ -358,14 +362,18 @@ class ContactSystem(NonlinearSystem):
                 moved = None if body is not None else side.displaced(u).x - x  # by the user
                 motion = motions[body] if moved is None else leading(MPI.COMM_SELF, x, moved)
                 of_sides.append(motion)
-            if None in of_sides:
+            turn = None not in of_sides and turns_together(*of_sides)
+            together &= turn
+            apart = np.inf
+            if None not in of_sides:
+                shift0, shift1 = (motion.shift(x1) for motion in of_sides)
+                apart = np.abs(shift1 - shift0).max() / rows.sides[1].reference.size.max()
+            if far and apart > FAR:
                 rows.forget()
-                continue
-            shift0, shift1 = (motion.shift(x1) for motion in of_sides)
-            if np.abs(shift1 - shift0).max() > FAR * rows.sides[1].reference.size.max():
-                rows.forget()
-            elif isinstance(rows, FrictionRows):
+            elif turn and isinstance(rows, FrictionRows):
                 rows.turn(of_sides[1])
+        if not (far or together):
+            return
         for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
             x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
             part.array[:] += motion.shift(x).ravel()

@@ -154,6 +154,10 @@ class Coulomb(Protocol):
     def elastic_slip(self) -> float:
         """Slip up to which friction grows to μ p."""
 
+    @property
+    def shear_limit(self) -> float:
+        """Traction beyond which friction doesn't grow with pressure."""
+
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """The coefficient at Γ1's vertices, the same on every rank. Collective."""
 
