@@ -163,9 +163,9 @@ class ContactSystem(NonlinearSystem):
 
     def _check_pushing(self):
         """Raise if what is active only to hold a body would have to pull it."""
+        none = self._no_pressure()
         for rows in self._rows:
-            p = rows.now.p[rows.now.on]
-            if p.min(initial=0) < -PULLS * np.abs(p).max(initial=0):
+            if rows.now.p[rows.now.on].min(initial=0) < -none:
                 raise SolveError(
                     "contact would have to pull: a body that nothing else holds is drawn away, or "
                     "tilts; hold it by boundary conditions."
@@ -175,6 +175,12 @@ class ContactSystem(NonlinearSystem):
                     "a body that nothing else holds slides: its load is more than friction can "
                     "hold; hold it by boundary conditions, or move it by them."
                 )
+
+    def _no_pressure(self) -> float:
+        """Pressure that is none beside the largest one."""
+        return PULLS * max(
+            float(np.abs(rows.now.p[rows.now.on]).max(initial=0)) for rows in self._rows
+        )
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""
@@ -198,9 +204,10 @@ class ContactSystem(NonlinearSystem):
                 saves steps, but sets can cycle by it.
         """
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        none = self._no_pressure()
         for rows in self._rows:
-            c = stiffness / rows.typical_area
-            rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+            now, c = rows.now, stiffness / rows.typical_area
+            now.on = active.pushing(now.p, rows.g, rows.m, rows.valid, c, now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -221,7 +228,7 @@ class ContactSystem(NonlinearSystem):
             rows.now.on = active.without_pull_on_surface(last, rows.now.on, facets, force)
         for rows in self._rows:
             if isinstance(rows, FrictionRows):
-                rows.choose(stiffness, anew=not before)
+                rows.choose(stiffness, none, anew=not before)
         assert self._free is not None
         if self._free.num:
             self._hold()
