@@ -236,7 +236,7 @@ def draw(parts, contacts, problem, file):
     sections = [section(part, 75.01) for part in parts]  # where nothing has a node
     if comm.rank:
         return
-    fig, (left, right) = plt.subplots(1, 2, figsize=(13, 5), layout="constrained")
+    fig, (left, right) = plt.subplots(1, 2, figsize=(13, 4.2), layout="constrained")
     for contact, p in zip(contacts["foot"], pressures, strict=True):
         surface = contact.surfaces[1]
         x, y, _ = surface.x.T
@@ -272,7 +272,7 @@ def draw(parts, contacts, problem, file):
 def main():
     """Tighten the bolts and the rod, then load it."""
     parser = argparse.ArgumentParser(description="AS1 with contact, friction and tightened bolts.")
-    parser.add_argument("--size", type=float, default=1.5, metavar="FACTOR",
+    parser.add_argument("--size", type=float, default=2.0, metavar="FACTOR",
                         help="cell sizes over the parts' thicknesses")  # fmt: skip
     parser.add_argument("--friction", type=float, default=0.2)
     parser.add_argument("--steps", type=int, default=4, help="load steps of the force on the rod")

@@ -39,7 +39,7 @@ AHEAD = 10
 FAR = 1.0
 """Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
 PULLS = 1e-8
-"""Negative pressure, over the largest, that is none."""
+"""Pressure, over the largest of all contacts, that is none: neither pushes nor pulls."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
