@@ -39,7 +39,9 @@ AHEAD = 10
 FAR = 1.0
 """Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
 PULLS = 1e-8
-"""Pressure, over the largest of all contacts, that is none: neither pushes nor pulls."""
+"""Negative pressure, over the largest, that is none."""
+UNPRESSED = 1e-12
+"""Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -165,7 +167,8 @@ class ContactSystem(NonlinearSystem):
         """Raise if what is active only to hold a body would have to pull it."""
         none = self._no_pressure()
         for rows in self._rows:
-            if rows.now.p[rows.now.on].min(initial=0) < -none:
+            p = rows.now.p[rows.now.on]
+            if p.min(initial=0) < -max(PULLS * np.abs(p).max(initial=0), none):
                 raise SolveError(
                     "contact would have to pull: a body that nothing else holds is drawn away, or "
                     "tilts; hold it by boundary conditions."
@@ -178,7 +181,7 @@ class ContactSystem(NonlinearSystem):
 
     def _no_pressure(self) -> float:
         """Pressure that is none beside the largest one."""
-        return PULLS * max(
+        return UNPRESSED * max(
             float(np.abs(rows.now.p[rows.now.on]).max(initial=0)) for rows in self._rows
         )
 
