@@ -36,6 +36,7 @@ PICTURES = {
     "write_files": ("write_files",),
 }
 CHARTS = {
+    "bolted_assembly": ("bolted_assembly",),
     "bouncing": ("bouncing",),
     "friction": ("friction", "--scene", "cattaneo"),
     "hertz": ("hertz",),

@@ -62,7 +62,7 @@ class FrictionRows(ContactRows):
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
-        self._carried = False
+        self._carried, self._unpressed = False, 0.0
         self._elastic = np.zeros((across, num))  # part of slip that would go back
 
     def begin(self):
@@ -167,11 +167,12 @@ class FrictionRows(ContactRows):
 
     # Sets
 
-    def choose(self, stiffness: float, *, anew: bool):
+    def choose(self, stiffness: float, unpressed: float, *, anew: bool):
         """Tell what sticks from what slips, of what is in contact.
 
         Args:
             stiffness: Of the bodies' nodes.
+            unpressed: Pressure that is none beside those of all contacts.
             anew: Whether no step was taken yet: what was in contact goes on as it was, and what
                 comes to it sticks.
         """
@@ -191,7 +192,7 @@ class FrictionRows(ContactRows):
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
             bound, _ = self._bounds(now.p - c * gap)
-            none = EXCEEDS * bound[now.on].max(initial=0)
+            none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
             # What is at both limits stays what it is
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
             # What slips the other way sticks first: else all could turn to and fro
@@ -199,7 +200,7 @@ class FrictionRows(ContactRows):
             now.sticks = (sticks | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
-        self._stiffness, self._c = stiffness, c
+        self._unpressed, self._c = unpressed, c
 
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
@@ -345,8 +346,8 @@ class FrictionRows(ContactRows):
             target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
         error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
-        largest = bound.max(initial=0)
-        return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return super().is_closed(tolerance) and slip <= tolerance and error <= none
 
     @property
     def is_exact(self) -> bool:
@@ -358,7 +359,8 @@ class FrictionRows(ContactRows):
         """Whether something sticks only because nothing else would hold a body."""
         size = np.linalg.norm(self.now.q, axis=0)
         bound, _ = self._bounds(self.now.p)
-        return bool((size - bound)[self.stuck].max(initial=0) > EXCEEDS * bound.max(initial=0))
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return bool((size - bound)[self.stuck].max(initial=0) > none)
 
 
 def hold_by_sticking(
