@@ -20,7 +20,9 @@ import numpy.typing as npt
 
 from dolfinx.jit import get_options
 
-NAMES = "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c".split()
+NAMES = (
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
+)
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
@@ -39,6 +41,10 @@ int single_faces(int n, int num_cells, const int *cells, int num_outer, const in
                  int *faces, int *counts);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
+void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
+                       const double *bends, const double *T, double *blocks);
+void add_products(int num, int n, const int *block, const double *a, const double *b,
+                  double *blocks);
 """
 FLAGS = ["-O2", "-g0"]
 
