@@ -5,9 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # In `assembly` the 18 parts of AS1 are tied wherever they touch. Here they are bolted: nuts are
-# tied to their threads, and all else that touches is in contact with friction. Bolts and the rod
-# have clearance in their holes: friction alone keeps the brackets in place, and the rod between
-# them. This demo shows
+# tied to their threads, and faces that touch are in contact with friction. Bolts and the rod are
+# drawn as wide as their holes; they count as having clearance: friction alone keeps the brackets in
+# place, and the rod between them. This demo shows
 #
 # - that `find_touching` and the parts' names say what is a contact, a tie, or free,
 # - how a bolt is tightened: it is cut across, and a tie with a jump pulls its halves together,
@@ -38,7 +38,7 @@ from meshes.cad import parts_of_assembly
 # -
 
 # Newtons and millimetres, as in `assembly`. Bolts and the rod are cut across at half their length,
-# and lose a slice there.
+# along an axis, and lose a slice there. The force is the rod's.
 
 AXIS = {"bolt": 2, "rod": 0}
 SLICE = {"bolt": 0.05, "rod": 0.4}
@@ -130,9 +130,9 @@ def run(args):
     )
     rows = []
     shares = [(k + 1) / args.steps for k in range(args.steps)]
+    for name, axis in AXIS.items():  # after the problem was made: it starts with what is there then
+        jumps[name][axis] = -SLICE[name]
     for share in (0, *shares):
-        for name, axis in AXIS.items():
-            jumps[name][axis] = -SLICE[name]
         force = share * FORCE
         for part in rod:
             part.load.value[:] = force / volume
