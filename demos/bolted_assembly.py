@@ -38,11 +38,11 @@ from meshes.cad import parts_of_assembly
 # -
 
 # Newtons and millimetres, as in `assembly`. Bolts and the rod are cut across at half their length,
-# along an axis, and lose a slice there. The force is the rod's.
+# along an axis, and lose a slice there. The force is the rod's, which slides from about 2 kN on.
 
 AXIS = {"bolt": 2, "rod": 0}
 SLICE = {"bolt": 0.05, "rod": 0.4}
-FORCE = np.array((0.0, 800.0, -2000.0))
+FORCE = np.array((0.0, 600.0, -1500.0))
 TOP = 30.0  # of the brackets' feet
 GRIP, SHANK, HEAD = 30.0, 10.0, 15.0  # of a bolt: what it holds, and its diameters
 comm = MPI.COMM_WORLD
@@ -275,7 +275,7 @@ def main():
     parser.add_argument("--size", type=float, default=2.0, metavar="FACTOR",
                         help="cell sizes over the parts' thicknesses")  # fmt: skip
     parser.add_argument("--friction", type=float, default=0.2)
-    parser.add_argument("--steps", type=int, default=4, help="load steps of the force on the rod")
+    parser.add_argument("--steps", type=int, default=3, help="load steps of the force on the rod")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
