@@ -39,11 +39,19 @@ def slip_of(opening, sides, u, rng, positions):
     num = (n - 1) * opening.num_multipliers
     q = rng.random((n - 1, opening.num_multipliers))
     own = np.arange(opening.num_multipliers)
-    T, S = (plane.dense(part, (num, len(flat))) for part in opening.slip(u, since, own))
+    T, S, some = (
+        plane.dense(part, (num, len(flat)))
+        for part in (
+            opening.slip(u, own),
+            *(opening.slip_slopes(u, since, own, on) for on in (own >= 0, own % 2 == 0)),
+        )
+    )
+    asked = np.tile(own % 2 == 0, n - 1)
+    close(some[asked], S[asked], 1e-14)
 
     def at(t):
         moved = tuple(a + t * d for a, d in zip(u, direction, strict=True))
-        T = plane.dense(opening.slip(moved, since, own)[0], (num, len(flat)))
+        T = plane.dense(opening.slip(moved, own), (num, len(flat)))
         way = np.concatenate([(a - b).ravel() for a, b in zip(moved, since, strict=True)])
         return np.concatenate((T @ way, q.ravel() @ T))
 

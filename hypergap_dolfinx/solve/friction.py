@@ -62,7 +62,7 @@ class FrictionRows(ContactRows):
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
-        self._carried = False
+        self._carried, self._unpressed = False, 0.0
         self._elastic = np.zeros((across, num))  # part of slip that would go back
 
     def begin(self):
@@ -90,16 +90,25 @@ class FrictionRows(ContactRows):
             self._since = self.start
         opening = self.now.opening
         if opening is None:
-            self.T = self.S = Sparse.empty()
+            self.T = Sparse.empty()
         elif self._follows:
-            self.T, self.S = opening.slip(self.u, self._since, self.lender)
+            self.T = opening.slip(self.u, self.lender)
         else:
             if self._fixed is None:
-                self._fixed, _ = opening.slip(self.at, self.at, self.lender)
-            self.T = self.S = self._fixed
-        self.T, self.S = self._lent(self.T), self._lent(self.S)
+                self._fixed = opening.slip(self.at, self.lender)
+            self.T = self._fixed
+        self.T = self._lent(self.T)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
+
+    def _slopes(self) -> Sparse:
+        """∂s/∂u of what is in contact."""
+        opening = self.now.opening
+        if opening is None or not self._follows:
+            return self.T
+        assert self._since is not None
+        on = self.spread(self.now.on).astype(bool)
+        return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -158,11 +167,12 @@ class FrictionRows(ContactRows):
 
     # Sets
 
-    def choose(self, stiffness: float, *, anew: bool):
+    def choose(self, stiffness: float, unpressed: float, *, anew: bool):
         """Tell what sticks from what slips, of what is in contact.
 
         Args:
             stiffness: Of the bodies' nodes.
+            unpressed: Pressure that is none beside those of all contacts.
             anew: Whether no step was taken yet: what was in contact goes on as it was, and what
                 comes to it sticks.
         """
@@ -182,7 +192,7 @@ class FrictionRows(ContactRows):
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
             bound, _ = self._bounds(now.p - c * gap)
-            none = EXCEEDS * bound[now.on].max(initial=0)
+            none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
             # What is at both limits stays what it is
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
             # What slips the other way sticks first: else all could turn to and fro
@@ -190,7 +200,7 @@ class FrictionRows(ContactRows):
             now.sticks = (sticks | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
-        self._stiffness, self._c = stiffness, c
+        self._unpressed, self._c = unpressed, c
 
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
@@ -247,15 +257,15 @@ class FrictionRows(ContactRows):
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         by_slip, by_q, by_p, start, rest = self._law(scale)
         gaps = self.g + self.times(moves)
-        slips = start + self._times(self.S, moves)
+        S = self._slopes()
+        slips = start + self._times(S, moves)
         law = np.einsum("kla,la->ka", by_slip, slips) + self.m * rest
         right = np.concatenate((scale * gaps, law.ravel()))
         normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         # Row k of q is Σ_l by_slip[k, l] S_l
-        part, a = np.divmod(self.S.i, num)
+        part, a = np.divmod(S.i, num)
         along = [
-            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, part, a])
-            for k in range(across)
+            Sparse(num * (k + 1) + a, S.j, S.values * by_slip[k, part, a]) for k in range(across)
         ]
         forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
         corner = []
@@ -336,8 +346,8 @@ class FrictionRows(ContactRows):
             target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
         error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
-        largest = bound.max(initial=0)
-        return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return super().is_closed(tolerance) and slip <= tolerance and error <= none
 
     @property
     def is_exact(self) -> bool:
@@ -349,7 +359,8 @@ class FrictionRows(ContactRows):
         """Whether something sticks only because nothing else would hold a body."""
         size = np.linalg.norm(self.now.q, axis=0)
         bound, _ = self._bounds(self.now.p)
-        return bool((size - bound)[self.stuck].max(initial=0) > EXCEEDS * bound.max(initial=0))
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return bool((size - bound)[self.stuck].max(initial=0) > none)
 
 
 def hold_by_sticking(
