@@ -100,10 +100,12 @@ DEMOS = {
         needs=("matplotlib",),
     ),
     "friction_exact": Demo(
-        "--scene block --scene twist",
-        {"rows.0.told": 1, "rows.1.told": 1, "rows.2.told": 1, "rows.3.told": 1},
+        "--scene block --scene twist --scene sphere --scene roll",
+        {"rows.0.told": 1, "rows.1.told": 1, "rows.2.told": 1, "rows.3.told": 1}
+        | {"rows.5.slid": 1},
         {"rows.0.error": 1e-11, "rows.1.error": 1e-11, "rows.2.error": 1e-11}
-        | {"rows.3.error": 1e-11, "rows.4.error": 1e-2},
+        | {"rows.3.error": 1e-11, "rows.4.error": 1e-2, "rows.5.off": 1.0, "rows.5.steps.*": 10}
+        | {"rows.6.q_over_mu_p": 0.01, "rows.6.slips": 1e-3, "rows.6.steps.*": 10},
         slow=True,
         script="friction",
     ),
