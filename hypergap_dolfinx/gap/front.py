@@ -26,9 +26,7 @@ GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in t
 SWEEP = 0.1
 """The displacement, in edges, that heights stand for besides: with it a front goes from one end to
 the other, and what it works on stays in a cache."""
-SWEPT = (
-    10_000  # vertices of surfaces with walls, to which the displacement isn't told, that are swept
-)
+SWEPT = 10_000  # vertices of surfaces with walls, to which the displacement isn't told, that are swept
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
 SWEEPS = 3000  # of the search for weights, before it is given up
 VISITS = 30_000_000  # of edges in it; of many edges
