@@ -12,6 +12,10 @@
 # - where the time goes, and what share of it is the tie's (Σ and the blocks of the constraint),
 # - with `--peers`, the same cylinder by scikit-fem's mortar method on a supermesh.
 #
+# `--scene contact` does the same for Hertz's contact in the plane and in space (`run_time/`): the
+# pressure's error over seconds, for small and finite sliding, Newton steps, where the time goes;
+# with `--peers` NGSolve and scikit-fem on the same meshes.
+#
 # Both are solved through `TiedProblem`, with the solver it chooses; the fused mesh is a problem
 # without ties. Runs of a level alternate between the two, so that a busy machine slows both.
 
@@ -39,6 +43,8 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+from run_time import contact
+
 import meshes
 from hypergap_dolfinx import Tie, TiedProblem
 
@@ -613,22 +619,32 @@ def draw_scene(plt, scene, rows, peers, folder):
 def main():
     """Sweep scenes, degrees and levels."""
     parser = argparse.ArgumentParser(description="Error against run time, tied and fused.")
-    parser.add_argument("--scene", choices=(*SCENES, "all"), default="all")
+    parser.add_argument("--scene", choices=(*SCENES, "contact", "all"), default="all")
     parser.add_argument("--degrees", default="1,2", metavar="1,2,3")
     parser.add_argument("--levels", type=int, default=4, help="the coarsest so many")
     parser.add_argument("--finest", action="store_true", help="the finest of these alone")
-    parser.add_argument("--sizes", metavar="0.05,0.02", help="cell sizes (n, h) instead of levels")
+    parser.add_argument("--sizes", metavar="0.05,0.02", help="n, h, a / h instead of levels")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--solver", choices=("direct", "bodies", "iterative"), help="of both")
-    parser.add_argument("--peers", action="store_true", help="scikit-fem's mortar method too")
+    parser.add_argument("--dims", default="2,3", metavar="2,3", help="of contact")
+    parser.add_argument("--peers", action="store_true", help="other codes too")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
     args = parser.parse_args()
     first = comm.rank == 0
     info, rows, peers, jit = header(), [], [], {}
+
+    def chosen(levels, number):
+        """The levels that are asked for."""
+        levels = levels[: args.levels]
+        if args.sizes:
+            levels = tuple(number(h) for h in args.sizes.split(","))
+        return levels[-1:] if args.finest else levels
+
     if first:
         print("\n".join(f"{name}: {value}" for name, value in info.items()))
-    for scene in SCENES if args.scene == "all" else (args.scene,):
+    tied = SCENES if args.scene == "all" else [name for name in SCENES if name == args.scene]
+    for scene in tied:
         for degree in (int(d) for d in args.degrees.split(",")):
             jit[f"{scene}, degree {degree}"] = compile_forms(scene, degree)
             if first:
@@ -638,19 +654,15 @@ def main():
                     "          n, h     dofs  L² displ.  L² stress  L² trac.  resid.  median "
                     f"[range] s   {' | '.join(PARTS)} | peak MiB | solver, iterations"
                 )
-            levels = SCENES[scene].levels[degree][: args.levels]
-            if args.sizes:
-                number = int if scene == "cylinder" else float
-                levels = tuple(number(h) for h in args.sizes.split(","))
-            for h in levels[-1:] if args.finest else levels:
+            number = int if scene == "cylinder" else float
+            for h in chosen(SCENES[scene].levels[degree], number):
                 level = measure(scene, degree, h, args.repeats, args.solver)
                 if first:
                     print_level(level)
                 rows += level
-    if args.peers and comm.size == 1:
-        levels = SCENES["cylinder"].levels[2][: args.levels]
+    if args.peers and comm.size == 1 and args.scene != "contact":
         print("\nscikit-fem's mortar method on a supermesh, cylinder, degree 2, and ours beside it")
-        for n in levels[-1:] if args.finest else levels:
+        for n in chosen(SCENES["cylinder"].levels[2], int):
             peers.append(measure_peer(n, args.repeats))
             peer, ours = peers[-1], peers[-1]["ours"]
             print(
@@ -660,11 +672,18 @@ def main():
                 f"(processor {ours['processor'] / peer['processor']:.3f})",
                 flush=True,
             )
+    pressed = []
+    if args.scene in ("contact", "all"):
+        dims = [int(dim) for dim in args.dims.split(",")]
+        degrees = [int(d) for d in args.degrees.split(",") if int(d) < 3]
+        pressed = contact.report(comm, dims, degrees, chosen, args.repeats, args.peers)
     if first and args.json:
-        report = {**info, "compiling": jit, "rows": rows, "peers": peers}
+        report = {**info, "compiling": jit, "rows": rows, "peers": peers, "contact": pressed}
         args.json.write_text(json.dumps(report, indent=1, ensure_ascii=False))
     if first and args.plot:
         draw(rows, peers, args.plot)
+        if pressed:
+            contact.draw(pressed, args.plot)
         print(f"\npictures in {args.plot}/")
 
 

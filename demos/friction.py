@@ -90,13 +90,13 @@ def problem(bodies, contact):
 def column(comm, slope, n, degree, dim):
     """A column, cut by a plane that leans to the left."""
     low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
-    bodies = []
+    bodies, height = [], max(1.0, 2 * slope)
     for i in (0, 1):
 
         def place(x, i=i):
             x = x.copy()
             z = x[:, -1].copy()
-            x[:, -1] += i - 1 + slope * x[:, 0] * (1 - z if i else z)
+            x[:, -1] = height * (z + i - 1) + slope * x[:, 0] * (1 - z if i else z)
             return x
 
         cell = "quadrilateral" if dim == 2 else "hexahedron"
@@ -106,22 +106,23 @@ def column(comm, slope, n, degree, dim):
     return bodies, high
 
 
-def block(comm, degree, dim, swap=False):
+def block(comm, degree, dim, swap=False, slope=SLOPE):
     """Errors of pressure and shear just above the slope, and whether sliding is told below."""
-    bodies, high = column(comm, SLOPE, (2, 3), degree, dim)
+    bodies, high = column(comm, slope, (2, 3), degree, dim)
     for c in range(dim - 1):
         bodies[0].hold(2 * c + 1, c)
     load = bodies[1].load(high)
-    mu = fem.Constant(bodies[0].mesh, default_scalar_type(SLOPE * (1 + NEARLY)))
+    mu = fem.Constant(bodies[0].mesh, default_scalar_type(slope * (1 + NEARLY)))
     sides = [body.side for body in bodies][:: -1 if swap else 1]
     contact = Contact(*sides, friction=mu, sliding="small")
     pair = problem(bodies, contact)
     load.value = PRESSURE
     pair.solve()
-    normal = PRESSURE / (1 + SLOPE**2)
+    normal = PRESSURE / (1 + slope**2)
     shear = np.linalg.norm(contact.shears(pair)[contact.active], axis=1)
-    errors = contact.pressures(pair)[contact.active] / normal - 1, shear / (SLOPE * normal) - 1
-    mu.value = SLOPE * (1 - NEARLY)
+    errors = contact.pressures(pair)[contact.active] / normal - 1, shear / (slope * normal) - 1
+    steps = pair.iterations
+    mu.value = slope * (1 - NEARLY)
     try:
         pair.solve()
         told = False
@@ -134,6 +135,7 @@ def block(comm, degree, dim, swap=False):
         "swap": swap,
         "error": float(max(np.abs(part).max() for part in errors)),
         "told": told,
+        "steps": steps,
     }
 
 

@@ -102,6 +102,66 @@ def curved(x, upper, height):
     return x
 
 
+def pair(comm, h, degree, ratio, dim):
+    """Both bodies' meshes, the block first.
+
+    Args:
+        comm: Communicator.
+        h: Size of the coarser side's cells.
+        degree: Of the geometry.
+        ratio: Size of the round body's cells over that of the block's.
+        dim: Number of dimensions.
+
+    Returns:
+        Of each body mesh, facet tags, and facets that may touch.
+    """
+    bodies = []
+    for upper, size in enumerate((h * min(1, 1 / ratio), h * min(1, ratio))):
+        mesh, ft = body(comm, upper == 1, size, degree, dim)
+        facets = ft.find(2 * dim - 1 if upper else 2 * dim)
+        middle = compute_midpoints(mesh, dim - 1, facets)
+        near = np.linalg.norm(middle[:, : dim - 1], axis=1) < 5 * a
+        bodies.append((mesh, ft, facets[near]))
+    return bodies
+
+
+def load(dim):
+    """What presses on the upper body's top."""
+    return P[dim] / (2 * L[dim]) ** (dim - 1)
+
+
+def lame():
+    """Lamé's constants."""
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+def forms(bodies, degree):
+    """Residuals, displacements, boundary conditions, and what may touch."""
+    u, F, bcs, sides = [], [], [], []
+    for i, (mesh, ft, facets) in enumerate(bodies):
+        dim = mesh.geometry.dim
+        V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+        w, v = fem.Function(V), ufl.TestFunction(V)
+        eps = ufl.sym(ufl.grad(w))
+        sigma = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(dim))
+        dx = ufl.dx(metadata={"quadrature_degree": 4 * degree - 2})
+        form = ufl.inner(sigma, ufl.sym(ufl.grad(v))) * dx
+        held = [(axis, 2 * axis + 1) for axis in range(dim - 1)]
+        if i == 0:
+            held.append((dim - 1, 2 * dim - 1))  # the bottom
+        else:
+            ds = ufl.Measure("ds", mesh, subdomain_data=ft)
+            pressure = fem.Constant(mesh, default_scalar_type(load(dim)))
+            form += pressure * v[dim - 1] * ds(2 * dim)
+        for component, tag in held:
+            dofs = fem.locate_dofs_topological(V.sub(component), dim - 1, ft.find(tag))
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
+        u.append(w)
+        F.append(form)
+        sides.append((V, facets))
+    return F, u, bcs, sides
+
+
 def press(comm, h, degree, ratio, swap, dim=2):
     """Press the cylinder on.
 
@@ -113,33 +173,7 @@ def press(comm, h, degree, ratio, swap, dim=2):
         swap: Whether Γ1 is the side that isn't chosen.
         dim: Number of dimensions.
     """
-    sizes = h * min(1, 1 / ratio), h * min(1, ratio)
-    u, F, bcs, sides = [], [], [], []
-    for i, size in enumerate(sizes):
-        mesh, ft = body(comm, i == 1, size, degree, dim)
-        V = fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-        w, v = fem.Function(V), ufl.TestFunction(V)
-        eps = ufl.sym(ufl.grad(w))
-        sigma = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(dim))
-        dx = ufl.dx(metadata={"quadrature_degree": 4 * degree - 2})
-        form = ufl.inner(sigma, ufl.sym(ufl.grad(v))) * dx
-        low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
-        held = [(axis, 2 * axis + 1) for axis in range(dim - 1)]
-        if i == 0:
-            held.append((dim - 1, low))
-        else:
-            ds = ufl.Measure("ds", mesh, subdomain_data=ft)
-            load = fem.Constant(mesh, default_scalar_type(P[dim] / (2 * L[dim]) ** (dim - 1)))
-            form += load * v[dim - 1] * ds(high)
-        for component, tag in held:
-            dofs = fem.locate_dofs_topological(V.sub(component), dim - 1, ft.find(tag))
-            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
-        u.append(w)
-        F.append(form)
-        facets = ft.find(high if i == 0 else low)
-        middle = compute_midpoints(mesh, dim - 1, facets)
-        near = np.linalg.norm(middle[:, : dim - 1], axis=1) < 5 * a
-        sides.append((V, facets[near]))
+    F, u, bcs, sides = forms(pair(comm, h, degree, ratio, dim), degree)
     contact = Contact.between(*sides)
     if swap:
         contact = Contact(*(sides if contact.swapped else sides[::-1]))
@@ -148,25 +182,43 @@ def press(comm, h, degree, ratio, swap, dim=2):
     return problem, contact
 
 
+def quadrature(x):
+    """A rule on a surface.
+
+    Args:
+        x: Places of the facets' vertices, ``(num_facets, dim, dim)``.
+
+    Returns:
+        Shares of the vertices at its points, ``(num_points, dim)``, and of all points distances
+        from the middle and weights, ``(num_facets, num_points)``.
+    """
+    dim = x.shape[2]
+    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle}[dim]
+    points, weights = basix.make_quadrature(cell, 15 if dim == 2 else 8)
+    shares = np.column_stack((1 - points.sum(axis=1), points))
+    at = np.linalg.norm(np.einsum("qv,fvi->fqi", shares, x)[..., :-1], axis=2)
+    edges = (x[:, 1:] - x[:, :1])[..., :-1]
+    return shares, at, np.abs(np.linalg.det(edges))[:, None] * weights
+
+
+def l2_error(at, p, dx, dim):
+    """Relative L² error of a pressure at the points of a rule."""
+    square = ((p - exact(at, dim)) ** 2 * dx).sum()
+    return np.sqrt(square / (exact(at, dim) ** 2 * dx).sum())
+
+
 def errors(problem, contact):
     """Relative errors of what Hertz's solution says."""
     surface, p = contact.surfaces[1], contact.pressures(problem)
     dim = surface.gdim
-    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle}[dim]
-    points, weights = basix.make_quadrature(cell, 15 if dim == 2 else 8)
-    values = np.column_stack((1 - points.sum(axis=1), points))
-    x = surface.x[surface.facets]
-    at = np.linalg.norm(np.einsum("qv,fvi->fqi", values, x)[..., :-1], axis=2)
-    edges = (x[:, 1:] - x[:, :1])[..., :-1]
-    dx = np.abs(np.linalg.det(edges))[:, None] * weights
-    square = ((p[surface.facets] @ values.T - exact(at, dim)) ** 2 * dx).sum()
+    shares, at, dx = quadrature(surface.x[surface.facets])
     reached = np.linalg.norm(surface.x[contact.active][:, :-1], axis=1).max(initial=0)
     force = 2 ** (dim - 1) * abs(contact.force(problem)[dim - 1])
     return {
         "p0": abs(p.max() / p0[dim] - 1),
         "force": abs(force / P[dim] - 1),
         "half_width": abs(reached / a - 1),
-        "l2_pressure": np.sqrt(square / (exact(at, dim) ** 2 * dx).sum()),
+        "l2_pressure": l2_error(at, p[surface.facets] @ shares.T, dx, dim),
         "steps": problem.iterations,
     }
 

@@ -61,6 +61,24 @@ DEMOS = {
         pictures=("cylinder",),
         needs=("matplotlib",),
     ),
+    "bolted_assembly": Demo(
+        "--steps 1",
+        {"rows.0.over_estimate": 0.93, "rows.1.zones.foot.parted": 0.75},
+        {"rows.*.newton": 15, "rows.*.halvings": 0, "rows.*.balance": 1e-9},
+        accuracy=0.1,  # as far as versions of Gmsh agree
+        pictures=("bolted_assembly",),
+        needs=("gmsh", "matplotlib"),
+        slow=True,
+    ),
+    "contact_run_time": Demo(
+        "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
+        {"contact.*.l2_pressure": 4.45e-2, "contact.0.steps": 4, "contact.1.steps": 5},
+        {"contact.*.p0": 2e-3, "contact.*.force": 5e-4},
+        accuracy=2e-3,
+        pictures=("contact",),
+        needs=("matplotlib",),
+        script="error_against_run_time",
+    ),
     "bouncing": Demo(
         "--height 0.1 --time 1.4 --step 0.02",
         {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.0915e-3},
@@ -299,7 +317,7 @@ AS_OTHERS = (
     *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
     *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
-    "rolling",
+    *("contact_run_time", "rolling"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap.cells import Overhang
-from hypergap_dolfinx.gap.metric import FACES, face_keys
+from hypergap_dolfinx.gap.metric import FACES
 from hypergap_dolfinx.gap.outlines import NEARLY, OFF
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import lengths
@@ -91,8 +91,8 @@ def _walls(slab: Slab) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     faces = slab.cells[near][:, FACES]  # (cell, face, vertex)
     on1 = (slab.alpha[faces] == 1).sum(axis=2)
     cell, face = np.nonzero(rim[faces].all(axis=2) & (on1 > 0) & (on1 < 3))
-    keys = face_keys(faces[cell, face])
-    _, first, count = np.unique(keys, return_index=True, return_counts=True)
+    keys = np.sort(faces[cell, face], axis=1)
+    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     cell, face = cell[first[count == 1]], face[first[count == 1]]
     alone = (slab.alpha[faces[cell, face]] == (on1[cell, face] == 1)[:, None]).argmax(axis=1)
     return near[cell], FACES[face[:, None], (alone[:, None] + (1, 2, 0)) % 3]

@@ -132,13 +132,16 @@ class Gaps(Protocol):
     def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
         """Σ_a p_a ∂²g_a/∂u²."""
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray
-    ) -> tuple[Sparse, Sparse]:
-        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other.
+    def slip(self, u: Displacements, lender: npt.NDArray) -> Sparse:
+        """T with slips s = T (u − u_since); n − 1 components one after the other.
 
         In space each vertex has the directions of its lender.
         """
+
+    def slip_slopes(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray, on: npt.NDArray
+    ) -> Sparse:
+        """∂s/∂u of those that are asked for, ``(num_multipliers,)``."""
 
     def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
         """∂(Tᵀq)/∂u."""
@@ -150,6 +153,10 @@ class Coulomb(Protocol):
     @property
     def elastic_slip(self) -> float:
         """Slip up to which friction grows to μ p."""
+
+    @property
+    def shear_limit(self) -> float:
+        """Traction beyond which friction doesn't grow with pressure."""
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """The coefficient at Γ1's vertices, the same on every rank. Collective."""
