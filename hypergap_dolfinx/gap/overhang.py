@@ -48,7 +48,8 @@ def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
             parts.append((start + cells, at, weights))
         start += len(slab.cells)
     whole, rims = (
-        Overhang(*(np.concatenate(part) for part in zip(*parts, strict=True))) for parts in found
+        Overhang(*map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[arg-type]
+        for parts in found
     )
     return replace(whole, rims=rims) if len(whole.cells) else None
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from hypergap_dolfinx.gap.constraint import coo_matrix, triplets
 from hypergap_dolfinx.solve.extension import Extension
@@ -54,7 +55,8 @@ class Opening:
         for obj in (self._P, self._w, self.K):
             obj.destroy()
 
-    def _rows(self):
+    def _rows(self) -> npt.NDArray:
+        """w, ``(num_multipliers, block_size)`` of this rank."""
         return self._w.array_r.reshape(-1, self._block_size)
 
     def _tangent(self) -> PETSc.Mat:
