@@ -17,6 +17,10 @@
 # $$c = a \sqrt{1 - Q / (\mu P)}, \quad
 #   q = \mu p_0 \Bigl(\sqrt{1 - x^2/a^2} - \frac ca \sqrt{1 - x^2/c^2}\Bigr).$$
 #
+# - `sphere`: the same of a sphere on a half-space, sheared, then slid. It sticks where r < c only,
+#   with the root above one of the third order (Mindlin, 1949).
+# - `roll`: the sphere rolls by one facet a load step. Of the block's material, it neither slips nor
+#   takes any force.
 # - `twist`: a cylinder stands on another one and is turned around its axis. When all of it slips it
 #   takes a torque of 2/3 μ P R.
 
@@ -32,6 +36,7 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import compute_midpoints
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
@@ -90,13 +95,13 @@ def problem(bodies, contact):
 def column(comm, slope, n, degree, dim):
     """A column, cut by a plane that leans to the left."""
     low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
-    bodies = []
+    bodies, height = [], max(1.0, 2 * slope)
     for i in (0, 1):
 
         def place(x, i=i):
             x = x.copy()
             z = x[:, -1].copy()
-            x[:, -1] += i - 1 + slope * x[:, 0] * (1 - z if i else z)
+            x[:, -1] = height * (z + i - 1) + slope * x[:, 0] * (1 - z if i else z)
             return x
 
         cell = "quadrilateral" if dim == 2 else "hexahedron"
@@ -106,22 +111,23 @@ def column(comm, slope, n, degree, dim):
     return bodies, high
 
 
-def block(comm, degree, dim, swap=False):
+def block(comm, degree, dim, swap=False, slope=SLOPE):
     """Errors of pressure and shear just above the slope, and whether sliding is told below."""
-    bodies, high = column(comm, SLOPE, (2, 3), degree, dim)
+    bodies, high = column(comm, slope, (2, 3), degree, dim)
     for c in range(dim - 1):
         bodies[0].hold(2 * c + 1, c)
     load = bodies[1].load(high)
-    mu = fem.Constant(bodies[0].mesh, default_scalar_type(SLOPE * (1 + NEARLY)))
+    mu = fem.Constant(bodies[0].mesh, default_scalar_type(slope * (1 + NEARLY)))
     sides = [body.side for body in bodies][:: -1 if swap else 1]
     contact = Contact(*sides, friction=mu, sliding="small")
     pair = problem(bodies, contact)
     load.value = PRESSURE
     pair.solve()
-    normal = PRESSURE / (1 + SLOPE**2)
+    normal = PRESSURE / (1 + slope**2)
     shear = np.linalg.norm(contact.shears(pair)[contact.active], axis=1)
-    errors = contact.pressures(pair)[contact.active] / normal - 1, shear / (SLOPE * normal) - 1
-    mu.value = SLOPE * (1 - NEARLY)
+    errors = contact.pressures(pair)[contact.active] / normal - 1, shear / (slope * normal) - 1
+    steps = pair.iterations
+    mu.value = slope * (1 - NEARLY)
     try:
         pair.solve()
         told = False
@@ -134,6 +140,7 @@ def block(comm, degree, dim, swap=False):
         "swap": swap,
         "error": float(max(np.abs(part).max() for part in errors)),
         "told": told,
+        "steps": steps,
     }
 
 
@@ -258,6 +265,102 @@ def draw(x, contact, pair, exact, inner, picture):
     fig.savefig(picture, dpi=150)
 
 
+def ball(comm, cells, sliding):
+    """A sphere on a half-space, of tetrahedra that grow from 1.2 a on.
+
+    Args:
+        comm: Communicator.
+        cells: Number of cells of Γ1, the sphere, in a.
+        sliding: Of the contact.
+
+    Returns:
+        The problem, its contact, and what moves the sphere: down and along, and rolls it.
+    """
+    bodies, sides, size = [], [], 12 * a
+    for i, h in enumerate((0.75 * a / cells, a / cells)):
+
+        def grown(x, y, z, i=i, h=h):
+            off = np.linalg.norm((x - 0.5, y - 0.5, z if i else 1 - z)) * size
+            return (h + 0.5 * max(off - 1.2 * a, 0)) / size
+
+        def place(s, i=i):
+            x = (s - (0.5, 0.5, 1 - i)) * size
+            bottom = R - np.sqrt(R**2 - i * (x[:, :2] ** 2).sum(axis=1))
+            x[:, 2] = bottom + x[:, 2] * (1 - bottom / size)
+            return x
+
+        mesh, ft = meshes.solid_block(comm, grown, place)
+        bodies.append(Body(mesh, ft, meshes.BACK if i else meshes.FRONT, 1))
+        V, facets = bodies[i].side
+        middle = compute_midpoints(mesh, 2, facets)
+        sides.append((V, facets[np.linalg.norm(middle[:, :2], axis=1) < 2.5 * a]))
+    bodies[0].hold(meshes.BACK, 0, 1, 2)
+    goal = fem.Function(bodies[1].V)
+    dofs = fem.locate_dofs_topological(bodies[1].V, 2, bodies[1].ft.find(meshes.FRONT))
+    bodies[1].bcs.append(fem.dirichletbc(goal, dofs))
+    contact = Contact(*sides, friction=MU, sliding=sliding)
+    pair = problem(bodies, contact)
+
+    def go(down, along=0.0, turn=0.0):
+        def move(x):
+            X, Z = x[0], x[2] - R
+            cos, sin = np.cos(turn), np.sin(turn)
+            xs = cos * X + sin * Z - X + turn * R + along
+            return np.array((xs, 0 * X, cos * Z - sin * X - Z - down))
+
+        goal.interpolate(move)
+        pair.solve()
+        return pair.iterations
+
+    return pair, contact, go
+
+
+def sphere(comm, cells=6):
+    """Press and shear a sphere, then let it slide."""
+    pair, contact, go = ball(comm, cells, "small")
+    down = 0.95 * a**2 / R
+    steps = [go(down), go(down, 0.75 * MU * down)]
+    across, _, force = np.abs(contact.force(pair))
+    modulus = E / (2 * (1 - nu**2))
+    half = (3 * force * R / (4 * modulus)) ** (1 / 3)
+    inner = half * (1 - across / (MU * force)) ** (1 / 3)
+    r, area = np.linalg.norm(contact.surfaces[1].x[:, :2], axis=1), contact.rows.m
+    p0 = 3 * force / (2 * np.pi * half**2)
+    outer, sticks = (np.sqrt(np.maximum(1 - (r / b) ** 2, 0)) for b in (half, inner))
+    exact = MU * p0 * (outer - inner / half * sticks)
+    error = np.linalg.norm(contact.shears(pair), axis=1) - exact
+    stuck = r[contact.sticking].max(initial=0)
+    steps.append(go(down, 3 * MU * down))
+    slid = contact.force(pair)
+    return {
+        "scene": "sphere",
+        "cells": cells,
+        "l2_shear": float(np.sqrt((area * error**2).sum() / (area * exact**2).sum())),
+        "off": float(abs(stuck - inner) * cells / a),
+        "q_over_mu_p": float(across / (MU * force)),
+        "slid": float(np.linalg.norm(slid[:2]) / (MU * slid[2])),
+        "steps": steps,
+    }
+
+
+def roll(comm, cells=6, num=4):
+    """Roll a sphere: forces along over μ times the pressure, and slips over the way."""
+    pair, contact, go = ball(comm, cells, "finite")
+    down, steps, forces, slips = 0.95 * a**2 / R, [], [], []
+    for step in range(num + 1):
+        steps.append(go(down, 0.0, step / (cells * R) * a))
+        force = contact.force(pair)
+        forces.append(np.linalg.norm(force[:2]) / (MU * force[2]))
+        slips.append(np.linalg.norm(contact.slips(pair), axis=1).max() * cells / a)
+    return {
+        "scene": "roll",
+        "cells": cells,
+        "q_over_mu_p": float(max(forces)),
+        "slips": float(max(slips[1:])),
+        "steps": steps,
+    }
+
+
 def twist(comm, n=3):
     """The torque of a cylinder that is turned on another one."""
     bodies = []
@@ -301,7 +404,8 @@ def twist(comm, n=3):
 def main():
     """Run the scenes."""
     parser = argparse.ArgumentParser(description="What sticks and what slips.")
-    scenes = ("block", "wedge", "cattaneo", "twist")
+    others = {"wedge": wedge, "twist": twist, "sphere": sphere, "roll": roll}
+    scenes = ("block", "cattaneo", *others)
     parser.add_argument("--scene", choices=scenes, action="append", help="some, instead of all")
     parser.add_argument("--cells", type=int, default=20, help="cells in Cattaneo's half-width")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -315,7 +419,7 @@ def main():
             picture = args.plot / "friction.png" if args.plot else None
             rows.append(cattaneo(comm, args.cells, picture=picture))
         else:
-            rows.append({"wedge": wedge, "twist": twist}[scene](comm))
+            rows.append(others[scene](comm))
     progress.show(comm)
     if comm.rank == 0:
         for row in rows:

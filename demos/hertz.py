@@ -55,7 +55,8 @@ def exact(x, dim=2):
 # ## Meshes
 #
 # In the plane cells of one size up to 1.5 a, from there on each is a seventh longer than the one
-# before. In space unstructured tetrahedra, which grow from 1.2 a on.
+# before. In space unstructured tetrahedra, which grow from a ball of radius 1.2 a on; for degree 2,
+# which has the stress below the surface on longer cells too, from a disc.
 
 
 def grading(h, a=a, end=L[2]):
@@ -75,8 +76,12 @@ def body(comm, upper, h, degree, dim):
     if dim == 3:
 
         def size(x, y, z):
-            off = np.linalg.norm((x, y, z if upper else 1 - z)) * L[3]
-            return (h + 0.35 * max(off - 1.2 * a, 0)) / L[3]
+            x, y, z = (s * L[3] for s in (x, y, z if upper else 1 - z))
+            if degree == 1:
+                off = max(np.linalg.norm((x, y, z)) - 1.2 * a, 0)
+            else:
+                off = np.hypot(max(np.hypot(x, y) - 1.2 * a, 0), z)
+            return (h + 0.35 * off) / L[3]
 
         def place(s):
             return curved(s * L[3] - (0 if upper else (0, 0, L[3])), upper, L[3])

@@ -59,7 +59,7 @@ def energy(u, E, nu=0.32):
 class Ironing:
     """The scene."""
 
-    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2, friction=None):
+    def __init__(self, comm, degree=1, flat=False, swap=False, dim=2, friction=None, coarse=False):
         """Make it.
 
         Args:
@@ -69,9 +69,12 @@ class Ironing:
             swap: Whether Γ1 is the die instead of the foundation.
             dim: Number of dimensions.
             friction: Its coefficient.
+            coarse: Whether cells are twice as long.
         """
         sizes = ((LENGTH, DEPTH), (WIDTH, HEIGHT)) if dim == 2 else SOLID
         cells = ((50, 10), (11, 6)) if dim == 2 else SOLID_CELLS
+        if coarse:
+            cells = [[(n + 1) // 2 for n in numbers] for numbers in cells]
         start = np.zeros(dim)  # of the die's middle
         start[0] = 0.25 * LENGTH if dim == 2 else 10 * H
 
@@ -235,6 +238,9 @@ def main():
     parser.add_argument("--degree", type=int, choices=(1, 2), default=1)
     parser.add_argument("--flat", action="store_true", help="a flat die with corners")
     parser.add_argument("--swap", action="store_true", help="Γ1 is the die")
+    parser.add_argument(
+        "--coarse", action="store_true", help="cells twice as long, for degree 2 in space"
+    )
     parser.add_argument("--step", type=float, default=1 / 3, help="size of load steps, in cells")
     parser.add_argument("--steps", type=int, default=60, help="number of load steps along")
     parser.add_argument("--back", type=int, default=0, help="number of load steps back")
@@ -243,7 +249,7 @@ def main():
     parser.add_argument("--plot", type=Path, metavar="DIR", help="save a GIF")
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
-    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim, args.friction)
+    scene = Ironing(comm, args.degree, args.flat, args.swap, args.dim, args.friction, args.coarse)
     film = Film(scene) if args.plot else None
     rows = scene.go(args.steps, args.step, args.back, film)
     progress.show(comm)

@@ -27,6 +27,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
+import friction
 from ironing import Ironing
 
 import meshes
@@ -271,8 +272,9 @@ def turned(n, degree, swap):
 # ## Contact
 #
 # A block between walls is pressed on another one, and held by nothing but contact; the pressure is
-# the load. And a die irons, in load steps of any length: its reaction is the derivative of the
-# energy.
+# the load. A column that is cut by a plane sticks as long as friction is more than its slope (see
+# `friction.py`). And a die irons, in load steps of any length: its reaction is the derivative of
+# the energy, but for what friction takes.
 
 PRESSED = {
     "dim": 2,
@@ -285,7 +287,11 @@ PRESSED = {
     "shift": 0.0,
     "start": 0.0,  # the gap at first, in cells of the finer block
     "sliver": 0.0,  # of the lower block that has nothing above it
+    "friction": None,  # coefficient
 }
+
+
+FRICTION = (0.0, 0.1, 0.5, 1.0, 2.0)
 
 
 def pressed(scene):
@@ -316,7 +322,7 @@ def pressed(scene):
             bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(component)))
         u.append(w)
         sides.append((V, ft.find(2 * dim - i)))  # the one's top, the other's bottom
-    contact = Contact(*(sides[::-1] if s["swap"] else sides))
+    contact = Contact(*(sides[::-1] if s["swap"] else sides), friction=s["friction"])
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-13)
     problem.solve()
     error = np.abs(contact.pressures(problem) / p - 1)  # what is cut off has no pressure of its own
@@ -341,6 +347,8 @@ def contact_scenes(quick):
         yield "start / h", value, {"start": value}, 1e-9
     for value in powers(-9, -3, 4 if quick else 1):  # it isn't loaded
         yield "sliver", value, {"sliver": value}, 1e-9 + 3 * value
+    for value in FRICTION[::4] if quick else FRICTION:
+        yield "friction", value, {"friction": value}, 1e-12
 
 
 def contact_rows(quick):
@@ -358,13 +366,24 @@ def contact_rows(quick):
             result = {"scene": "contact", "axis": axis, "value": value, **common, **nothing}
             result |= {"error": float(error), "bound": bound, "constraint": float(gap)}
             yield result | {"reason": problem.iterations, "ok": bool(error <= bound)}
-    for size in (5.0,) if quick else (0.01, 0.1, 1.0, 5.0):
-        found = Ironing(comm).go(6, size)
+    nothing["constraint"] = np.nan
+    for value, dim, degree in itertools.product(FRICTION[1:], (2, 3), (1, 2)):
+        if quick and value < FRICTION[-1]:
+            continue
+        runs = [friction.block(comm, degree, dim, swap, value) for swap in (False, True)]
+        error, told = max(run["error"] for run in runs), all(run["told"] for run in runs)
+        result = {"scene": "cut column", "axis": "friction", "value": value, **nothing}
+        result |= {"dim": dim, "degree": degree, "error": error, "bound": 1e-10}
+        yield result | {"reason": max(run["steps"] for run in runs), "ok": error <= 1e-10 and told}
+    ironed = [("step / h", size, None, size, 1e-6) for size in (0.01, 0.1, 1.0, 5.0)]
+    ironed += [("friction", mu, mu, 0.3, 2e-5) for mu in FRICTION]
+    for axis, value, mu, size, bound in ironed[3::5] if quick else ironed:
+        found = Ironing(comm, friction=mu).go(6, size)
         error, steps = (max(row[name] for row in found) for name in ("energy_error", "iterations"))
         halved = sum(row["halvings"] for row in found)
-        result = {"scene": "ironing", "axis": "step / h", "value": size, **nothing}
-        result |= {"dim": 2, "degree": 1, "error": error, "bound": 1e-6, "constraint": np.nan}
-        yield result | {"reason": steps, "ok": error <= 1e-6 and not halved}
+        result = {"scene": "ironing", "axis": axis, "value": value, **nothing}
+        result |= {"dim": 2, "degree": 1, "error": error, "bound": bound}
+        yield result | {"reason": steps, "ok": error <= bound and not halved}
 
 
 # ## What the solver says

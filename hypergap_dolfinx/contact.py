@@ -79,6 +79,7 @@ class Contact:
         sliding: str = "finite",
         friction: Value | None = None,
         elastic_slip: float = 0.0,
+        shear_limit: float = np.inf,
     ):
         """Find the two surfaces. Collective.
 
@@ -93,11 +94,13 @@ class Contact:
                 change between load steps. None for no friction.
             elastic_slip: Slip (a length) up to which friction grows to μ p, and which goes back
                 when it is released. With 0 nothing slips before that.
+            shear_limit: Traction τ beyond which friction doesn't grow with pressure: min(μ p, τ).
+                With a large μ it is nearly Tresca's friction, the same at any pressure.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
                 unknown; a coefficient of friction that is negative, no number, or elsewhere; an
-                elastic slip without friction.
+                elastic slip or a limit of shear without friction.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
         if sliding not in ("finite", "small"):
@@ -129,7 +132,7 @@ class Contact:
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
-        self._friction = friction_of(friction, elastic_slip, *side1)
+        self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
         self.rows: ContactRows | None = None
         """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():

@@ -174,7 +174,7 @@ class ContactProblem(ContactSystem):
         for contact, rows in zip(self._contacts, self._rows, strict=True):
             contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        laws = [law for tie in ties for law in (tie.jump, tie.compliance) if law]
+        laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
         arrays = [array for law in laws for array in law.arrays]
         arrays += [contact.friction.array for contact in contacts if contact.friction]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)

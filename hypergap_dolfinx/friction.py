@@ -21,7 +21,12 @@ class Friction:
     """Coulomb's coefficient μ: one number, or one for each place on Γ1."""
 
     def __init__(
-        self, value: Value, elastic_slip: float, V: fem.FunctionSpace, facets: npt.ArrayLike
+        self,
+        value: Value,
+        elastic_slip: float,
+        shear_limit: float,
+        V: fem.FunctionSpace,
+        facets: npt.ArrayLike,
     ):
         """Check what is given. Collective.
 
@@ -29,6 +34,7 @@ class Friction:
             value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
                 which values at vertices are taken.
             elastic_slip: Slip up to which friction grows to μ p; 0 if nothing slips before.
+            shear_limit: Traction beyond which friction doesn't grow with pressure.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
 
@@ -39,6 +45,10 @@ class Friction:
             raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip!r}.")
         self.elastic_slip = float(elastic_slip)
         """Slip up to which friction grows to μ p."""
+        if not (_is_number(shear_limit) and shear_limit > 0):
+            raise ValueError(f"shear_limit is a traction above 0, not {shear_limit!r}.")
+        self.shear_limit = float(shear_limit)
+        """Traction beyond which friction doesn't grow with pressure."""
         self._comm = V.mesh.comm
         self._at: MovingSurface | None = None
         self._value: npt.NDArray | fem.Constant | fem.Function
@@ -92,23 +102,30 @@ class Friction:
 
 
 def friction_of(
-    value: Value | None, elastic_slip: float, V: fem.FunctionSpace, facets: npt.ArrayLike
+    value: Value | None,
+    elastic_slip: float,
+    shear_limit: float,
+    V: fem.FunctionSpace,
+    facets: npt.ArrayLike,
 ) -> Friction | None:
     """Friction as given to a contact, or None. Collective.
 
     Args:
         value: The coefficient, or None.
         elastic_slip: As for :class:`Friction`.
+        shear_limit: As for :class:`Friction`.
         V: The space of Γ1's body.
         facets: This rank's facets of Γ1.
 
     Raises:
-        ValueError: As :class:`Friction`; an elastic slip without friction.
+        ValueError: As :class:`Friction`; an elastic slip or a limit without friction.
     """
     if value is not None:
-        return Friction(value, elastic_slip, V, facets)
-    if elastic_slip:
-        raise ValueError("elastic_slip is for contact with friction: give friction too.")
+        return Friction(value, elastic_slip, shear_limit, V, facets)
+    given = (("elastic_slip", elastic_slip, 0), ("shear_limit", shear_limit, np.inf))
+    for name, one, none in given:
+        if one != none:
+            raise ValueError(f"{name} is for contact with friction: give friction too.")
     return None
 
 

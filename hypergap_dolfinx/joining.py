@@ -180,6 +180,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
             jump=first.jump,
             motion=first.motion,
             compliance=first._compliance,
+            law=first._law,
         )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []

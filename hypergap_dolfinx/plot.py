@@ -29,11 +29,11 @@ from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.gap.surface import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
 
-_BODY, _EDGE = "#e8e4da", "#555555"
+_BODY, _EDGE, _SHEAR = "#e8e4da", "#555555", "#1b7837"
 PARTS = 8
 """Straight parts that an edge of Γ1 is drawn with."""
 LIFT = 0.01
-"""How far from Γ0's body Γ1 is drawn in space, in its extent."""
+"""How far from Γ0's body Γ1 is drawn in space, in its extent; shear twice as far."""
 SEEN_THROUGH = 0.3
 """Opacity of a body in space that is in contact with itself."""
 CLOSED = 0.5
@@ -252,6 +252,8 @@ def contact(
 ) -> pyvista.Plotter | None:
     """Bodies where they are in contact, with its pressure on Γ1 as colour and as arrows.
 
+    Green arrows are the tractions of friction on Γ1's body, on a scale of their own.
+
     In 3D without Γ1's body, which would hide it; a body in contact with itself is translucent.
     Points are the vertices of Γ1 that are in contact.
 
@@ -267,6 +269,7 @@ def contact(
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
     surface, p = contact.displaced(problem)[1], contact.pressures(problem)
+    shear = contact.shears(problem) if contact.friction else np.zeros(0)
     plotter, itself = _plotter(comm, window), contact.spaces[0] == contact.spaces[1]
     for u in problem.every_u:
         body = _with_values(u, "displacement")
@@ -298,6 +301,16 @@ def contact(
             tails.points = points.points - length * p[on][:, None] * points["arrow"]
             arrows = tails.glyph(orient="arrow", scale="pressure", factor=length)
             plotter.add_mesh(arrows, show_scalar_bar=False, **scale)
+            if shear.any():
+                tails["shear"] = _padded(shear[on])
+                tails["size"] = np.linalg.norm(shear[on], axis=1)
+                tails.points = points.points - 2 * LIFT * extent * points["arrow"]  # beside Γ1
+                most = tails["size"].max()
+                length = (0.12, 0.25)[dim - 2] * extent / most
+                arrows = tails.glyph(orient="shear", scale="size", factor=length)
+                plotter.add_mesh(arrows, color=_SHEAR, name="shear", lighting=dim == 3)
+                text = f"green: shear, up to {most:.3g}"
+                plotter.add_text(text, position="upper_left", color=_SHEAR, font_size=12)
     up = -_mean_normal(surface)
     return _finish(plotter, dim, filename, window, _beside(up) + up, up)
 

@@ -113,6 +113,8 @@ class TiedProblem(TiedSystem):
             )
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
+        if any(isinstance(tie, Tie) and tie.law is not None for tie in ties):
+            raise ValueError("a tie with a law of its jump is for a NonlinearTiedProblem.")
         for form in (*a, *L):
             if form is not None and not isinstance(form, ufl.Form):
                 raise ValueError(

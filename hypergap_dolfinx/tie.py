@@ -21,6 +21,7 @@ from hypergap_dolfinx import disposal
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap import carried, fields, quality
 from hypergap_dolfinx.gap import compliance as soft
+from hypergap_dolfinx.gap import law as laws
 from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.gap.carried import Motion
 from hypergap_dolfinx.gap.component import Component
@@ -81,6 +82,7 @@ class Tie(disposal.Owner):
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
         compliance: soft.Given | None = None,
+        law: laws.Given | laws.Law | None = None,
         discontinuous: bool = False,
     ):
         """Mesh Σ between two surfaces. Collective.
@@ -122,10 +124,18 @@ class Tie(disposal.Owner):
                 or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
                 lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
                 ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
-                body, or a callable of x. Read anew when the matrix is assembled; so a law
-                c(u₁ − u₀) of your own is a loop that sets it and solves again. Where all of both
-                sides is prescribed λ follows from c alone: one that is 0 when the problem is made
-                is to stay so.
+                body, or a callable of x. Read anew when the matrix is assembled. Where all of both
+                sides is prescribed λ follows from c alone: one that was 0 when the problem was made
+                is to stay so, or an error says so.
+            law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
+                softens and lets go, a spring that pushes and doesn't pull. A function of the jump
+                (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
+                gives λ in UFL: ``law=lambda jump, n: k * jump``. Its derivative is UFL's, from
+                ``conditional`` and ``max_value`` too, so Newton's iteration has the exact tangent;
+                of a potential ψ it is ``ufl.diff(psi, w)`` with ``w = ufl.variable(jump)``.
+                ``fem.Constant`` may be in it, and change between solves. It has no memory: what
+                opens closes the same way. For :class:`NonlinearTiedProblem` and
+                :class:`ContactProblem`.
             discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
                 Where both sides consist of several materials, traction jumps from one to the next:
                 give a tie for each material then, with this, its two surfaces ending at one place.
@@ -133,8 +143,8 @@ class Tie(disposal.Owner):
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
-            ValueError: A jump or a compliance that doesn't fit the spaces, that isn't finite, or a
-                negative compliance.
+            ValueError: A jump, a compliance or a law that doesn't fit the spaces, that isn't
+                finite, or a negative compliance; a compliance and a law.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
@@ -207,8 +217,11 @@ class Tie(disposal.Owner):
         self._blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
+        if compliance is not None and law is not None:
+            raise ValueError("give a compliance or a law, not both.")
         self._compliance = compliance
-        _ = self.compliance  # what is wrong with it is told here
+        self._law = law if law is None or isinstance(law, laws.Law) else laws.Law(law)
+        _ = self.compliance, self.law  # what is wrong with them is told here
 
     @classmethod
     def between(
@@ -231,7 +244,7 @@ class Tie(disposal.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor; a jump is that of b over a, u_b − u_a.
+            options: Of the constructor; a jump is that of b over a, u_b − u_a, also a law's.
 
         Returns:
             The tie.
@@ -251,6 +264,8 @@ class Tie(disposal.Owner):
             swapped, why = ratio > 1, "coarser"
         if swapped and options.get("jump") is not None:
             options["jump"] = Jump(options["jump"]).reversed()
+        if swapped and options.get("law") is not None:
+            options["law"] = laws.Law(options["law"]).reversed()
         tie = cls(*((b, a) if swapped else (a, b)), **options)
         tie._swapped = swapped
         if tie.sigma.comm.rank == 0:
@@ -330,7 +345,7 @@ class Tie(disposal.Owner):
 
     def _release(self) -> list:
         """The PETSc matrices, which the tie forgets."""
-        names = ("_recovery", "compliance", "constraint")
+        names = ("_recovery", "compliance", "law", "constraint")
         own = [self.__dict__.pop(name, None) for name in names]
         objects = [*getattr(self, "_blocks", ()), *own]
         self._blocks = ()
@@ -433,7 +448,9 @@ class Tie(disposal.Owner):
 
     @property
     def gives_way(self) -> Hashable:
-        """Equal for ties with the same compliance; None without."""
+        """Equal for ties with the same compliance or law; None without."""
+        if self._law is not None:
+            return self._law.key
         return None if self._compliance is None else soft.key(self._compliance)
 
     @cached_property
@@ -447,6 +464,13 @@ class Tie(disposal.Owner):
             return None
         given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
         return soft.Compliance(*given)
+
+    @cached_property
+    def law(self) -> laws.Response | None:
+        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law."""
+        if self._law is None:
+            return None
+        return laws.Response(self._law, self._domain, self.constraint, self._spaces[1])
 
     @cached_property
     def _gaping(self) -> npt.NDArray:

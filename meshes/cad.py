@@ -6,6 +6,7 @@
 """Tetrahedra in the parts of an assembly from a CAD file, with Gmsh: part by part, or in one."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 from mpi4py import MPI
@@ -25,7 +26,12 @@ _NODES = {1: [0, 1, 2, 3], 2: [0, 1, 2, 3, 8, 9, 5, 7, 6, 4]}
 
 
 def parts_of_assembly(
-    comm: MPI.Comm, filename: str | Path, factor: float, *, degree: int = 1
+    comm: MPI.Comm,
+    filename: str | Path,
+    factor: float,
+    *,
+    degree: int = 1,
+    cut: Mapping[str, int] | None = None,
 ) -> list[tuple[str, dolfinx.mesh.Mesh]]:
     """A mesh of each part of an assembly.
 
@@ -35,11 +41,13 @@ def parts_of_assembly(
         factor: Cell size in each part over its thickness 2 V / A, volume over half of its surface;
             around cylinders there are at least 12 / factor edges.
         degree: Degree of the geometry, 1 or 2.
+        cut: Parts that are cut across at half their length, by name, and along which axis that is.
 
     Returns:
-        Names and meshes, in the file's order.
+        Names and meshes, in the file's order; of what is cut the lower half comes first.
     """
-    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, False, comm.rank == 0))
+    here = comm.rank == 0
+    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, False, here, cut or {}))
     return [
         (name, _create(comm, x, cells, degree)) for name, cells in zip(names, parts, strict=True)
     ]
@@ -91,7 +99,24 @@ def _sizes_at(model, volumes: list[tuple[int, int]], sizes: list[float]):
     return {entity: sum(met) / len(met) for entity, met in at.items()}
 
 
-def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, here: bool):
+def _cut_across(cad, volume: tuple[int, int], axis: int) -> list[tuple[int, int]]:
+    """Both halves of a volume, the lower one first."""
+    box = np.array(cad.getBoundingBox(*volume)).reshape(2, 3)
+    corner, size = box[0] - 1, np.ptp(box, axis=0) + 2
+    size[axis] /= 2
+    (lower,), _ = cad.intersect([volume], [(3, cad.addBox(*corner, *size))], removeObject=False)
+    (upper,), _ = cad.cut([volume], [lower], removeTool=False)
+    return [lower, upper]
+
+
+def _tetrahedra(
+    filename: str | Path,
+    factor: float,
+    degree: int,
+    fused: bool,
+    here: bool,
+    cut: Mapping[str, int] | None = None,
+):
     """Names of the parts, all nodes, and each part's cells; None where Gmsh isn't to run."""
     if not here:
         return None
@@ -108,6 +133,15 @@ def _tetrahedra(filename: str | Path, factor: float, degree: int, fused: bool, h
         for volume in volumes:
             area = sum(cad.getMass(*face) for face in model.getBoundary([volume], oriented=False))
             sizes.append(factor * 2 * cad.getMass(*volume) / area)
+        if cut:
+            pieces = [
+                _cut_across(cad, volume, cut[name]) if name in cut else [volume]
+                for name, volume in zip(names, volumes, strict=True)
+            ]
+            num = [len(part) for part in pieces]
+            names, sizes = (np.repeat(part, num).tolist() for part in (names, sizes))
+            volumes = [volume for part in pieces for volume in part]
+            cad.synchronize()
         if fused:
             _, pieces = cad.fragment(volumes[:1], volumes[1:])
             volumes = [piece for (piece,) in pieces]

@@ -18,7 +18,7 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx import NonlinearTiedProblem, Tie, TiedProblem
 
 comm = MPI.COMM_WORLD
 E, NU = 1.0, 0.3
@@ -195,6 +195,33 @@ def problem(
                 dofs = fem.locate_dofs_topological((body.V.sub(c), W), 1, body.facets(tag))
                 bcs.append(fem.dirichletbc(value, dofs, body.V.sub(c)))
     return TiedProblem(a, L, bcs=bcs, ties=ties, **options)
+
+
+def held_outside(
+    bodies: Sequence[Body],
+    ties: Sequence[Tie],
+    tied: Sequence[tuple[int, object]],
+    exact,
+    **options,
+) -> NonlinearTiedProblem:
+    """Bodies whose displacements are prescribed wherever they aren't tied.
+
+    Args:
+        bodies: The bodies.
+        ties: The ties.
+        tied: Body and tags of the interfaces.
+        exact: The displacement of a body by its number, of an array of points.
+        options: Of the problem.
+    """
+    us, F, bcs = [fem.Function(body.V) for body in bodies], [], []
+    for i, (body, u) in enumerate(zip(bodies, us, strict=True)):
+        F.append(ufl.inner(body.stress(u), ufl.sym(ufl.grad(ufl.TestFunction(body.V)))) * ufl.dx)
+        value = fem.Function(body.V)
+        value.interpolate(lambda x, i=i: np.array(exact(i, x)))
+        inner = [body.facets(tag) for b, tag in tied if b == i]
+        outer = np.setdiff1d(body.boundary, np.concatenate([*inner, np.empty(0, dtype=np.int32)]))
+        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(body.V, 1, outer)))
+    return NonlinearTiedProblem(F, us, bcs=bcs, ties=ties, **options)
 
 
 def displacement_error(problem: TiedProblem, exact=linear) -> float:

@@ -135,6 +135,16 @@ def test_cut_ends():
         assert (m[x.argmin()] > 0) == there and abs(m.sum() - 2 + cut) <= 1e-12
 
 
+def test_what_is_at_both_limits_stays_in_the_set():
+    """Of a body that lies on another one without a weight, round-off is all there is."""
+    p, g = (np.array(values) for values in ([1e-15, -1e-15, 0, 0, 1.0, -1.0, 0], np.zeros(7)))
+    g[2:4], g[6] = (1e-16, -1e-16), -1.0
+    m, valid = np.ones(7), np.ones(7, dtype=bool)
+    for on in (valid, ~valid):
+        result = active.pushing(p, g, m, valid, 2.0, on, 1e-8)
+        assert result.tolist() == [*on[:4], True, False, True]
+
+
 def test_without_pull_on_surface():
     """A ring that pulls takes with it what balances it, and no more; holes and new ones stay."""
     n = 9

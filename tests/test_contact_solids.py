@@ -144,6 +144,7 @@ STEP = 1e-5  # of differences of the fourth order
         ({"low": (-0.3, 0.31)}, 1e-9, 1.0),  # the outline's ∂² are those of a closed gap
         ({"cell": meshing.CellType.hexahedron, "size": 1e-3}, 1e-6, 1e-4),
         ({"cell": meshing.CellType.hexahedron, "cells": (1, 2)}, 1e-9, 1e-9),  # none of Γ0's edges
+        ({"cell": meshing.CellType.hexahedron, "degree": 2, "cells": (1, 2)}, 1e-9, 1e-9),
         ({"degree": 2, "size": 1e-3}, 1e-3, 0.1),  # curved edges are cut as if they were straight
     ),
 )

@@ -39,11 +39,19 @@ def slip_of(opening, sides, u, rng, positions):
     num = (n - 1) * opening.num_multipliers
     q = rng.random((n - 1, opening.num_multipliers))
     own = np.arange(opening.num_multipliers)
-    T, S = (plane.dense(part, (num, len(flat))) for part in opening.slip(u, since, own))
+    T, S, some = (
+        plane.dense(part, (num, len(flat)))
+        for part in (
+            opening.slip(u, own),
+            *(opening.slip_slopes(u, since, own, on) for on in (own >= 0, own % 2 == 0)),
+        )
+    )
+    asked = np.tile(own % 2 == 0, n - 1)
+    close(some[asked], S[asked], 1e-14)
 
     def at(t):
         moved = tuple(a + t * d for a, d in zip(u, direction, strict=True))
-        T = plane.dense(opening.slip(moved, since, own)[0], (num, len(flat)))
+        T = plane.dense(opening.slip(moved, own), (num, len(flat)))
         way = np.concatenate([(a - b).ravel() for a, b in zip(moved, since, strict=True)])
         return np.concatenate((T @ way, q.ravel() @ T))
 
@@ -118,31 +126,31 @@ def rotating(dim, swap=False, rigid=False, **options):
     return contact, problem, go
 
 
-@pytest.mark.ranks(2)
-def test_rotation():
-    """What is pressed and sheared turns by 4.5° eight times, then by 90°: no slip, no change.
+@pytest.mark.ranks(2, dim=[2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rotation(dim):
+    """What is pressed and sheared turns by 4.5° eight times, then far: no slip, no change.
 
     Some of it has slipped before. The law of friction holds, forces and work balance.
     """
-    contact, problem, go = rotating(2, friction=0.1)
-    go(0, 0, -0.1)
-    go(0, 0.04, -0.1)
+    contact, problem, go = rotating(dim, friction=0.1)
+    shift = (0.04, 0.02)[: dim - 1]
+    go(0, *(0 * np.array(shift)), -0.1)
+    go(0, *shift, -0.1)
     rows = contact.rows
     assert contact.sticking.any() and contact.slipping.any() and contact.dissipation(problem) > 1e-6
-    p, q = rows.now.p.copy(), rows.now.q.copy()
-    np.testing.assert_array_less(np.abs(q[0]), 0.1 * p * (1 + 1e-12) + 1e-300)
-    close(np.abs(q[0, contact.slipping]), 0.1 * p[contact.slipping], 1e-12)
+    p, q = rows.now.p.copy(), np.linalg.norm(rows.now.q, axis=0)
+    np.testing.assert_array_less(q, 0.1 * p * (1 + 1e-12) + 1e-300)
+    close(q[contact.slipping], 0.1 * p[contact.slipping], 1e-12)
     work = (rows.now.q * rows.s).sum()
     assert work == pytest.approx(-contact.dissipation(problem), rel=1e-9)
-    for step in range(1, 9):
-        go(step * np.pi / 40, 0.04, -0.1)
-        assert problem.iterations <= 9 and problem.halvings == 0
-        assert np.abs(contact.slips(problem)).max() <= 1e-12
-        close(rows.now.p, p, 1e-9)
-        close(rows.now.q, q, 1e-9)
-    go(8 * np.pi / 40 + np.pi / 2, 0.04, -0.1)  # farther than facets are long
-    assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
-    close(rows.now.p, p, 1e-9)
+    far = 8 * np.pi / 40 + np.pi / (2, 4)[dim - 2]  # farther than facets are long
+    for angle in (*np.arange(1, 9) * np.pi / 40, far):
+        go(angle, *shift, -0.1)
+        assert problem.iterations == 1 and problem.halvings == 0
+        assert np.abs(contact.slips(problem)).max() <= 1e-15
+        close(rows.now.p, p, 1e-10)
+        close(np.linalg.norm(rows.now.q, axis=0), q, 1e-10)
     below, above = (part.sum(axis=0) for part in rows.acting())
     assert np.abs(below + above).max() <= 1e-14
 
@@ -191,6 +199,12 @@ def test_lent_directions():
     on = rows.spread(contact.slipping)
     close(np.linalg.norm(shears[on], axis=1), 0.1 * p[on], 0.01)
     assert on[lost].all()
+    pytest.importorskip("pyvista")
+    from hypergap_dolfinx import plot
+
+    drawn = plot.contact(contact, problem)
+    assert drawn.actors["shear"].mapper.dataset.n_points > 0
+    drawn.close()
 
 
 def test_relaxation():
@@ -220,10 +234,11 @@ def test_slides_off():
     assert not contact.active.any() and contact.slips(problem).max() == 0
 
 
-def test_elastic_slip():
-    """Friction grows with slip up to μ p, and goes back when it is released."""
+@pytest.mark.parametrize("limit", [np.inf, 0.01])
+def test_elastic_slip(limit):
+    """Friction grows with slip up to μ p or a limit, and goes back when it is released."""
     mu, length = 0.2, 0.01
-    contact, problem, go = rotating(2, friction=mu, elastic_slip=length)
+    contact, problem, go = rotating(2, friction=mu, elastic_slip=length, shear_limit=limit)
     rows, total = contact.rows, 0.0
     for x in (0, 0.02, 0.06, 0.12, 0.11):
         before = rows._elastic.copy()
@@ -231,10 +246,26 @@ def test_elastic_slip():
         assert problem.iterations <= 7 and problem.halvings == 0
         e = before + rows.slip
         e *= np.minimum(1, length / np.maximum(np.abs(e), 1e-300))
-        close(rows.now.q * contact.active, -mu * rows.now.p * e / length, 1e-6)
+        bound = np.minimum(mu * rows.now.p, limit)
+        close(rows.now.q * contact.active, -bound * e / length, 1e-6)
         total += contact.dissipation(problem)
-        assert (total > 1e-9) == (x > 0.06)
+        assert (total > 1e-9) == (x > (0.06 if limit == np.inf else 0.02))
     assert contact.sticking.any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_shear_limit(dim):
+    """Friction is μ p up to a limit, and the limit from there on, however it is pressed."""
+    mu, limit = 0.5, 0.03
+    contact, problem, go = rotating(dim, friction=mu, shear_limit=limit)
+    rows = contact.rows
+    for x, y in ((0, -0.05), (0.1, -0.05), (0.2, -0.1)):
+        go(0, *(x, 0.1)[: dim - 1], y)
+        assert problem.iterations <= 12 and problem.halvings == 0
+        slips, q = contact.slipping, np.linalg.norm(rows.now.q, axis=0)
+        close(q[slips], np.minimum(mu * rows.now.p, limit)[slips], 1e-7)
+        assert (q <= limit * (1 + 1e-9)).all()
+    assert (mu * rows.now.p[slips] > 1.1 * limit).sum() >= 2 and contact.dissipation(problem) > 0
 
 
 @pytest.mark.ranks(2)
@@ -260,6 +291,8 @@ def test_input():
         ({"elastic_slip": 0.1}, "give friction too"),
         ({"elastic_slip": -0.1, "friction": 0.3}, "a length from 0 on, not -0.1"),
         ({"elastic_slip": None, "friction": 0.3}, "a length from 0 on, not None"),
+        ({"shear_limit": 0.1}, "shear_limit is for contact with friction"),
+        ({"shear_limit": 0, "friction": 0.3}, "a traction above 0, not 0"),
     ):
         with raises(ValueError, why):
             Contact(*sides, **options)

@@ -18,8 +18,9 @@ import basix
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap import front, prisms, slab, swaps
 from hypergap_dolfinx.gap.cavity import is_whole, linear_program
-from hypergap_dolfinx.gap.metric import FACES, areas
+from hypergap_dolfinx.gap.metric import FACES, areas, single_faces
 from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.gap.rim import in_walls
 from hypergap_dolfinx.gap.surface import Surface
 
 P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
@@ -271,6 +272,36 @@ def test_cavities(monkeypatch, step):
     made = filled(ball(200), ball(150, seed=1))
     assert made.inner.alpha.size > 0
     assert (made.inner.alpha > 0).all() and (made.inner.alpha < 1).all()
+
+
+@pytest.mark.parametrize("swept", (False, True))
+def test_cavities_are_filled_before_another_front_is_tried(monkeypatch, swept):
+    """Large rough surfaces: a front leaves a few triangles somewhere, and need not run again."""
+    tried, advance = [], front.advance
+
+    def one(*args):
+        tried.append(advance(*args))
+        return tried[-1]
+
+    monkeypatch.setattr(front, "advance", one)
+    monkeypatch.setattr(front, "VARIANTS", front.VARIANTS[1:])
+    monkeypatch.setattr(front, "SWEPT", 0 if swept else front.SWEPT)
+    monkeypatch.setattr(front, "LEFT", 1e-2)
+    waves = graph(lambda u, v: 0.05 * np.sin(13 * u) * np.sin(13 * v))
+    sides = [grid(n, waves, jitter=0.3, seed=n + 1) for n in (20, 23)]
+    made = filled(*sides)
+    assert len(tried) == 1 and tried[0].left > 0 and made.inner.alpha.size > 0
+
+
+def test_many_vertices():
+    """No two faces or edges are taken for one where vertices have large numbers."""
+    n = 1 << 21
+    walls = np.array([(0, n + 6, n + 7)])
+    faces = np.array([(n, n + 5, n + 7), (n + 7, 0, n + 6)])
+    np.testing.assert_array_equal(in_walls(faces, walls), (False, True))
+    np.testing.assert_array_equal(in_walls(faces[:, :2], walls), (False, True))
+    cells = np.array([(0, n + 5, n + 6, n + 7), (n, n + 4, n + 6, n + 7)])
+    assert len(single_faces(cells, walls[:0])[0]) == 8
 
 
 def test_no_cells(monkeypatch):

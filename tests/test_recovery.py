@@ -127,6 +127,19 @@ def test_polynomials_in_space(cells, shift):
     assert largest_error(Tie(*sides), polynomial(1)) <= EXACT
 
 
+@pytest.mark.parametrize("degree", (1, 2))
+def test_outlines_off_by_next_to_nothing(degree):
+    """What is beyond the part that both sides have feels no traction; with it t is 1.5e-5 off."""
+    sides = []
+    for i, tag in enumerate((meshes.FRONT, meshes.BACK)):
+        at = np.array((2e-6 * i, -1e-6 * i, i - 1))
+        mesh, ft = meshes.block(comm, (3, 3, 1), lambda x, at=at: x + at, cell="tetrahedron")
+        sides.append((fem.functionspace(mesh, ("Lagrange", degree, (2,))), ft.find(tag)))
+    tie = Tie(*sides)
+    assert tie.domain.overhang is not None
+    assert largest_error(tie, polynomial(degree - 1)) <= 1e-9
+
+
 def frame_and_block(c=comm):
     """A block in a hole of a plate; four kinks."""
     sides = []
@@ -263,7 +276,7 @@ def test_errors_on_a_sphere(degree, swap):
     tie, problem = heat(mesh_of, degree, quadratic, swap)
     e, ratios = errors(tie, problem, flux_of(quadratic, 2))
     print(e, ratios)
-    assert max(ratios) <= (0.7, 0.4)[degree - 1]
+    assert max(ratios) <= (0.3, 0.25)[degree - 1]
 
 
 @pytest.mark.ranks

@@ -362,3 +362,6 @@ def test_ranks_of_an_overhang():
         A.mult(x, y)
         assert y.sum().real == pytest.approx(sign * area, abs=1e-11)
     C.destroy()
+    for degree in (0, 2):
+        q = tie.quadrature(degree)
+        assert q.integrate(np.ones_like(q.weights)) == pytest.approx(area, abs=1e-11)

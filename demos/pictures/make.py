@@ -27,6 +27,7 @@ PICTURES = {
     "partial_overlap": ("gap_domain", "--cell", "mixed", "--degree", "1"),
     "patch_test": ("patch_test",),
     "patch_test_3d": ("patch_test_3d",),
+    "peeling": ("peeling",),
     "periodic_cell": ("periodic_cell", "--fibres"),
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
     "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
@@ -35,6 +36,7 @@ PICTURES = {
     "write_files": ("write_files",),
 }
 CHARTS = {
+    "bolted_assembly": ("bolted_assembly",),
     "bouncing": ("bouncing",),
     "contact_run_time": ("contact", "--scene", "contact", "--peers", "--repeats", "3"),
     "friction": ("friction", "--scene", "cattaneo"),

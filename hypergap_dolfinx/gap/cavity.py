@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.jit import library
-from hypergap_dolfinx.gap.metric import FACES, FLAT, areas, face_keys
+from hypergap_dolfinx.gap.jit import as_ints, library
+from hypergap_dolfinx.gap.metric import FACES, FLAT, areas, single_faces
 from hypergap_dolfinx.graph import components
 
 INSET = 0.02  # least share of α that an interior node keeps from both surfaces
@@ -45,25 +45,9 @@ class Cells:
         return ~(D > limit * scale)
 
 
-def unmatched(cells, outer) -> npt.NDArray[np.integer]:
-    """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
-
-    Returns:
-        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``.
-    """
-    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
-    _, which, count = np.unique(face_keys(faces), return_inverse=True, return_counts=True)
-    return faces[count[which] == 1]
-
-
 def is_whole(cells, outer) -> bool:
     """Whether each face has a cell on each side, or one cell and a triangle of the boundary."""
-    faces = np.vstack((cells[:, FACES].reshape(-1, 3), outer))
-    return bool((np.unique(face_keys(faces), return_counts=True)[1] == 2).all())
+    return single_faces(cells, outer)[1]
 
 
 def fill(mesh: Cells, outer, place: Place):
@@ -77,10 +61,13 @@ def fill(mesh: Cells, outer, place: Place):
     Returns:
         The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
     """
-    behind = _Behind(mesh.cells)
+    faces, _ = single_faces(mesh.cells, outer)
+    if not len(faces):
+        return mesh, []
+    behind = _Behind(mesh.cells, len(mesh.x))
     nodes: list[tuple] = []
     cones = []
-    for cavity in _parts(unmatched(mesh.cells, outer)):
+    for cavity in _parts(faces):
         found = _cone(mesh, cavity, behind, place)
         if found is None:
             return None
@@ -88,8 +75,6 @@ def fill(mesh: Cells, outer, place: Place):
         number = len(mesh.x) + len(nodes)
         cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
         nodes.append(node)
-    if not nodes:
-        return mesh, []
     x, alpha, normals, hosts = zip(*nodes, strict=True)
     return Cells(
         np.vstack((mesh.x, *x)),
@@ -114,25 +99,24 @@ def _parts(faces) -> list[npt.NDArray[np.integer]]:
 class _Behind:
     """The cell behind a face of a cavity; cells can be taken away."""
 
-    def __init__(self, cells):
+    def __init__(self, cells, num_vertices: int):
         self.cells = cells
         self.left = np.ones(len(cells), dtype=bool)
-        key = face_keys(cells[:, FACES].reshape(-1, 3))
-        self._order = np.argsort(key, kind="stable")
-        self._key = key[self._order]
+        self._offset = np.zeros(num_vertices + 2, dtype=np.int32)
+        self._at = np.empty(cells.size, dtype=np.int32)
+        data = (as_ints(a) for a in (cells, self._offset, self._at))
+        library().lib.cells_at_vertices(num_vertices, len(cells), *data)
 
     def of(self, faces) -> npt.NDArray[np.intp]:
         """Cells that are left and have the faces, −1 where there is none."""
         found = np.full(len(faces), -1)
-        if not len(self._key):
-            return found
-        first = np.searchsorted(self._key, face_keys(faces))
-        wanted = face_keys(faces)
-        for i in (0, 1):
-            at = np.minimum(first + i, len(self._key) - 1)
-            cell = self._order[at] // 4
-            good = (self._key[at] == wanted) & self.left[cell]
-            found[good] = cell[good]
+        for i, (a, b, c) in enumerate(faces.tolist()):
+            near = self._at[self._offset[a] : self._offset[a + 1]]
+            near = near[self.left[near]]
+            corners = self.cells[near]
+            near = near[(corners == b).any(axis=1) & (corners == c).any(axis=1)]
+            if len(near):
+                found[i] = near[-1]
         return found
 
 

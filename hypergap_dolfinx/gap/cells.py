@@ -62,13 +62,16 @@ class Overhang:
     """Reference coordinates, ``(num_points, n)``."""
     weights: npt.NDArray[np.float64]
     """``(num_points,)``; negative where they lack something."""
+    rims: "Overhang | None" = None
+    """The same of integrals over Γ0 and Γ1: points on the edges of cells that are in outlines."""
 
     def at(self, cells: npt.NDArray[np.intp], num_cells: int) -> "Overhang":
         """What some of all cells have of it, with their new numbers."""
         number = np.full(num_cells, -1)
         number[cells] = np.arange(len(cells))
         some = number[self.cells] >= 0
-        return Overhang(number[self.cells[some]], self.X[some], self.weights[some])
+        rims = self.rims and self.rims.at(cells, num_cells)
+        return Overhang(number[self.cells[some]], self.X[some], self.weights[some], rims)
 
 
 @dataclass(frozen=True)

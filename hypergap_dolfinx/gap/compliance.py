@@ -17,8 +17,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
 from hypergap_dolfinx.gap import given, kernel
-from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, expand
+from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.gap.samples import Samples
 from hypergap_dolfinx.gap.surface import Surface, create_surface, lagrange_element
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
@@ -79,31 +80,13 @@ class Compliance:
                 f"a normal and a tangential compliance need displacements, with {n} components; "
                 f"the value shape is {spaces[1].value_shape}."
             )
-        # Of straight cells c and both derivatives are polynomials of degree k − 1
-        rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
-        self._element = domain.quadrature(rule)
-        N, self._v = kernel.geometry_at_points(self._element, domain.x, domain.alpha_vertices)
-        self._normal = (N / np.linalg.norm(N, axis=2, keepdims=True)).reshape(-1, n)
-        D, sign = domain.gap_factors(np.arange(len(domain.x)), rule)
-        cells, D = np.repeat(np.arange(len(D)), len(sign)), D.reshape(-1, D.shape[2])
-        self._sign = np.tile(sign, len(domain.x))
-        self._beyond: tuple[npt.NDArray, npt.NDArray] | None = None  # cells and ∂φ_a/∂α there
-        if (beyond := domain.overhang) is not None:
-            dphi, normal = domain.overhang_derivatives()
-            self._beyond = beyond.cells, dphi
-            self._normal = np.vstack((self._normal, normal))
-            D = np.vstack((D, np.sqrt(np.abs(beyond.weights))[:, None] * dphi))
-            self._sign = np.append(self._sign, -np.sign(beyond.weights))
-            cells = np.append(cells, beyond.cells)
+        self._samples = Samples(domain, constraint)
         self._surfaces = [
             create_surface(part.function_space, facets1, "Γ1")
             if isinstance(part, fem.Function) and self._fits(part)
             else domain.surfaces[1]
             for part in self._parts
         ]
-        comm = domain.mesh.comm
-        self._start = sum(comm.allgather(len(self._normal))[: comm.rank])
-        self._D = self._at_points(cells, D, constraint)
         self.values()
 
     def _fits(self, c: fem.Function) -> bool:
@@ -120,25 +103,9 @@ class Compliance:
             )
         return True
 
-    def _at_points(self, cells, D: npt.NDArray, constraint: Constraint) -> PETSc.Mat:
-        """∂φ_A/∂α of the multipliers, with the weights' roots, a row a point. Collective."""
-        dofmap = self._domain.space.dofmap
-        nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
-        rows = self._start + np.arange(len(self._normal))
-        matrix = coo_matrix(
-            self._domain.mesh.comm,
-            (len(rows), constraint.R_A.getLocalSize()[0]),
-            np.repeat(rows, D.shape[1]),
-            nodes[cells],
-            D,
-        )
-        product = matrix.matMult(constraint.R_A)
-        matrix.destroy()
-        return product
-
     def destroy(self):
         """Destroy the PETSc matrix. Collective."""
-        self._D.destroy()
+        self._samples.destroy()
 
     @property
     def arrays(self) -> list[npt.NDArray]:
@@ -158,7 +125,7 @@ class Compliance:
         Raises:
             ValueError: One is negative, or no number.
         """
-        found, error = np.zeros((len(self._parts), len(self._normal))), None
+        found, error = np.zeros((len(self._parts), len(self._samples.root))), None
         for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
             dofs, first = np.unique(surface.dofs, return_index=True)
             facet, local = np.divmod(first, surface.dofs.shape[1])
@@ -214,40 +181,22 @@ class Compliance:
         f = np.zeros(len(alpha))
         np.add.at(f, use[point], value * nodal[np.searchsorted(np.unique(surface.dofs), dof)])
         f_nodes = f.reshape(hosts.alpha.shape)
-        dphi = kernel.alpha_derivatives(self._element, self._v)
+        dphi = kernel.alpha_derivatives(self._samples.element, self._samples.v)
         found = np.einsum("cpa,ca->cp", dphi, f_nodes).ravel()
-        if self._beyond is None:
+        if self._samples.beyond is None:
             return found
-        cells, dphi = self._beyond
+        cells, dphi = self._samples.beyond
         return np.append(found, (dphi * f_nodes[cells]).sum(axis=1))
 
     def matrix(self, values: npt.NDArray) -> PETSc.Mat:
         """C for given :meth:`values`, with rows and columns as B's rows. Collective."""
         block_size = self._spaces[1].dofmap.index_map_bs
         if len(values) == 1:
-            scaled, weights = self._D.copy(), self._D.createVecLeft()
-            weights.array[:] = self._sign * values[0]
-            scaled.diagonalScale(L=weights)
-            product = self._D.transposeMatMult(scaled)
-            C = expand(product, block_size)
-            objects = scaled, weights, product
-        else:
-            nn = self._normal[:, :, None] * self._normal[:, None, :]
-            W = values[1][:, None, None] * np.eye(block_size)
-            W += (values[0] - values[1])[:, None, None] * nn
-            W *= self._sign[:, None, None]
-            rows = (self._start + np.arange(len(W)))[:, None] * block_size + np.arange(block_size)
-            size = len(W) * block_size
-            i = np.broadcast_to(rows[:, :, None], W.shape)
-            j = np.broadcast_to(rows[:, None, :], W.shape)
-            weights = coo_matrix(self._domain.mesh.comm, (size, size), i, j, W)
-            D = expand(self._D, block_size)
-            scaled = weights.matMult(D)
-            C = D.transposeMatMult(scaled)
-            objects = D, scaled, weights
-        for obj in objects:
-            obj.destroy()
-        return C
+            return self._samples.scaled_mass(values[0], block_size)
+        n = self._samples.normal
+        W = values[1][:, None, None] * np.eye(block_size)
+        W += (values[0] - values[1])[:, None, None] * n[:, :, None] * n[:, None, :]
+        return self._samples.weighted(W)
 
 
 def _real(values: npt.ArrayLike) -> npt.NDArray:

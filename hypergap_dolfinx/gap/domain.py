@@ -144,20 +144,17 @@ class GapDomain:
         """Degree of the Gauss rule for curved cells."""
         return kernel.curved_rule(self.x.shape[2], self.element.degree, self.geometry.degree)
 
-    def gap_factors(
-        self, cells: npt.NDArray[np.intp], rule: int | None = None
-    ) -> tuple[npt.NDArray, npt.NDArray]:
+    def gap_factors(self, cells: npt.NDArray[np.intp]) -> tuple[npt.NDArray, npt.NDArray]:
         """Factors of the element matrices: G_ab = Σ_p w_p D_pa D_pb.
 
         Args:
             cells: Some of the cells, ``(num,)``.
-            rule: Degree of the Gauss rule, :attr:`curved_rule` if not given.
 
         Returns:
             D, ``(num, num_points, num_nodes)``, and w_p = ±1 (a Gauss rule's weight may be
             negative), ``(num_points,)``.
         """
-        element = self.quadrature(self.curved_rule if rule is None else rule)
+        element = self.quadrature(self.curved_rule)
         N, v = kernel.geometry_at_points(element, self.x[cells], self.alpha_vertices[cells])
         size = np.sqrt(np.abs(element.weights) * np.linalg.norm(N, axis=2))
         D = size[..., None] * kernel.alpha_derivatives(element, v)

@@ -61,7 +61,36 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
     N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
     length = np.linalg.norm(N, axis=2)
     x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
-    return GapQuadrature(domain.mesh, points, x, N / length[..., None], element.weights * length)
+    weights = element.weights * length - _beyond(domain, points, degree)
+    return GapQuadrature(domain.mesh, points, x, N / length[..., None], weights)
+
+
+def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
+    """Parts of the weights that are of what the constraint doesn't integrate: the overhang.
+
+    The smallest ones that have its integrals of polynomials of half the rule's degree.
+
+    Args:
+        domain: Σ.
+        points: Reference points of a Gauss rule, ``(num_points, n)``.
+        degree: Its degree.
+
+    Returns:
+        ``(num_cells, num_points)``.
+    """
+    beyond = domain.overhang
+    if beyond is None:
+        return np.zeros((len(domain.x), len(points)))
+    basis = basix.create_element(
+        basix.ElementFamily.P,
+        domain.element.cell_type,
+        degree // 2,
+        basix.LagrangeVariant.legendre,
+        discontinuous=True,
+    )
+    moments = np.zeros((len(domain.x), basis.dim))
+    np.add.at(moments, beyond.cells, beyond.weights[:, None] * tabulate(basis, beyond.X))
+    return moments @ np.linalg.pinv(tabulate(basis, points))
 
 
 def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray:

@@ -24,11 +24,13 @@ from hypergap_dolfinx.gap.walls import Rim, rims
 SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
 SWEEP = 0.1
-"""The displacement, in edges, that heights of closed surfaces stand for besides: with it a front
-goes from one end to the other, and what it works on stays in a cache."""
+"""The displacement, in edges, that heights stand for besides: with it a front goes from one end to
+the other, and what it works on stays in a cache."""
+SWEPT = 10_000  # vertices of surfaces with walls from which they are swept too
 LEAN = 0.3  # share of the displacement by which walls lean outwards at least
-SWEEPS = 3000  # of the search for weights, before it is given up; fewer if there are many edges
-VISITS = 30_000_000  # the same, times edges
+SWEEPS = 3000  # of the search for weights, before it is given up
+VISITS = 30_000_000  # of edges in it; of many edges
+VISITS_EACH = 30  # of each
 VARIANTS = (
     *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
     *((False, False, 1e-8), (False, True, 1e-8)),
@@ -41,6 +43,9 @@ edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
 EXTRAPOLATE = 2.0
 """∂λ/∂α of a cell's barycentric coordinates from which it is swapped for others, if these have
 smaller ones. They are at most one where the vertices lie on what they face."""
+LEFT = 2e-3
+"""Triangles left for each cell up to which cavities are filled at once. Else another front is tried
+first: it may need no interior nodes."""
 CELLS = 30  # a front that makes more of them for each facet is given up
 
 
@@ -157,15 +162,20 @@ class Front:
     walls: npt.NDArray[np.intp]
     """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
     left: int
-    """Number of its triangles that are no facets of the surface where it ends."""
+    """Number of its triangles that are no facets of the surface where it ends: beside cavities."""
     wrong: tuple[int, int]
-    """Number of cells that are flat or inverted, and of faces that don't have one cell on each
-    side."""
+    """Number of cells that are flat or inverted, and of faces that don't have one cell or a cavity
+    on each side; where much is left nobody looks."""
 
     @property
     def is_valid(self) -> bool:
         """Whether the cells are valid, and nothing is missing."""
         return self.left == 0 and not any(self.wrong)
+
+    @property
+    def is_through(self) -> bool:
+        """Whether the cells are valid, and hardly anything is missing."""
+        return self.left <= LEFT * len(self.cells) and not any(self.wrong)
 
 
 def advance(
@@ -209,10 +219,10 @@ def advance(
         edges = np.where(problem.edges < 0, -1, number[problem.edges])
         edges[inner] = edges[inner][:, [*turn[:2], 2, 3]]
         edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
-        sweeps = min(SWEEPS, VISITS // max(len(edges), 1))
-        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), sweeps)
+        visits = max(VISITS, VISITS_EACH * len(edges))
+        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), SWEEPS, visits)
     sides = (n1, n0) if reverse else (n0, n1)
-    if not problem.rims:
+    if not problem.rims or n > SWEPT:
         vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
     walls = problem.walls(sign * shift, weights)
@@ -220,20 +230,20 @@ def advance(
     end = np.ascontiguousarray(end)
     max_cells = CELLS * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
-    left = np.empty((len(start) + 2 * n, 3), dtype=np.int32)
+    left = np.empty((len(start) + 2 * n + len(end), 3), dtype=np.int32)
     counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
     data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
     status = lib.front_fill(*sides, pointer(vertices), flat, len(start), *data, pointer(counts))
     made = cells[: counts[0]]
-    if status == 0:
-        outer = np.vstack((start, end[:, [1, 0, 2]]))
+    if status < 2 and counts[1] <= LEFT * len(made):
+        outer = np.vstack((start, end[:, [1, 0, 2]], left[: counts[1:].sum(), [1, 0, 2]]))
         front, room = made.copy(), min(2 * len(made), max_cells)
         swaps = ((1 - 1e-9) / EXTRAPOLATE, len(front), room, pointer(cells))
         along = vertices[:, :3] @ GENERIC
         rank = np.empty(n, dtype=np.int32)
         rank[np.lexsort((along, np.arange(n) >= sides[0]))] = np.arange(n, dtype=np.int32)
         num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
-        made, status = cells[:num], 0 if num > 0 else 2
+        made, status = cells[:num], status if num > 0 else 2
         wrong = _check(sides[0], vertices, made, outer)
         if any(wrong):
             made, wrong = front, _check(sides[0], vertices, front, outer)
@@ -333,10 +343,15 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         filling = Filling(mesh, [])
         if problem.curved:
             filling = replace(filling, walls=problem.along(front.walls))
-        if not front.is_valid:
+        shop = workshop(front)
+        if front.left and front.is_through:
+            made = shop.coned(filling)
+            if made is None:
+                continue
+            filling = made
+        elif not front.is_valid:
             fronts.append((front, filling))
             continue
-        shop = workshop(front)
         filling = shop.swapped(filling)
         found.append((shop.num_bad(filling), filling, shop))
         if not found[-1][0]:

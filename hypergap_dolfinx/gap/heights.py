@@ -21,36 +21,21 @@ tangents of Γ0 and of Γ1 each, and those of Γ1 in the facet's middle.
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.opposite import Frames, cross, dual_basis, reference_middle
+from hypergap_dolfinx.gap.opposite import LAST, Frames, cross, reference_middle
 from hypergap_dolfinx.gap.surface import Surface, tabulate
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
-LAST = 1e-8  # such a step on a reference facet, squared, is round-off
 
 
 class At(IntEnum):
     """Vectors of q."""
 
     R, Z1, Z2, T1, T2, C1, C2 = range(7)
-
-
-def cross_matrix(a) -> npt.NDArray[np.float64]:
-    """[a]× with [a]× b = a × b, ``(num, 3, 3)``."""
-    result = np.zeros((len(a), 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        result[:, i, j], result[:, j, i] = -a[:, k], a[:, k]
-    return result
-
-
-def cross_twice(a, b) -> npt.NDArray[np.float64]:
-    """[a]× [b]×, ``(num, 3, 3)``: NumPy's products of small matrices are slow."""
-    result = b[:, :, None] * a[:, None]
-    result[:, range(3), range(3)] -= dot(a, b)[:, None]
-    return result
 
 
 def dot(a, b) -> npt.NDArray[np.float64]:
@@ -76,7 +61,7 @@ class Rays:
     """Second derivatives of Γ0 by ξ, ``(num, 3, 3)``: by ξ₁ twice, ξ₁ and ξ₂, ξ₂ twice. None for
     straight triangles."""
 
-    @property
+    @cached_property
     def normals(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """N₀, N₁ and M, ``(num, 3)`` each."""
         q = self.q
@@ -86,7 +71,7 @@ class Rays:
             cross(q[:, At.C1], q[:, At.C2]),
         )
 
-    @property
+    @cached_property
     def products(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """N₀ · r, N₁ · M and N₀ · M, ``(num,)`` each: f is s A / B."""
         n0, n1, m = self.normals
@@ -121,6 +106,7 @@ class Rays:
         )
         return result
 
+    @cached_property
     def feet(self) -> npt.NDArray[np.float64]:
         """How the rays' ends move on Γ0, ∂ξ/∂q, ``(num, 2, 7, 3)``."""
         (_, _, m), (_, _, b) = self.normals, self.products
@@ -128,47 +114,13 @@ class Rays:
         # A foot's motion is that against the ray, seen from Γ1: the other sign
         return np.stack([self.towards(-d / b[:, None]) for d in dual], axis=1)
 
-    def half_hessian(self) -> npt.NDArray[np.float64]:
-        """A, with A + Aᵀ = ∂²f/∂q² with what moves on Γ0, ``(num, 21, 21)``."""
-        q, (n0, n1, m), (s, a, b) = self.q, self.normals, self.products
-        num = len(q)
-        h, slope = s / b, a / b
-        H = np.zeros((num, 7, 3, 7, 3))
-
-        def put(i, j, block):
-            H[:, i, :, j] += block
-
-        scaled = {v: cross_matrix(slope[:, None] * q[:, v]) for v in (At.Z1, At.Z2, At.R)}
-        put(At.R, At.Z1, -scaled[At.Z2])  # s = N₀ · r, times A / B
-        put(At.R, At.Z2, scaled[At.Z1])
-        put(At.Z1, At.Z2, -scaled[At.R])
-        put(At.C1, At.C2, -cross_matrix(h[:, None] * (n1 - slope[:, None] * n0)))
-        for (u, v), factor in (((At.T1, At.T2), h), ((At.Z1, At.Z2), -h * slope)):  # of A, and of B
-            put(u, v, -cross_matrix(factor[:, None] * m))
-            of_u, of_v = (factor[:, None] * q[:, w] for w in (u, v))
-            put(u, At.C1, -cross_twice(of_v, q[:, At.C2]))
-            put(u, At.C2, cross_twice(of_v, q[:, At.C1]))
-            put(v, At.C1, cross_twice(of_u, q[:, At.C2]))
-            put(v, At.C2, -cross_twice(of_u, q[:, At.C1]))
-        ds, da, db = (np.zeros_like(q) for _ in range(3))
-        ds[:, At.R] = n0
-        ds[:, At.Z1], ds[:, At.Z2] = cross(q[:, At.Z2], q[:, At.R]), cross(q[:, At.R], q[:, At.Z1])
-        for by, (u, v), normal in ((da, (At.T1, At.T2), n1), (db, (At.Z1, At.Z2), n0)):
-            by[:, u], by[:, v] = cross(q[:, v], m), cross(m, q[:, u])
-            by[:, At.C1], by[:, At.C2] = cross(q[:, At.C2], normal), cross(normal, q[:, At.C1])
-        ds, da, db = (part.reshape(num, 21) for part in (ds, da, db))
-        # The derivatives of A / B, and of 1 / B: half of what both orders have
-        left = [ds - h[:, None] * db]
-        right = [(da - slope[:, None] * db) / b[:, None]]
-        if self.bends is not None:
-            moves = list(self.feet().reshape(num, 2, 21).swapaxes(0, 1))
-            curve = slope[:, None] * np.einsum("pi,pki->pk", n0, self.bends)
-            left += moves
-            right.append(0.5 * curve[:, :1] * moves[0] + curve[:, 1:2] * moves[1])
-            right.append(0.5 * curve[:, 2:] * moves[1])
-        result = H.reshape(num, 21, 21)
-        result += np.stack(left, axis=2) @ np.stack(right, axis=1)
-        return result
+    def some(self, some) -> "Rays":
+        """A part of them: numbers, or which."""
+        f0, f1 = self.facets
+        bends = None if self.bends is None else self.bends[some]
+        ends = self.x[0][some], self.x[1][some]
+        facets = f0[some], f1[some]
+        return Rays(facets, self.X[some], self.xi[some], ends, self.q[some], bends)
 
 
 def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
@@ -182,32 +134,32 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
     """
     below, above = surfaces
     f0, f1 = facets
-    at1 = _jets(above, f1, X)
-    x1, m = at1[0], frames.normal[f1]
+    at1, m = _jets(above, above.nodes[f1], X), frames.normal[f1]
+    nodes, x1 = below.nodes[f0], at1[0]
     xi = np.tile(reference_middle(below), (len(X), 1))
     straight = below.geometry.dim == 3
     for _ in range(1 if straight else NEWTON):
-        at0 = _jets(below, f0, xi)
+        at0 = _jets(below, nodes, xi)
         rest = x1 - at0[0]
         n0 = cross(at0[1], at0[2])
         rest -= (dot(n0, rest) / dot(n0, m))[:, None] * m  # along Γ0's tangents
-        _, dual = dual_basis(np.stack(at0[1:3], axis=1))
-        step = np.einsum("pki,pi->pk", dual, rest)
-        xi += step
+        square = np.maximum(dot(n0, n0), 1e-300)
+        step = dot(cross(at0[2], n0), rest) / square, dot(cross(n0, at0[1]), rest) / square
+        xi += np.column_stack(step)
         if np.abs(step).max(initial=0) < LAST:
             break
-    at0 = _jets(below, f0, xi, bends=not straight)
+    at0 = _jets(below, nodes, xi, bends=not straight)
     q = np.stack((at0[0] - x1, *at0[1:3], *at1[1:3], *frames.tangents[f1].swapaxes(0, 1)), axis=1)
-    bends = None if straight else np.stack(at0[3:], axis=1)
+    bends = None if straight else at0[3:].swapaxes(0, 1)
     return Rays((f0, f1), X, xi, (at0[0], x1), q, bends)
 
 
-def _jets(surface: Surface, facet, X, *, bends=False) -> list[npt.NDArray[np.float64]]:
-    """Points of facets, both slopes, and second derivatives; ``(num, 3)`` each."""
-    nodes = surface.nodes[facet]
-    origin = nodes[:, 0].copy()
-    nodes -= origin[:, None]
-    found = [np.einsum("pm,pmi->pi", part, nodes) for part in _table(surface, X, 1 + bends)]
+def _jets(surface: Surface, nodes, X, *, bends=False) -> npt.NDArray[np.float64]:
+    """Points of facets, both slopes, and second derivatives; ``(3 or 6, num, 3)``."""
+    table, origin = _table(surface, X, 1 + bends), nodes[:, 0]
+    steps = nodes[:, 1:] - origin[:, None]
+    # Faster than an einsum with so short axes
+    found = sum(table[:, :, m + 1, None] * steps[:, m] for m in range(steps.shape[1]))
     found[0] += origin
     return found
 

@@ -20,12 +20,14 @@ import numpy.typing as npt
 
 from dolfinx.jit import get_options
 
-NAMES = "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c".split()
+NAMES = (
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
+)
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
                int num_end, const int *end, int max_cells, int *cells, int *left, int *counts);
-int front_weights(int n, double *vertices, int num, const int *edges, int sweeps);
+int front_weights(int n, double *vertices, int num, const int *edges, int sweeps, double visits);
 int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
                 int num_outer, const int *outer, int *counts);
 int front_swap(int n0, int n, const double *vertices, const int *rank, double flat, double least,
@@ -34,8 +36,15 @@ int find_facets(int n, int num_facets, const int *facets, int size, int num, con
                 int *found);
 int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,
                const int *cells, int *bases);
+int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
+int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
+                 int *faces, int *counts);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
+void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
+                       const double *bends, const double *T, double *blocks);
+void add_products(int num, int n, const int *block, const double *a, const double *b,
+                  double *blocks);
 """
 FLAGS = ["-O2", "-g0"]
 

@@ -65,9 +65,11 @@ class Workshop:
         """Number of cells that are turned over."""
         return int((self.margins(filling) <= 0).sum()) if self.margins else 0
 
-    def coned(self, filling: Filling, gone) -> Filling | None:
-        """Cones where cells are taken away or missing."""
-        made = cavity.fill(filling.with_cells(filling.cells[~gone]).mesh, self.outer, self.place)
+    def coned(self, filling: Filling, gone=None) -> Filling | None:
+        """Cones where cells are missing, or are taken away."""
+        if gone is not None:
+            filling = filling.with_cells(filling.cells[~gone])
+        made = cavity.fill(filling.mesh, self.outer, self.place)
         if made is None or not cavity.is_whole(made[0].cells, self.outer):
             return None
         return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])

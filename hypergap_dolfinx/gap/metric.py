@@ -8,6 +8,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.jit import as_ints, library
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 
 FLAT = 1e-9  # D of a cell over the product of its two edges on the surfaces that is none
@@ -46,7 +47,48 @@ def areas(x, alpha, normal):
     return np.einsum("ci,ci->c", N, n), scale
 
 
-def face_keys(faces: npt.NDArray[np.integer]) -> npt.NDArray:
-    """A number for each face that depends on its vertices only, less than 2²¹ of them."""
-    a, b, c = np.sort(faces, axis=1).astype(np.int64).T
-    return (a << 42) + (b << 21) + c
+def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
+    """The first triangle that has the given vertices, −1 where there is none.
+
+    Args:
+        triangles: ``(num_triangles, 3)``.
+        corners: ``(num, 2)`` or ``(num, 3)``; if more none has them.
+
+    Returns:
+        ``(num,)``.
+    """
+    num, size = corners.shape
+    found = np.full(num, -1, dtype=np.int32)
+    if num and size < 4 and len(triangles):
+        status = library().lib.find_facets(
+            int(max(triangles.max(), corners.max())) + 1,
+            len(triangles),
+            as_ints(triangles),
+            size,
+            num,
+            as_ints(corners),
+            as_ints(found),
+        )
+        if status:
+            raise MemoryError("no memory for the cells of the gap domain")
+    return found.astype(np.intp)
+
+
+def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
+    """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+
+    Returns:
+        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``; and whether each face
+        has a cell on each side, or one cell and a triangle of the boundary.
+    """
+    faces = np.empty((4 * len(cells) + len(outer), 3), dtype=np.int32)
+    counts = np.zeros(2, dtype=np.int32)
+    num = int(max(cells.max(initial=-1), outer.max(initial=-1))) + 1
+    data = (len(cells), as_ints(cells), len(outer), as_ints(outer), as_ints(faces), as_ints(counts))
+    if library().lib.single_faces(num, *data):
+        raise MemoryError("no memory for the cells of the gap domain")
+    return faces[: counts[1]].astype(np.intp), counts[0] == 0

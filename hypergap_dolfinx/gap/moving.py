@@ -53,6 +53,11 @@ class MovingSurface:
         nodes = nodes.reshape(len(facets), len(X), -1)
         return replace(surface, nodes=nodes, geometry=surface.element)
 
+    @cached_property
+    def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
+        """Derivatives of a displaced facet's geometry nodes by its dofs, ``(node, dof)``."""
+        return tabulate(self._rest.element, self._rest.geometry.points)
+
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface where a displacement takes it.
 
@@ -60,8 +65,7 @@ class MovingSurface:
             u: Displacement at :attr:`dofs`, ``(num_dofs, n)``.
         """
         rest = self._rest
-        values = tabulate(rest.element, rest.geometry.points)  # (node, dof)
-        nodes = rest.nodes + np.einsum("ma,fai->fmi", values, u[self.at_facets])
+        nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
         x = np.empty_like(rest.x)
         at = [nodes_of[0] for nodes_of in rest.geometry.entity_dofs[0]]
         x[rest.facets] = nodes[:, at]

@@ -13,6 +13,7 @@ fill what is between them. Pieces' edges move with Γ0; as f is continuous acros
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -22,6 +23,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap import heights, slip_columns
+from hypergap_dolfinx.gap.columns import Blocks
 from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moments import rule
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
@@ -55,6 +57,27 @@ class _State:
     weights: npt.NDArray[np.float64]
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, once they are asked for."""
+
+    @cached_property
+    def by_dofs(self) -> npt.NDArray[np.float64]:
+        """∂q/∂u of the rays, ``(num_points, 7, num_dofs)``."""
+        return by_dofs(self.surfaces, self.rays)
+
+    def on_some(self, on) -> tuple[Rays, npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """The rays on some pieces.
+
+        All of the rule's: with fewer of them second derivatives of curved quadrilaterals are 10 %
+        off, and Newton's iteration is no longer quadratic.
+
+        Args:
+            on: Numbers of pieces.
+
+        Returns:
+            The rays, and the piece and the weight of each.
+        """
+        each = len(self.piece) // len(self.vertex)  # points follow each other as pieces do
+        points = (on[:, None] * each + np.arange(each)).ravel()
+        return self.rays.some(points), self.piece[points], self.weights[points]
 
     @property
     def areas(self) -> npt.NDArray[np.float64]:
@@ -149,18 +172,17 @@ class Opening:
             for part in (state.volumes, state.areas)
         )
         fixed = state.rays.gradient() * state.weights[:, None, None]
-        parts = [(state.rays, state.piece, fixed)]
+        parts = [(state.rays, state.piece, state.by_dofs, fixed)]
         rim = _edges(state, outline=True)
         if len(rim.piece):
             s, a, b = rim.rays.products
             moved = (rim.weights * s * a / b)[:, None, None] * rim.motion
-            parts.append((rim.rays, rim.piece, moved))
+            parts.append((rim.rays, rim.piece, by_dofs(state.surfaces, rim.rays), moved))
         i, j, values = [], [], []
-        for rays, piece, by_q in parts:
-            T = by_dofs(state.surfaces, rays)
+        for rays, piece, T, by_q in parts:
             first = _first(piece)
             block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
-            dofs = self._dofs(rays)[first]
+            dofs = self._dofs(*rays.facets)[first]
             i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
             j.append(dofs.ravel())
             values.append(block.reshape(-1, 3))
@@ -175,76 +197,85 @@ class Opening:
             p: ``(num_multipliers,)``.
         """
         state = self._at(u)
-        i, j, values = [], [], []
-
-        def add(rays, half, axes):
-            rows, columns, half = self._by_facets(rays, half, axes)
-            i.append(rows.ravel())
-            j.append(columns.ravel())
-            values.append((half + half.transpose(0, 2, 1, 4, 3)).reshape(-1, 9))
-
         pressure = p[state.vertex]
         on = np.flatnonzero(pressure)
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = _cast(
-            state.surfaces, state.frames, state.pieces.some(on), exact=False
-        )
-        H = (pressure[on[piece]] * weights)[:, None, None] * rays.half_hessian()
+        rays, piece, weights = state.on_some(on)
+        facets = tuple(facet[on] for facet in state.pieces.facets)
+        first = _first(*facets)
+        starts = np.zeros(len(pressure), dtype=np.intp)
+        starts[on[first[1:]]] = 1
+        pair = np.cumsum(starts)  # of each piece
         T = by_dofs(state.surfaces, rays)
-        num, vectors, nodes = T.shape
-        half = T.transpose(0, 2, 1) @ H.reshape(num, vectors, -1)
-        half = half.reshape(num, nodes, 3, vectors, 3).transpose(0, 3, 1, 2, 4)
-        # The points of a piece are summed in one product
-        T, half = T.reshape(len(on), -1, nodes), half.reshape(len(on), -1, 9 * nodes)
-        block = (T.transpose(0, 2, 1) @ half).reshape(-1, nodes, nodes, 3, 3)
-        add(rays, block, (2, 1, 3, 4))
+        blocks = Blocks(len(first), T.shape[2])
+        blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays, T)
         edges = _edges(state, pressure != 0)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
             T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
-            a, b = (
-                (T @ part).reshape(-1, 2, 3 * nodes)  # two points on each edge
-                for part in _kinks(edges, pressure[edges.piece] * edges.weights)
-            )
-            block = (a.transpose(0, 2, 1) @ b).reshape(-1, nodes, 3, nodes, 3)
-            add(edges.rays, block, (1, 3, 2, 4))
-        return _summed(i, j, values, (3, 3), 3 * self._num_dofs)
+            a, b = _kinks(edges, pressure[edges.piece] * edges.weights)
+            blocks.add_products(pair[edges.piece], T @ a, T @ b)
+        dofs = self._dofs(*(facet[first] for facet in facets))
+        return self._by_pairs(dofs, blocks.values)
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
-    ) -> tuple[Sparse, Sparse]:
+    def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0 is made of, in two directions at each vertex of Γ1.
 
         Args:
             u: Displacements.
-            since: Those from which slip is counted.
             lender: The vertex whose directions each has, ``(num_multipliers,)``: slips of
                 several are added where they share a traction.
 
         Returns:
-            T with s = T (u − u_since), and S = ∂s/∂u, with 2 num_multipliers rows: those of the
-            second directions are behind those of the first.
+            T with s = T (u − u_since), with 2 num_multipliers rows: those of the second directions
+            are behind those of the first.
         """
         state = self._at(u)
-        rays, first = state.rays, _first(state.piece)
-        T = by_dofs(state.surfaces, rays)
-        dofs, vertex = self._dofs(rays), state.vertex[state.piece]
-        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])[dofs]
-        ends = slip_columns.directions(state.surfaces[1], state.frames)[lender[vertex]]
-        results = []
-        for found in (
-            [slip_columns.slips(rays, T, ends[:, k]) for k in (0, 1)],
-            [slip_columns.slopes(rays, T, ends[:, k], moves) for k in (0, 1)],
-        ):
-            i, j, values = [], [], []
-            for k, part in enumerate(found):
-                block = np.add.reduceat(state.weights[:, None, None] * part, first)
-                rows = (k * self.num_multipliers + vertex)[first, None]
-                i.append(np.broadcast_to(rows, block.shape[:2]).ravel())
-                j.append(dofs[first].ravel())
-                values.append(block.reshape(-1, 3))
-            results.append(_summed(i, j, values, (1, 3), 3 * self._num_dofs))
-        return results[0], results[1]
+        T, directions = state.by_dofs, self._directions(state, lender, state.piece)
+        slips = [slip_columns.slips(state.rays, T, e) for e in directions]
+        return self._slip_rows(state, state.rays, state.piece, state.weights, slips)
+
+    def slip_slopes(
+        self,
+        u: Displacements,
+        since: Displacements,
+        lender: npt.NDArray[np.intp],
+        on: npt.NDArray[np.bool_],
+    ) -> Sparse:
+        """∂s/∂u, of the size of T.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+            lender: As for :meth:`slip`.
+            on: Vertices that are asked for, ``(num_multipliers,)``.
+        """
+        state = self._at(u)
+        points = np.flatnonzero(on[state.vertex[state.piece]])
+        if not len(points):
+            return Sparse.empty()
+        rays, piece = state.rays.some(points), state.piece[points]
+        T, directions = state.by_dofs[points], self._directions(state, lender, piece)
+        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
+        at_points = slip_columns.motions(T, moves[self._dofs(*rays.facets)])
+        slopes = [slip_columns.slopes(rays, T, e, at_points) for e in directions]
+        return self._slip_rows(state, rays, piece, state.weights[points], slopes)
+
+    def _directions(self, state: _State, lender, piece) -> npt.NDArray[np.float64]:
+        """Both directions of slip at points on pieces, ``(2, num_points, 3)``."""
+        directions = slip_columns.directions(state.surfaces[1], state.frames)
+        return directions[lender[state.vertex[piece]]].swapaxes(0, 1)
+
+    def _slip_rows(self, state: _State, rays: Rays, piece, weights, parts) -> Sparse:
+        """Rows of both directions' slips by dofs, of what points have, ``(num, num_dofs, 3)``."""
+        first, i, values = _first(piece), [], []
+        dofs = self._dofs(*rays.facets)[first]
+        for k, part in enumerate(parts):
+            block = np.add.reduceat(weights[:, None, None] * part, first)
+            rows = (k * self.num_multipliers + state.vertex[piece[first]])[:, None]
+            i.append(np.broadcast_to(rows, dofs.shape).ravel())
+            values.append(block.reshape(-1, 3))
+        return _summed(i, [dofs.ravel()] * 2, values, (1, 3), 3 * self._num_dofs)
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
@@ -262,14 +293,12 @@ class Opening:
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = _cast(
-            state.surfaces, state.frames, state.pieces.some(on), exact=False
-        )
+        rays, piece, weights = state.on_some(on)
         T = by_dofs(state.surfaces, rays)
-        block = slip_columns.curvature(rays, T, weights[:, None] * traction[on][piece])
-        i, j, block = self._by_facets(rays, block, (1, 3, 2, 4))
-        values = block.reshape(-1, 9)
-        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
+        block = slip_columns.curvature(rays, T, weights[:, None] * traction[piece])
+        first = _first(*rays.facets)
+        block = np.add.reduceat(block, first).transpose(0, 1, 3, 2, 4)
+        return self._by_pairs(self._dofs(*rays.facets)[first], block)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.
@@ -324,30 +353,16 @@ class Opening:
     def _num_dofs(self) -> int:
         return sum(len(side.dofs) for side in self.sides)
 
-    def _dofs(self, rays: Rays) -> npt.NDArray[np.intp]:
-        """Dofs of both facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
-        below, above = (side.at_facets[f] for side, f in zip(self.sides, rays.facets, strict=True))
+    def _dofs(self, f0, f1) -> npt.NDArray[np.intp]:
+        """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
+        below, above = (side.at_facets[f] for side, f in zip(self.sides, (f0, f1), strict=True))
         return np.hstack((below, len(self.sides[0].dofs) + above))
 
-    def _by_facets(self, rays: Rays, block, axes) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """Blocks, each of as many points, summed for each pair of facets; and their dofs.
-
-        Args:
-            rays: The points.
-            block: ``(num_blocks, ...)``.
-            axes: Those of the dofs of rows and columns, and of their components.
-
-        Returns:
-            Dofs of rows and of columns, ``(num_pairs, num_dofs, num_dofs)``, and the sums,
-            ``(num_pairs, num_dofs, num_dofs, 3, 3)``.
-        """
-        num = len(block)
-        each = len(rays.X) // num
-        first = _first(*(facet[::each] for facet in rays.facets))
-        total = np.add.reduceat(block.reshape(num, -1), first).reshape(-1, *block.shape[1:])
-        dofs = self._dofs(rays)[::each][first]
-        rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
-        return rows, columns, total.transpose(0, *axes)
+    def _by_pairs(self, dofs, blocks) -> Sparse:
+        """Sum of blocks, ``(num, num_dofs, num_dofs, 3, 3)``, by dofs, ``(num, num_dofs)``."""
+        i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
+        values = blocks.reshape(-1, 9)
+        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
 
 
 def _first(*numbers) -> npt.NDArray[np.intp]:
@@ -417,25 +432,18 @@ def _place(sides: Sides, u: Displacements) -> _State:
             f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
             "along its normals; check the tags."
         )
-    rays, piece, weights = _cast(surfaces, frames, pieces, exact=True)
+    degree = max(surface.geometry.degree for surface in surfaces)
+    # What is linear on straight triangles has enough with 1
+    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
+    rays, piece, weights = _cast(surfaces, frames, pieces, 1 if linear else 2 * degree)
     vertex = _stand_ins(above, pieces)[pieces.vertex]
     copy = u[0].copy(), u[1].copy()
     return _State(copy, surfaces, frames, pieces, vertex, rays, piece, weights)
 
 
-def _cast(surfaces, frames: Frames, pieces: Pieces, *, exact: bool):
-    """Rays from the points of a rule on pieces, which piece each is on, and weights.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        frames: Of Γ1.
-        pieces: The pieces.
-        exact: Whether the rule has twice the facets' degree, not 2; what is linear on straight
-            triangles has enough with 1.
-    """
-    degree = max(surface.geometry.degree for surface in surfaces)
-    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
-    X, piece, weights = rule(pieces.X, 1 if linear else 2 * degree if exact else 2)
+def _cast(surfaces, frames: Frames, pieces: Pieces, degree: int):
+    """Rays from the points of a rule on pieces, which piece each is on, and weights."""
+    X, piece, weights = rule(pieces.X, degree)
     facets = tuple(f[piece] for f in pieces.facets)
     return heights.cast(surfaces, frames, facets, X), piece, weights
 

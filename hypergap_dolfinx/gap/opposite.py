@@ -27,6 +27,8 @@ LEANS = 0.25
 SLIVER = 1e-14
 """Area of a piece, over its facet's, that is none."""
 
+LAST = 1e-8  # step of Newton's method on a reference facet: squared it is round-off
+
 
 class Label(IntEnum):
     """Of a piece's edge that is none of Γ0's facet."""
@@ -241,7 +243,7 @@ def _in_reference(quads, references, y) -> npt.NDArray[np.float64]:
         )
         step /= det[..., None]
         s = np.clip(s + step, -0.01, 1.01)  # in the quadrilateral, where the map has an inverse
-        if np.abs(step).max(initial=0) < 1e-14:
+        if np.abs(step).max(initial=0) < LAST:
             break
     a, b, c, d = (part[:, None] for part in coefficients(references))
     s0, s1 = s[..., :1], s[..., 1:]

@@ -14,13 +14,14 @@ the error is of second order.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap.cells import Overhang
-from hypergap_dolfinx.gap.metric import FACES, face_keys
+from hypergap_dolfinx.gap.metric import FACES
 from hypergap_dolfinx.gap.outlines import NEARLY, OFF
 from hypergap_dolfinx.gap.slab_cells import Slab
 from hypergap_dolfinx.gap.surface import lengths
@@ -38,13 +39,19 @@ def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
     Returns:
         None if there is none.
     """
-    found, start = [], 0
+    found: tuple[list, list] = [], []
+    start = 0
     for slab in slabs:
-        cells, at, weights = _points(_leaning(slab), degree)
-        found.append((start + cells, at, weights))
+        leaning = _leaning(slab)
+        for parts, points in zip(found, (_points, _rims), strict=True):
+            cells, at, weights = points(leaning, degree)
+            parts.append((start + cells, at, weights))
         start += len(slab.cells)
-    whole = Overhang(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-    return whole if len(whole.cells) else None
+    whole, rims = (
+        Overhang(*map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[arg-type]
+        for parts in found
+    )
+    return replace(whole, rims=rims) if len(whole.cells) else None
 
 
 def _leaning(slab: Slab) -> tuple[npt.NDArray, ...]:
@@ -85,8 +92,8 @@ def _walls(slab: Slab) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     faces = slab.cells[near][:, FACES]  # (cell, face, vertex)
     on1 = (slab.alpha[faces] == 1).sum(axis=2)
     cell, face = np.nonzero(rim[faces].all(axis=2) & (on1 > 0) & (on1 < 3))
-    keys = face_keys(faces[cell, face])
-    _, first, count = np.unique(keys, return_index=True, return_counts=True)
+    keys = np.sort(faces[cell, face], axis=1)
+    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     cell, face = cell[first[count == 1]], face[first[count == 1]]
     alone = (slab.alpha[faces[cell, face]] == (on1[cell, face] == 1)[:, None]).argmax(axis=1)
     return near[cell], FACES[face[:, None], (alone[:, None] + (1, 2, 0)) % 3]
@@ -150,3 +157,23 @@ def _points(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArra
         at = shares @ VERTICES[corners[some]]
         found.append((np.repeat(cells[some], num), at.reshape(-1, 3), (width * area).ravel()))
     return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def _rims(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArray, ...]:
+    """Points of outlines' edges for products of two functions of a degree.
+
+    Args:
+        triangles: As from :func:`_leaning`.
+        degree: Of the functions.
+
+    Returns:
+        Their cells, reference coordinates and weights, with the width that the edge is outside of
+        the other outline.
+    """
+    cells, corners, length, off = triangles
+    s, weights = basix.make_quadrature(basix.CellType.interval, 2 * degree + 1)
+    shares = np.hstack((1 - s, s))  # (point, end)
+    width = np.maximum(-(off @ shares.T), 0)
+    at = shares @ VERTICES[corners[:, :2]]
+    area = length[:, None] * width * weights
+    return np.repeat(cells, len(weights)), at.reshape(-1, 3), area.ravel()

@@ -20,28 +20,34 @@ from hypergap_dolfinx.gap import fans, slip_fans
 from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
-from hypergap_dolfinx.gap.rays import END, Fixed, cast
+from hypergap_dolfinx.gap.rays import END, POSITIONS, Fans, cast
 from hypergap_dolfinx.gap.strip import mesh_strip
-from hypergap_dolfinx.gap.surface import Surface, tabulate
+from hypergap_dolfinx.gap.surface import Surface, lengths
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells with their bases on one side."""
+    """Cells of which all bases have one element, and all apexes."""
 
     numbers: npt.NDArray[np.intp]
     """Of the variables of each: base's nodes, apex' nodes, parameters, ``(num, num_variables)``."""
-    gap: fans.Derivatives
+    gap: fans.Volumes
     m: npt.NDArray[np.float64]
     """Areas, ``(num,)``."""
     vertices: npt.NDArray[np.intp]
     """Vertices of Γ1 with one half each, ``(num, 2)``."""
-    x: npt.NDArray[np.float64]
-    """Both ends of the base and the apex, ``(num, 3, 2)``."""
-    rank: npt.NDArray[np.int32]
-    """Rank of the body's cell at the base, ``(num,)``."""
+    which: npt.NDArray[np.bool_]
+    """Of all cells, ``(num_cells,)``."""
     places: tuple
     """Elements, nodes of bases and of apexes, parameters: what :mod:`fans` is asked about."""
+
+    @property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Both ends of the base and the apex, ``(num, 3, 2)``."""
+        elements, X, Q, s = self.places
+        ends = np.einsum("cea,cai->cei", fans.shapes(elements[0], s[:, :2])[0], X)
+        apex = np.einsum("cea,cai->cei", fans.shapes(elements[1], s[:, 2:])[0], Q)
+        return np.concatenate((ends, apex), axis=1)
 
 
 @dataclass
@@ -49,19 +55,18 @@ class _State:
     """Σ at displacements."""
 
     u: Displacements
-    cells: tuple[_Cells, _Cells]
-    """With bases on Γ0 and on Γ1."""
-    crossings: fans.Derivatives
+    cells: list[_Cells]
+    """All of them, or those with bases on Γ0 and those with bases on Γ1."""
+    crossings: fans.Crossings
     numbers: npt.NDArray[np.intp]
     """Of the nodes at each crossing, ``(num_crossings, num_nodes0 + num_nodes1)``."""
     num: int
     """Number of variables: the nodes' and the parameters."""
-    whole: frozenset[int]
-    """Edges of Γ1 of which both vertices have a weight."""
+    fans: Fans
     to_dofs: PETSc.Mat | None = None
     """Derivatives of all variables by both sides' dofs, all components, once they are asked for."""
-    slopes: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
-    """Derivatives of slips by both sides' variables, likewise."""
+    slopes: list[npt.NDArray[np.float64]] | None = None
+    """Derivatives of cells' slips by their variables, likewise."""
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, likewise."""
 
@@ -153,58 +158,45 @@ class PlaneOpening:
         """Σ where the bodies are, the last one if they haven't moved."""
         last = self._last
         if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
-            whole = last.whole if last else frozenset()
-            self._last = last = _place(self.sides, u, self._walls, whole)
+            self._last = last = _place(self.sides, u, self._walls, last)
         return last
 
     @cached_property
-    def _nodes_by_dofs(self):
-        """Derivatives of the geometry's nodes by dofs, which stay the same.
-
-        Returns:
-            Rows, columns and values for each component; for each side the number of its first
-            node, values at a facet's nodes ``(node, dof)`` and its facets' dofs.
-        """
+    def _nodes_by_dofs(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Rows, columns and values of the geometry's nodes' derivatives by dofs."""
         i, j, values = [], [], []
         offset, start = 0, 0
-        locals_ = []
         for side in self.sides:
-            rest = side.displaced(np.zeros((len(side.dofs), 2)))
-            table = tabulate(rest.element, rest.geometry.points)  # (node, dof)
-            num = len(rest.facets) * len(table)
-            node, dof = np.nonzero(table)
-            facets = np.arange(len(rest.facets))[:, None]
-            rows = offset + facets * len(table) + node
-            columns = start + side.at_facets[:, dof]
-            entries = np.broadcast_to(table[node, dof], rows.shape)
-            i.append(rows.ravel())
-            j.append(columns.ravel())
-            values.append(entries.ravel())
-            locals_.append((offset, table, start + side.at_facets))
-            offset, start = offset + num, start + len(side.dofs)
-        rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
-        i = [(2 * rows + component) for component in (0, 1)]
-        j = [(2 * columns + component) for component in (0, 1)]
-        return i, j, [entries, entries], locals_
+            facets = np.arange(len(side.at_facets))[:, None]
+            node, dof = np.nonzero(side.nodes_by_dofs)
+            i.append(offset + facets * len(side.nodes_by_dofs) + node)
+            j.append(start + side.at_facets[:, dof])
+            values.append(np.broadcast_to(side.nodes_by_dofs[node, dof], i[-1].shape))
+            offset += len(facets) * len(side.nodes_by_dofs)
+            start += len(side.dofs)
+        rows, columns, entries = (
+            np.concatenate([part.ravel() for part in parts]) for parts in (i, j, values)
+        )
+        component = np.arange(2)[:, None]
+        every = (2 * rows + component).ravel(), (2 * columns + component).ravel()
+        return *every, np.tile(entries, 2)
 
     def _to_dofs(self, state: _State) -> PETSc.Mat:
         """Derivatives of all variables by both sides' dofs, all components."""
         if state.to_dofs is not None:
             return state.to_dofs
-        i, j, values, locals_ = ([*part] for part in self._nodes_by_dofs)
         first = state.crossings.first.reshape(len(state.numbers), -1, 2)
-        at = 0
-        number = state.num - len(first) + np.arange(len(first))
-        for begin, table, dofs in locals_:
-            some = slice(at, at + len(table))
-            by = np.einsum("kmi,ma->kai", first[:, some], table)  # (crossing, dof, component)
-            facet = (state.numbers[:, at] - begin) // len(table)
-            for component in (0, 1):
-                i.append(np.broadcast_to(number[:, None], by.shape[:2]).ravel())
-                j.append((2 * dofs[facet] + component).ravel())
-                values.append(by[..., component].ravel())
-            at += len(table)
-        sizes = state.num, 2 * sum(len(side.dofs) for side in self.sides)
+        by = np.split(first, [len(self.sides[0].nodes_by_dofs)], axis=1)
+        facets = state.fans.crossings.facets.T
+        i, j, values = ([part] for part in self._nodes_by_dofs)
+        number, start = state.num - len(first) + np.arange(len(first)), 0
+        for side, part, facet in zip(self.sides, by, facets, strict=True):
+            dofs = 2 * (start + side.at_facets[facet])[..., None] + np.arange(2)
+            i.append(np.broadcast_to(number[:, None, None], dofs.shape).ravel())
+            j.append(dofs.ravel())
+            values.append(np.einsum("kmi,ma->kai", part, side.nodes_by_dofs).ravel())
+            start += len(side.dofs)
+        sizes = state.num, 2 * start
         parts = (np.concatenate(part) for part in (i, j, values))
         state.to_dofs = coo_matrix(MPI.COMM_SELF, sizes, *parts)
         return state.to_dofs
@@ -222,17 +214,15 @@ class PlaneOpening:
         state = self._at(u)
         if state.gap is not None:
             return state.gap
-        g, m = np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
-        i, j, values = [], [], []
-        for cells in state.cells:
-            for k in (0, 1):
-                np.add.at(g, cells.vertices[:, k], 0.5 * cells.gap.value)
-                np.add.at(m, cells.vertices[:, k], 0.5 * cells.m)
-                rows = np.broadcast_to(cells.vertices[:, k, None], cells.numbers.shape)
-                i.append(rows.ravel())
-                j.append(cells.numbers.ravel())
-                values.append(0.5 * cells.gap.first.ravel())
-        C = self._rows_by_dofs(state, *(np.concatenate(part) for part in (i, j, values)))
+        vertices = np.concatenate([cells.vertices for cells in state.cells])
+        g, m = (
+            np.bincount(vertices.ravel(), np.repeat(0.5 * part, 2), self.num_multipliers)
+            for part in (
+                np.concatenate([cells.gap.value for cells in state.cells]),
+                np.concatenate([cells.m for cells in state.cells]),
+            )
+        )
+        C = self._rows_by_dofs(state, [cells.gap.first for cells in state.cells])
         state.gap = g, m, C
         return state.gap
 
@@ -257,7 +247,8 @@ class PlaneOpening:
             on = np.flatnonzero(pressure)
             numbers, pressure = cells.numbers[on], pressure[on]
             add(numbers, pressure[:, None, None] * cells.gap.second[on])
-            np.add.at(slope, numbers, pressure[:, None] * cells.gap.first[on])
+            first = pressure[:, None] * cells.gap.first[on]
+            slope += np.bincount(numbers.ravel(), first.ravel(), state.num)
         if len(state.numbers):
             nodes = (2 * state.numbers[..., None] + np.arange(2)).reshape(len(state.numbers), -1)
             moves = slope[len(slope) - len(nodes) :]
@@ -265,36 +256,47 @@ class PlaneOpening:
             add(nodes[on], moves[on, None, None] * state.crossings.second[on])
         return self._by_dofs_twice(state, i, j, values)
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray[np.intp]
-    ) -> tuple[Sparse, Sparse]:
+    def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
 
         Args:
             u: Displacements.
-            since: Those from which slip is counted.
             lender: Not asked for: all slips are along Γ0.
 
         Returns:
-            T with s = T (u − u_since), and S = ∂s/∂u, of the size of C.
+            T with s = T (u − u_since), of the size of C.
+        """
+        state = self._at(u)
+        return self._rows_by_dofs(state, [self._slips(cells) for cells in state.cells])
+
+    def slip_slopes(
+        self,
+        u: Displacements,
+        since: Displacements,
+        lender: npt.NDArray[np.intp],
+        on: npt.NDArray[np.bool_],
+    ) -> Sparse:
+        """∂s/∂u, of the size of C.
+
+        Args:
+            u: Displacements.
+            since: Those from which slip is counted.
+            lender: Not asked for.
+            on: Not asked for: all rows are there.
         """
         state = self._at(u)
         moves = [a - b for a, b in zip(u, since, strict=True)]
         nodes = np.concatenate([self._at_nodes(i, part).ravel() for i, part in enumerate(moves)])
-        i, j, values = [], [], []
-        for cells, slopes in zip(state.cells, self._slopes(state), strict=True):
-            T = slip_fans.slips(*cells.places)
-            num = T.shape[1]
-            S = np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :num]])
-            S[:, :num] += T
-            both = np.stack((np.pad(T, ((0, 0), (0, 3))), S), axis=-1)
-            for k in (0, 1):
-                i.append(np.broadcast_to(cells.vertices[:, k, None], cells.numbers.shape).ravel())
-                j.append(cells.numbers.ravel())
-                values.append(0.5 * both.reshape(-1, 2))
-        rows, columns, entries = (np.concatenate(part) for part in (i, j, values))
-        parts = [self._rows_by_dofs(state, rows, columns, part.copy()) for part in entries.T]
-        return parts[0], parts[1]
+        S = [
+            self._slips(cells) + np.einsum("cij,ci->cj", slopes, nodes[cells.numbers[:, :-3]])
+            for cells, slopes in zip(state.cells, self._slopes(state), strict=True)
+        ]
+        return self._rows_by_dofs(state, S)
+
+    @staticmethod
+    def _slips(cells: _Cells) -> npt.NDArray[np.float64]:
+        """What cells make of motions of their variables; those of parameters count for nothing."""
+        return np.pad(slip_fans.slips(*cells.places), ((0, 0), (0, 3)))
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
@@ -317,9 +319,16 @@ class PlaneOpening:
             values.append((traction[on, None, None] * block).ravel())
         return self._by_dofs_twice(state, i, j, values)
 
-    def _rows_by_dofs(self, state: _State, i, j, values) -> Sparse:
-        """Rows of multipliers by all variables as those by the dofs."""
-        C = coo_matrix(MPI.COMM_SELF, (self.num_multipliers, state.num), i, j, values)
+    def _rows_by_dofs(self, state: _State, values: Sequence[npt.NDArray[np.float64]]) -> Sparse:
+        """Cells' derivatives, of which both vertices have one half, as rows by the dofs."""
+        i, j, entries = [], [], []
+        for cells, part in zip(state.cells, values, strict=True):
+            shape = len(part), 2, part.shape[1]
+            i.append(np.broadcast_to(cells.vertices[:, :, None], shape).ravel())
+            j.append(np.broadcast_to(cells.numbers[:, None], shape).ravel())
+            entries.append(np.broadcast_to(0.5 * part[:, None], shape).ravel())
+        parts = (np.concatenate(part) for part in (i, j, entries))
+        C = coo_matrix(MPI.COMM_SELF, (self.num_multipliers, state.num), *parts)
         product = C.matMult(self._to_dofs(state))
         C.destroy()
         return Sparse.of(product)
@@ -332,18 +341,15 @@ class PlaneOpening:
         H.destroy()
         return Sparse.of(product)
 
-    def _slopes(self, state: _State) -> tuple[npt.NDArray, npt.NDArray]:
+    def _slopes(self, state: _State) -> list[npt.NDArray[np.float64]]:
         if state.slopes is None:
-            below, above = state.cells
-            state.slopes = slip_fans.slopes(*below.places), slip_fans.slopes(*above.places)
+            state.slopes = [slip_fans.slopes(*cells.places) for cells in state.cells]
         return state.slopes
 
     def _at_nodes(self, i: int, u) -> npt.NDArray[np.float64]:
         """Displacements of a side's dofs at its facets' nodes, ``(num_nodes, 2)``."""
         side = self.sides[i]
-        rest = side.displaced(np.zeros_like(u))
-        table = tabulate(rest.element, rest.geometry.points)  # (node, dof)
-        return (table @ u[side.at_facets]).reshape(-1, 2)
+        return (side.nodes_by_dofs @ u[side.at_facets]).reshape(-1, 2)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people, (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas.
@@ -357,9 +363,8 @@ class PlaneOpening:
         total, size = (np.zeros(self.num_multipliers) for _ in range(2))
         for cells in self._at(u).cells:
             mean = p[cells.vertices].mean(axis=1) * cells.m
-            for k in (0, 1):
-                np.add.at(total, cells.vertices[:, k], mean)
-                np.add.at(size, cells.vertices[:, k], cells.m)
+            for part, values in ((total, mean), (size, cells.m)):
+                part += np.bincount(cells.vertices.ravel(), np.repeat(values, 2), len(part))
         return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
 
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
@@ -369,71 +374,58 @@ class PlaneOpening:
             u: Displacements.
             p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
         """
-        every = self._at(u).cells
+        state = self._at(u)
+        every, side, base = state.cells, state.fans.side, state.fans.base
+        rank = np.empty(len(base), dtype=np.int32)
+        for i, moving in enumerate(self.sides):
+            rank[side == i] = moving.reference.owner[base[side == i]]
         m, volume = (np.concatenate(part) for part in zip(*((c.m, c.gap.value) for c in every)))
         return OpenCells(
             x=np.concatenate([cells.x for cells in every]),
-            rank=np.concatenate([cells.rank for cells in every]),
+            rank=np.concatenate([rank[cells.which] for cells in every]),
             gap=np.divide(volume, m, out=np.zeros_like(m), where=m > 0),
             pressure=np.concatenate([p[cells.vertices].mean(axis=1) for cells in every]),
         )
 
 
-def _place(sides: Sides, u: Displacements, walls: list[_Wall], whole: frozenset[int]) -> _State:
-    """Find Σ at displacements, and its derivatives; the last one's whole edges have a say.
+def _place(sides: Sides, u: Displacements, walls: list[_Wall], last: _State | None) -> _State:
+    """Find Σ at displacements, and its derivatives; where it was last has a say.
 
     Raises:
         InterfaceError: There is none.
     """
     surfaces = displaced(sides, u)
     at_walls = [wall.ends for wall in walls if wall.is_between(surfaces)]
-    found = cast(*surfaces, whole, at_walls)
-    if not found.base:
+    found = cast(*surfaces, last.fans if last else None, at_walls)
+    if not len(found.base):
         mesh_strip(*surfaces)  # says why
         raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
     elements = surfaces[0].geometry, surfaces[1].geometry
-    count = [surface.nodes.shape[1] for surface in surfaces]
-    offsets = 0, len(surfaces[0].facets) * count[0]
-    num_nodes = offsets[1] + len(surfaces[1].facets) * count[1]
+    nodes = np.concatenate([surface.nodes.reshape(-1, 2) for surface in surfaces])
+    offsets = np.array((0, surfaces[0].nodes[..., 0].size))
 
-    def numbers(i: int, facets):
-        """Numbers of the nodes of facets of a side."""
-        return offsets[i] + facets[:, None] * count[i] + np.arange(count[i])
+    def numbers(side, facets, element):
+        """Numbers of the nodes of facets, each on its side, of one element."""
+        return (offsets[side] + facets * element.dim)[..., None] + np.arange(element.dim)
 
-    facets = np.array(found.facets, dtype=np.intp).reshape(-1, 2)
-    unknown = np.array(found.unknown, dtype=np.intp)
-    each, s = np.arange(len(unknown)), np.zeros((len(unknown), 2))
-    s[each, unknown], s[each, 1 - unknown] = found.guess, found.given
-    X0, X1 = (surfaces[i].nodes[facets[:, i]] for i in (0, 1))
-    crossings = fans.crossings(elements, X0, X1, unknown, s)
-    at = np.concatenate((np.zeros(len(Fixed)), crossings.value))
-    at[[Fixed.START, Fixed.END, Fixed.MIDDLE]] = 0, 1, 0.5
-    side, parameters = np.array(found.side), np.array(found.parameters).reshape(-1, 3)
-    base, apex = np.array(found.base, dtype=np.intp), np.array(found.apex, dtype=np.intp)
-    vertices = np.array(found.vertices, dtype=np.intp).reshape(-1, 2)
+    facets, unknown = found.crossings.facets, found.crossings.unknown
+    each, s = np.arange(len(unknown)), np.empty((len(unknown), 2))
+    s[each, unknown], s[each, 1 - unknown] = found.crossings.guess, found.crossings.given
+    at0, at1 = (numbers(i, facets[:, i], elements[i]) for i in (0, 1))
+    crossings = fans.Crossings(elements, nodes[at0], nodes[at1], unknown, s)
+    at = np.concatenate((POSITIONS, crossings.value))
     cells = []
-    for i in (0, 1):
-        mine = np.flatnonzero(side == i)
-        X, Q = surfaces[i].nodes[base[mine]], surfaces[1 - i].nodes[apex[mine]]
-        of = elements[i], elements[1 - i]
-        places = of, X, Q, at[parameters[mine]]
-        gap = fans.volumes(*places)
-        nodes = np.hstack((numbers(i, base[mine]), numbers(1 - i, apex[mine])))
-        nodes = (2 * nodes[..., None] + np.arange(2)).reshape(len(mine), 2 * nodes.shape[1])
-        ends = at[parameters[mine, :2]]
-        chord = [_points(surfaces[i], base[mine], ends[:, k]) for k in (0, 1)]
-        m = 0.5 * np.linalg.norm(chord[1] - chord[0], axis=1)
-        index = np.hstack((nodes, 2 * num_nodes + parameters[mine]))
-        x = np.stack(
-            (*chord, _points(surfaces[1 - i], apex[mine], at[parameters[mine, 2]])), axis=1
-        )
-        rank = surfaces[i].owner[base[mine]]
-        cells.append(_Cells(index, gap, m, vertices[mine], x, rank, places))
-    at_crossings = np.hstack((numbers(0, facets[:, 0]), numbers(1, facets[:, 1])))
+    alike = elements[0] == elements[1]
+    for i, mine in enumerate([found.side >= 0] if alike else [found.side == i for i in (0, 1)]):
+        side, parameters = found.side[mine], found.parameters[mine]
+        base = numbers(side, found.base[mine], elements[i])
+        apex = numbers(1 - side, found.apex[mine], elements[1 - i])
+        places = (elements[i], elements[1 - i]), nodes[base], nodes[apex], at[parameters]
+        gap = fans.Volumes(*places)
+        variables = 2 * np.hstack((base, apex))[..., None] + np.arange(2)
+        variables = np.hstack((variables.reshape(len(base), -1), 2 * len(nodes) + parameters))
+        m = 0.5 * lengths(gap.chord)
+        cells.append(_Cells(variables, gap, m, found.vertices[mine], mine, places))
     copy = u[0].copy(), u[1].copy()
-    num, both = 2 * num_nodes + len(at), (cells[0], cells[1])
-    return _State(copy, both, crossings, at_crossings, num, frozenset(found.whole))
-
-
-def _points(surface: Surface, facet, t) -> npt.NDArray[np.float64]:
-    return surface.points(facet, t[:, None])
+    num = 2 * len(nodes) + len(at)
+    return _State(copy, cells, crossings, np.hstack((at0, at1)), num, found)

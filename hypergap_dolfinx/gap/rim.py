@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.metric import find
 from hypergap_dolfinx.gap.outlines import CORNER
 from hypergap_dolfinx.gap.pieces import CORNERS, Side
 from hypergap_dolfinx.gap.straight import EDGES
@@ -65,11 +66,7 @@ def in_walls(vertices: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
     Returns:
         ``(num,)``.
     """
-    size = vertices.shape[1]
-    if not len(walls) or size > 3:
-        return np.zeros(len(vertices), dtype=bool)
-    parts = walls if size == 3 else walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
-    return np.isin(*(np.sort(v, axis=1) @ (1 << 21 * np.arange(size)) for v in (vertices, parts)))
+    return find(walls, vertices) >= 0
 
 
 def kinds(cells: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
 from hypergap_dolfinx.gap.jit import as_ints, library
+from hypergap_dolfinx.gap.metric import find
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.rim import NO_WALLS, Outline, in_walls
 from hypergap_dolfinx.gap.straight import NONE, have
@@ -297,30 +298,3 @@ def _same(vertices, weights):
     which = np.empty(len(order), dtype=np.intp)
     which[order] = np.cumsum(new) - 1
     return order[new], which
-
-
-def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
-    """The first triangle that has the given vertices, −1 where there is none.
-
-    Args:
-        triangles: ``(num_triangles, 3)``.
-        corners: ``(num, 2)`` or ``(num, 3)``; if more none has them.
-
-    Returns:
-        ``(num,)``.
-    """
-    num, size = corners.shape
-    found = np.full(num, -1, dtype=np.int32)
-    if num and size < 4:
-        status = library().lib.find_facets(
-            int(max(triangles.max(), corners.max())) + 1,
-            len(triangles),
-            as_ints(triangles),
-            size,
-            num,
-            as_ints(corners),
-            as_ints(found),
-        )
-        if status:
-            raise MemoryError("no memory for the cells of the gap domain")
-    return found.astype(np.intp)

@@ -92,6 +92,16 @@ def by_q(rays: Rays, e, D) -> npt.NDArray[np.float64]:
     return result
 
 
+def motions(T, moves) -> npt.NDArray[np.float64]:
+    """What moves of x₀ − x₁, and of Γ0's tangents, ``(num, 3, 3)``.
+
+    Args:
+        T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
+        moves: Motions of the dofs, ``(num, num_dofs, 3)``.
+    """
+    return T[:, : At.Z2 + 1] @ moves
+
+
 def slopes(rays: Rays, T, e, moves) -> npt.NDArray[np.float64]:
     """Derivatives of slips by the dofs, of motions that are those of where the dofs are.
 
@@ -99,17 +109,16 @@ def slopes(rays: Rays, T, e, moves) -> npt.NDArray[np.float64]:
         rays: The points.
         T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
         e: A direction each, ``(num, 3)``.
-        moves: The motions, ``(num, num_dofs, 3)``.
+        moves: What :func:`motions` makes of them.
 
     Returns:
         ``(num, num_dofs, 3)``.
     """
     m, _, kappa = _across(rays)
-    part = T[:, [At.R, At.Z1, At.Z2]] @ moves  # of x₀ − x₁, and along Γ0
     flat = kappa[:, None] * (e - dot(e, m)[:, None] * m)
-    by = by_q(rays, e, -part[:, 0])
-    drift = np.einsum("pi,pki->pk", flat, part[:, 1:])
-    by -= np.einsum("pk,pkvi->pvi", drift, rays.feet())
+    by = by_q(rays, e, -moves[:, At.R])
+    drift = np.einsum("pi,pki->pk", flat, moves[:, At.Z1 :])
+    by -= np.einsum("pk,pkvi->pvi", drift, rays.feet)
     return T.transpose(0, 2, 1) @ by + slips(rays, T, e)
 
 
@@ -132,6 +141,6 @@ def curvature(rays: Rays, T, traction) -> npt.NDArray[np.float64]:
     by_dofs = turned @ np.concatenate(by, axis=2)  # (point, dof, component of force and dof)
     by_dofs = by_dofs.reshape(num, nodes, 3, 3).transpose(0, 2, 1, 3)
     block = -T[:, At.R, :, None, None, None] * by_dofs[:, None]
-    drift = turned[:, None] @ rays.feet()  # (point, along, dof, component)
+    drift = turned[:, None] @ rays.feet  # (point, along, dof, component)
     along = np.einsum("pkj,pkbc->pjbc", T[:, [At.Z1, At.Z2]], drift)
     return block - flat[:, None, :, None, None] * along[:, :, None]

@@ -21,9 +21,8 @@ that are opposite to each other now, and a rotation of closed bodies, however la
 import numpy as np
 import numpy.typing as npt
 
-import basix
 from basix.finite_element import FiniteElement
-from hypergap_dolfinx.gap.fans import shapes
+from hypergap_dolfinx.gap.fans import interval_rule, shapes
 
 STEP = 1e-30  # imaginary: derivatives without a difference
 
@@ -42,9 +41,9 @@ def slips(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> npt.NDArray
     """
     origin = X[:, :1].real  # differences keep their digits far from the origin
     X, Q = X - origin, Q - origin
-    points, weights = basix.make_quadrature(basix.CellType.interval, 3 * X.shape[1] - 5)
+    points, weights = interval_rule(3 * X.shape[1] - 5)
     width = s[:, 1] - s[:, 0]
-    N, dN = _shapes(elements[0], s[:, :1] + width[:, None] * points[:, 0])
+    N, dN = _shapes(elements[0], s[:, :1] + width[:, None] * points)
     M, _ = _shapes(elements[1], s[:, 2])
     q = np.einsum("ca,cai->ci", M, Q)
     x, dx = (np.einsum("cpa,cai->cpi", n, X) for n in (N, dN))
@@ -67,17 +66,13 @@ def slopes(elements: tuple[FiniteElement, FiniteElement], X, Q, s) -> npt.NDArra
     Returns:
         ``(num_cells, num, num + 3)`` with num = 2 (num_nodes + num_apex_nodes).
     """
-    split = 2 * X.shape[1], 2 * (X.shape[1] + Q.shape[1])
-    nodes = np.hstack((X, Q)).reshape(len(X), split[1])
-    flat = np.hstack((nodes, s))
-    result = np.empty((len(X), split[1], flat.shape[1]))
-    for k in range(flat.shape[1]):
-        moved = flat.astype(complex)
-        moved[:, k] += 1j * STEP
-        nodes, apex, at = np.split(moved, split, axis=1)
-        found = slips(elements, nodes.reshape(X.shape), apex.reshape(Q.shape), at)
-        result[:, :, k] = found.imag / STEP
-    return result
+    num, split = len(X), (2 * X.shape[1], 2 * (X.shape[1] + Q.shape[1]))
+    flat = np.hstack((X.reshape(num, -1), Q.reshape(num, -1), s))
+    # All cells once for each variable
+    moved = flat + 1j * STEP * np.eye(flat.shape[1])[:, None]  # (variable, cell, variable)
+    nodes, apex, at = np.split(moved.reshape(-1, flat.shape[1]), split, axis=1)
+    found = slips(elements, nodes.reshape(-1, *X.shape[1:]), apex.reshape(-1, *Q.shape[1:]), at)
+    return found.imag.reshape(-1, num, split[1]).transpose(1, 2, 0) / STEP
 
 
 def _shapes(element: FiniteElement, s) -> tuple[npt.NDArray, npt.NDArray]:

@@ -315,18 +315,24 @@ def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, se
     Returns:
         Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
     """
-    origin, d, e = x[facets[:, 0]], *(x[facets[:, k]] - x[facets[:, 0]] for k in (1, 2))
-    N = np.cross(d, e)
-    square = np.maximum(np.einsum("fi,fi->f", N, N), 1e-300)[:, None]
-    grad0, grad1 = np.cross(e, N) / square, np.cross(N, d) / square
+
+    def frames(f):
+        v = x[facets[f]]
+        d, e = v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]
+        N = np.cross(d, e)
+        square = np.maximum(np.einsum("fi,fi->f", N, N), 1e-300)[:, None]
+        return v[:, 0], d, e, np.cross(e, N) / square, np.cross(N, d) / square
+
+    every = frames(slice(None)) if len(points) > len(facets) else None
 
     def flat(f, p):
-        y = p - origin[f]
+        origin, d, e, grad0, grad1 = (part[f] for part in every) if every else frames(f)
+        y = p - origin
         X = np.zeros((len(y), 2))
         for _ in range(2):  # in narrow facets the first time leaves round-off over their width
-            X[:, 0] += np.einsum("pi,pi->p", y, grad0[f])
-            X[:, 1] += np.einsum("pi,pi->p", y, grad1[f])
-            y = p - (origin[f] + X[:, :1] * d[f] + X[:, 1:] * e[f])
+            X[:, 0] += np.einsum("pi,pi->p", y, grad0)
+            X[:, 1] += np.einsum("pi,pi->p", y, grad1)
+            y = p - (origin + X[:, :1] * d + X[:, 1:] * e)
         return X
 
     host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)

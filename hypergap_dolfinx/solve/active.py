@@ -31,8 +31,8 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
     return m > COVERED * area
 
 
-def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
-    """P − c g/m > 0: closed or overlapping, and not pulling.
+def pushing(p, g, m, valid, stiffness: float, on, none: float) -> npt.NDArray[np.bool_]:
+    """P − c g/m > 0: closed or overlapping, and not pulling; what is at both limits stays.
 
     Args:
         p: Pressures, ``(num,)``.
@@ -40,9 +40,11 @@ def pushing(p, g, m, valid, stiffness: float) -> npt.NDArray[np.bool_]:
         m: Areas of the weights, ``(num,)``.
         valid: Which multipliers there are, ``(num,)``.
         stiffness: c, of the size of a modulus over the size of a cell.
+        on: The set so far, ``(num,)``.
+        none: Pressure that is none.
     """
     gap = np.divide(g, m, out=np.zeros_like(g), where=valid)
-    return valid & (p - stiffness * gap > 0)
+    return valid & (p - stiffness * gap > np.where(on, -none, none))
 
 
 def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]:

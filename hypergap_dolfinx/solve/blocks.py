@@ -23,6 +23,7 @@ from hypergap_dolfinx.solve.compliances import Compliances
 from hypergap_dolfinx.solve.every import prescribed_dofs, values_at
 from hypergap_dolfinx.solve.extension import Extension
 from hypergap_dolfinx.solve.interface import Interface
+from hypergap_dolfinx.solve.laws import openings
 from hypergap_dolfinx.solve.multipliers import Choice, Columns, choose
 
 UNTIED = 1e-12
@@ -36,7 +37,8 @@ class ConstraintBlocks:
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
-    The fields are the bodies' displacements, then the free interior nodes of ties that have them.
+    The fields are the bodies' displacements, then the free interior nodes of ties that have them,
+    then the jumps of ties with a law.
     Rows of prescribed dofs are gone, and so are columns: what they hold is known.
     """
 
@@ -67,7 +69,6 @@ class ConstraintBlocks:
         tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
         self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
         self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
-        self._num_fields = len(self._spaces) + sum(tie.free_interior for tie in self._ties)
         self._pairs: dict[int, Coincidences] = {}
         held = [part.of_body(self._held[i]) for i, part in self._components]
         choice = choose(self._ties, tied, held)
@@ -81,7 +82,12 @@ class ConstraintBlocks:
             for columns, group in zip(choice.columns, choice.interfaces, strict=True)
         ]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
-        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces))
+        unknown = [
+            name if len(np.unique(row)) < len(tie.constraint.dofs) * tie.block_size else None
+            for name, tie, (row, *_) in zip(self._names, self._ties, choice.entries, strict=True)
+        ]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
+        self.openings = openings(self._ties, self._rows)
         self._full = self._pulled_back()
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self._free = [
@@ -94,7 +100,8 @@ class ConstraintBlocks:
         for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
             if obj is not None:
                 obj.destroy()
-        self.compliances.destroy()
+        for owner in (self.compliances, *self.openings):
+            owner.destroy()
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
@@ -204,7 +211,7 @@ class ConstraintBlocks:
             InterfaceError: With the place and the values.
         """
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
-            if tie.closes_gap or tie.compliance is not None:
+            if tie.closes_gap or tie.gives_way is not None:
                 continue
             jump = tie.nodal_jump()
             if t not in self._pairs:
@@ -311,8 +318,9 @@ class ConstraintBlocks:
 
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
         """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
-        full: list[list[PETSc.Mat | None]] = [[None] * self._num_fields for _ in self._interfaces]
         interior = len(self._spaces)
+        num_fields = interior + len(self.interior_sizes) + len(self.openings)
+        full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
@@ -324,6 +332,9 @@ class ConstraintBlocks:
                         before.axpy(1.0, product)
                         product.destroy()
             interior += tie.free_interior
+        for field, opening in enumerate(self.openings, interior):
+            for g, block in opening.blocks.items():
+                full[g][field] = block
         return full
 
     def _without_prescribed(self, i: int, B: PETSc.Mat | None) -> PETSc.Mat | None:

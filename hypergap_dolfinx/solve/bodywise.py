@@ -64,6 +64,8 @@ class Bodies(IterativeSolver):
             return "free interior nodes belong to no body"
         if constraints.compliances:
             return "a tie has a compliance"
+        if constraints.openings:
+            return "a tie has a law"
         if any(map(is_mixed, spaces)):
             return "a body may be singular by itself where a space is mixed (a pressure is free)"
         if order_of_bodies(len(spaces), _directions(constraints)) is None:

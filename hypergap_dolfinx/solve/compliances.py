@@ -19,15 +19,26 @@ from hypergap_dolfinx.solve.interface import Interface
 class Compliances:
     """−C of all interfaces: Σ_t E_tgᵀ C_t E_th, with values that may change."""
 
-    def __init__(self, ties: Sequence[Interface], rows: Sequence[dict[int, Extension]], num: int):
+    def __init__(
+        self,
+        ties: Sequence[Interface],
+        rows: Sequence[dict[int, Extension]],
+        num: int,
+        unknown: Sequence[str | None],
+    ):
         """Make the blocks, with the values of now. Collective.
 
         Args:
             ties: The ties.
             rows: E of each tie by interface.
             num: Number of interfaces.
+            unknown: What messages call ties whose λ is left out somewhere: both sides are
+                prescribed there, and they don't give way everywhere. None for others.
         """
-        self._soft = [(tie.compliance, row) for tie, row in zip(ties, rows) if tie.compliance]
+        every = zip(ties, rows, unknown, strict=True)
+        given = [(tie.compliance, *others) for tie, *others in every if tie.compliance is not None]
+        self._soft = [(soft, row) for soft, row, _ in given]
+        self._unknown = [name for _, _, name in given]
         self._comm = ties[0].sigma.comm if ties else None
         self.blocks: list[list[PETSc.Mat | None]] = [[None] * num for _ in range(num)]
         """−C, ``[interface][interface]``; None is zero."""
@@ -44,7 +55,11 @@ class Compliances:
             block.destroy()
 
     def update(self):
-        """Take the compliances as they are now. Collective."""
+        """Take the compliances as they are now. Collective.
+
+        Raises:
+            ValueError: A tie gives way that was to tie where both sides are prescribed.
+        """
         if not self._soft:
             return
         before, self._values = self._values, [soft.values() for soft, _ in self._soft]
@@ -54,6 +69,12 @@ class Compliances:
             return
         for block in (block for row in self.blocks for block in row if block):
             block.zeroEntries()
+        for (soft, _), name in zip(self._soft, self._unknown, strict=True):
+            if name and soft.gives_way():
+                raise ValueError(
+                    f"the compliance of {name} was 0 when the problem was made, and both sides are "
+                    "prescribed, so it has no λ there; make the problem anew with it as it is now."
+                )
         for (soft, row), values in zip(self._soft, self._values, strict=True):
             C = soft.matrix(values)
             for g, E in row.items():

@@ -25,7 +25,7 @@ from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
-from hypergap_dolfinx.solve.leading import leading
+from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
@@ -40,6 +40,8 @@ FAR = 1.0
 """Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
 PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
+UNPRESSED = 1e-12
+"""Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -163,9 +165,10 @@ class ContactSystem(NonlinearSystem):
 
     def _check_pushing(self):
         """Raise if what is active only to hold a body would have to pull it."""
+        none = self._no_pressure()
         for rows in self._rows:
             p = rows.now.p[rows.now.on]
-            if p.min(initial=0) < -PULLS * np.abs(p).max(initial=0):
+            if p.min(initial=0) < -max(PULLS * np.abs(p).max(initial=0), none):
                 raise SolveError(
                     "contact would have to pull: a body that nothing else holds is drawn away, or "
                     "tilts; hold it by boundary conditions."
@@ -175,6 +178,12 @@ class ContactSystem(NonlinearSystem):
                     "a body that nothing else holds slides: its load is more than friction can "
                     "hold; hold it by boundary conditions, or move it by them."
                 )
+
+    def _no_pressure(self) -> float:
+        """Pressure that is none beside the largest one."""
+        return UNPRESSED * max(
+            float(np.abs(rows.now.p[rows.now.on]).max(initial=0)) for rows in self._rows
+        )
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""
@@ -198,9 +207,10 @@ class ContactSystem(NonlinearSystem):
                 saves steps, but sets can cycle by it.
         """
         stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        none = self._no_pressure()
         for rows in self._rows:
-            c = stiffness / rows.typical_area
-            rows.now.on = active.pushing(rows.now.p, rows.g, rows.m, rows.valid, c)
+            now, c = rows.now, stiffness / rows.typical_area
+            now.on = active.pushing(now.p, rows.g, rows.m, rows.valid, c, now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -221,7 +231,7 @@ class ContactSystem(NonlinearSystem):
             rows.now.on = active.without_pull_on_surface(last, rows.now.on, facets, force)
         for rows in self._rows:
             if isinstance(rows, FrictionRows):
-                rows.choose(stiffness, anew=not before)
+                rows.choose(stiffness, none, anew=not before)
         assert self._free is not None
         if self._free.num:
             self._hold()
@@ -298,10 +308,14 @@ class ContactSystem(NonlinearSystem):
         residual = self._b.copy()
         parts = residual.getNestSubVecs()
         self._add_contact(parts, all_dofs=False)
-        num = len(self._u)
-        worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
+        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
         saddle.destroy_parts(parts)
         residual.destroy()
+        if not np.isfinite(worst):
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        if not all(rows.is_closed(rows.closed) for rows in self._rows):
+            return False  # forces needn't be assembled to see that
         size, least = 0.0, 0.0
         for u, F, K in zip(self._u, self._F, self._K, strict=True):
             raw = compat.create_vector(u.function_space)
@@ -312,12 +326,7 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
-        self._unbalanced = worst
-        if not np.isfinite(worst):
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
-        if worst > max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)):
-            return False
-        return all(rows.is_closed(rows.closed) for rows in self._rows)
+        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)))
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""
@@ -334,14 +343,17 @@ class ContactSystem(NonlinearSystem):
         )
 
     def _lead(self):
-        """Let bodies that are prescribed to move far follow as rigid ones. Collective.
+        """Let bodies that are prescribed to move far, or turn together, follow as rigid ones.
 
         Forces go along with what keeps together, and are none where one leaves the other.
+        Collective.
         """
-        jump = self._jump()
-        if self._tied or not self._slides(jump):
+        jump, comm = self._jump(), self._u[0].function_space.mesh.comm
+        assert self._free is not None
+        goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
+        pushes = any(rows.now.p.any() for rows in self._rows)
+        if self._tied or self._free.num or not (goes and pushes):
             return
-        comm = self._u[0].function_space.mesh.comm
         motions = []
         for u, moves, held in zip(self._u, jump, self._constraints.prescribed, strict=True):
             x = places(u.function_space)
@@ -350,6 +362,7 @@ class ContactSystem(NonlinearSystem):
             motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
         if None in motions:
             return
+        far, together = self._slides(jump), True
         for rows in self._rows:
             assert rows.start is not None
             now = rows.displacements([owned_values(f) for f in rows.fields])
@@ -359,14 +372,18 @@ class ContactSystem(NonlinearSystem):
                 moved = None if body is not None else side.displaced(u).x - x  # by the user
                 motion = motions[body] if moved is None else leading(MPI.COMM_SELF, x, moved)
                 of_sides.append(motion)
-            if None in of_sides:
+            turn = None not in of_sides and turns_together(*of_sides)
+            together &= turn
+            apart = np.inf
+            if None not in of_sides:
+                shift0, shift1 = (motion.shift(x1) for motion in of_sides)
+                apart = np.abs(shift1 - shift0).max() / rows.sides[1].reference.size.max()
+            if far and apart > FAR:
                 rows.forget()
-                continue
-            shift0, shift1 = (motion.shift(x1) for motion in of_sides)
-            if np.abs(shift1 - shift0).max() > FAR * rows.sides[1].reference.size.max():
-                rows.forget()
-            elif isinstance(rows, FrictionRows):
+            elif turn and isinstance(rows, FrictionRows):
                 rows.turn(of_sides[1])
+        if not (far or together):
+            return
         for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
             x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
             part.array[:] += motion.shift(x).ravel()
@@ -460,16 +477,20 @@ class ContactSystem(NonlinearSystem):
     def _add(self, blocks, own: list[PETSc.Mat], at, part: PETSc.Mat, share: float):
         """Add a share of a matrix to a block, of which a copy is made first. Collective."""
         i, j = at
-        before = blocks[i][j]
+        before, different = blocks[i][j], PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         if before is None:
             blocks[i][j] = part.copy()
             blocks[i][j].scale(share)
             own.append(blocks[i][j])
             return
-        if all(before is not mine for mine in own):
-            before = blocks[i][j] = before.copy()
-            own.append(before)
-        before.axpy(share, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        if any(before is mine for mine in own):
+            before.axpy(share, part, different)
+            return
+        # A small matrix takes in a large one in half the time that a copy of that takes the small
+        total = blocks[i][j] = part.copy()
+        total.scale(share)
+        total.axpy(1.0, before, different)
+        own.append(total)
 
     def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
         """The solution's parts. Collective."""

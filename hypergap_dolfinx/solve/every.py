@@ -41,7 +41,8 @@ def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArra
     mine = (dofs >= offset) & (dofs < offset + len(owned))
     values = np.zeros((len(dofs), owned.shape[1]), dtype=owned.dtype)
     values[mine] = owned[dofs[mine] - offset]
-    return comm.allreduce(values)
+    comm.Allreduce(MPI.IN_PLACE, values)
+    return values
 
 
 def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:

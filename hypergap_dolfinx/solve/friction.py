@@ -19,6 +19,9 @@ from hypergap_dolfinx.solve.modes import places
 
 EXCEEDS = 1e-7
 """Traction of what sticks beyond what friction can hold, over the largest, that is none."""
+UNTOLD = 1e-12
+"""Weight of changes of what sticks: tractions that nothing tells stay as they are, where more
+vertices stick than displacements can move, as between walls that hold both bodies."""
 EXACT = 1e-11
 """Gap, in sizes of facets, beyond which one more Newton step is taken: times tractions, gaps are
 what moments of friction lack."""
@@ -37,7 +40,7 @@ class Rubbed(Pressed):
 
 
 class FrictionRows(ContactRows):
-    """Contact with friction: tractions q with |q| ≤ μ p, against the slip s of a load step.
+    """Contact with friction: tractions q with |q| ≤ min(μ p, τ), against the slip s of a load step.
 
     Rows and unknowns of q_k are behind those of p: number k num_multipliers + a.
     """
@@ -50,7 +53,7 @@ class FrictionRows(ContactRows):
         num, across = len(self.now.p), self._n - 1
         assert touching.contact.friction is not None
         self._friction = touching.contact.friction
-        self._soft = self._friction.elastic_slip
+        self._soft, self._limit = self._friction.elastic_slip, self._friction.shear_limit
         self.now = Rubbed(
             **vars(self.now),
             q=np.zeros((across, num)),
@@ -59,7 +62,7 @@ class FrictionRows(ContactRows):
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
-        self._carried = False
+        self._carried, self._unpressed = False, 0.0
         self._elastic = np.zeros((across, num))  # part of slip that would go back
 
     def begin(self):
@@ -87,16 +90,25 @@ class FrictionRows(ContactRows):
             self._since = self.start
         opening = self.now.opening
         if opening is None:
-            self.T = self.S = Sparse.empty()
+            self.T = Sparse.empty()
         elif self._follows:
-            self.T, self.S = opening.slip(self.u, self._since, self.lender)
+            self.T = opening.slip(self.u, self.lender)
         else:
             if self._fixed is None:
-                self._fixed, _ = opening.slip(self.at, self.at, self.lender)
-            self.T = self.S = self._fixed
-        self.T, self.S = self._lent(self.T), self._lent(self.S)
+                self._fixed = opening.slip(self.at, self.lender)
+            self.T = self._fixed
+        self.T = self._lent(self.T)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
+
+    def _slopes(self) -> Sparse:
+        """∂s/∂u of what is in contact."""
+        opening = self.now.opening
+        if opening is None or not self._follows:
+            return self.T
+        assert self._since is not None
+        on = self.spread(self.now.on.astype(float)) > 0
+        return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -148,13 +160,19 @@ class FrictionRows(ContactRows):
         q = np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
         return np.stack([self.spread(part) for part in q.T], axis=1)
 
+    def _bounds(self, p) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """What friction can hold at pressures, and its derivative by them."""
+        bound = self.mu * np.maximum(p, 0)
+        return np.minimum(bound, self._limit), np.where(bound < self._limit, self.mu, 0)
+
     # Sets
 
-    def choose(self, stiffness: float, *, anew: bool):
+    def choose(self, stiffness: float, unpressed: float, *, anew: bool):
         """Tell what sticks from what slips, of what is in contact.
 
         Args:
             stiffness: Of the bodies' nodes.
+            unpressed: Pressure that is none beside those of all contacts.
             anew: Whether no step was taken yet: what was in contact goes on as it was, and what
                 comes to it sticks.
         """
@@ -173,8 +191,8 @@ class FrictionRows(ContactRows):
             trial = now.q - c * self.slip
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
-            bound = self.mu * np.maximum(now.p - c * gap, 0)
-            none = EXCEEDS * bound[now.on].max(initial=0)
+            bound, _ = self._bounds(now.p - c * gap)
+            none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
             # What is at both limits stays what it is
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
             # What slips the other way sticks first: else all could turn to and fro
@@ -182,7 +200,7 @@ class FrictionRows(ContactRows):
             now.sticks = (sticks | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
-        self._stiffness, self._c = stiffness, c
+        self._unpressed, self._c = unpressed, c
 
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
@@ -237,16 +255,17 @@ class FrictionRows(ContactRows):
         """Equations of gaps and slips. Collective."""
         num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
-        by_slip, by_q, by_p, start = self._law(scale)
+        by_slip, by_q, by_p, start, rest = self._law(scale)
         gaps = self.g + self.times(moves)
-        slips = start + self._times(self.S, moves)
-        right = np.concatenate((scale * gaps, np.einsum("kla,la->ka", by_slip, slips).ravel()))
+        S = self._slopes()
+        slips = start + self._times(S, moves)
+        law = np.einsum("kla,la->ka", by_slip, slips) + self.m * rest
+        right = np.concatenate((scale * gaps, law.ravel()))
         normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         # Row k of q is Σ_l by_slip[k, l] S_l
-        part, a = np.divmod(self.S.i, num)
+        part, a = np.divmod(S.i, num)
         along = [
-            Sparse(num * (k + 1) + a, self.S.j, self.S.values * by_slip[k, part, a])
-            for k in range(across)
+            Sparse(num * (k + 1) + a, S.j, S.values * by_slip[k, part, a]) for k in range(across)
         ]
         forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
         corner = []
@@ -266,18 +285,19 @@ class FrictionRows(ContactRows):
         )
 
     def _law(self, scale):
-        """The law of friction as by_slip s + m (by_q q + by_p p) = 0 to first order.
+        """The law of friction as m (by_q q + by_p p) = by_slip s + m rest to first order.
 
         Args:
             scale: Factor of rows of what is closed, ``(num_multipliers,)``.
 
         Returns:
             ``(n - 1, n - 1, num_multipliers)`` for slips and for q, ``(n - 1, num_multipliers)``
-            for p; and what slips start from, of which rows are to be zero.
+            for p; what slips start from, and the rest, ``(n - 1, num_multipliers)``.
         """
         now, one = self.now, np.eye(self._n - 1)[..., None]
         across = one - now.way[:, None] * now.way  # what slips turns by
-        force = self.mu * np.maximum(now.p, 0)
+        force, by_p = self._bounds(now.p)
+        limit = np.where((by_p == 0) & (force > 0), force, 0)
         if self._soft:
             # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
             size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
@@ -285,14 +305,15 @@ class FrictionRows(ContactRows):
             soft = now.on & ((force > 0) | ~now.sticks)
             turn = np.where(now.sticks, one, across)
             by_slip = np.where(soft, -force / size * turn, scale * one)
-            by_p = np.where(soft, self.mu * self._reach / size, 0)
-            return by_slip, soft * one, by_p, np.where(soft, 0, self.s)
+            way = np.where(soft, self._reach / size, 0)
+            return by_slip, soft * one, by_p * way, np.where(soft, 0, self.s), -limit * way
         trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
         share = np.minimum(force / np.maximum(trial, 1e-300), 1)
         turn = np.where(now.sticks, 0, share * across)
         by_slip = np.where(now.sticks, scale * one, -self._c * turn)
-        by_q = np.where(now.sticks, 0, one - turn)
-        return by_slip, by_q, np.where(now.sticks, 0, -self.mu * now.way), self.s
+        by_q = np.where(now.sticks, -UNTOLD * one, one - turn)
+        rest = np.where(now.sticks, -UNTOLD * now.q, limit * now.way)
+        return by_slip, by_q, np.where(now.sticks, 0, -by_p * now.way), self.s, rest
 
     def _take(self, values: npt.NDArray[np.float64]):
         p, *q = values.reshape(-1, len(self.g))
@@ -318,14 +339,15 @@ class FrictionRows(ContactRows):
             tolerance: Length that is none.
         """
         now, rigid = self.now, self.stuck
-        target = self.mu * now.p * now.way
+        bound, _ = self._bounds(now.p)
+        target = bound * now.way
         if self._soft:
             rigid = np.zeros_like(now.on)
-            target = -self.mu * now.p * self._shortened() / self._soft
+            target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
         error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
-        largest = np.abs(self.mu * now.p).max(initial=0)
-        return super().is_closed(tolerance) and slip <= tolerance and error <= EXCEEDS * largest
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return super().is_closed(tolerance) and slip <= tolerance and error <= none
 
     @property
     def is_exact(self) -> bool:
@@ -336,8 +358,9 @@ class FrictionRows(ContactRows):
     def holds_too_much(self) -> bool:
         """Whether something sticks only because nothing else would hold a body."""
         size = np.linalg.norm(self.now.q, axis=0)
-        bound = self.mu * self.now.p
-        return bool((size - bound)[self.stuck].max(initial=0) > EXCEEDS * bound.max(initial=0))
+        bound, _ = self._bounds(self.now.p)
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return bool((size - bound)[self.stuck].max(initial=0) > none)
 
 
 def hold_by_sticking(

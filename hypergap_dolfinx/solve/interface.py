@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """What the solvers need to know of an interface, whoever made it."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -20,6 +20,7 @@ from hypergap_dolfinx.gap.compliance import Compliance
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
+from hypergap_dolfinx.gap.law import Response
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import Surface
 
@@ -82,6 +83,14 @@ class Interface(Protocol):
     def compliance(self) -> Compliance | None:
         """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
 
+    @property
+    def law(self) -> Response | None:
+        """What λ is of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
+
+    @property
+    def gives_way(self) -> Hashable:
+        """Equal for interfaces with the same compliance or law; None without."""
+
     def offset(self) -> PETSc.Vec | None:
         """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""
 
@@ -123,13 +132,16 @@ class Gaps(Protocol):
     def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
         """Σ_a p_a ∂²g_a/∂u²."""
 
-    def slip(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray
-    ) -> tuple[Sparse, Sparse]:
-        """T with slips s = T (u − u_since), and S = ∂s/∂u; n − 1 components one after the other.
+    def slip(self, u: Displacements, lender: npt.NDArray) -> Sparse:
+        """T with slips s = T (u − u_since); n − 1 components one after the other.
 
         In space each vertex has the directions of its lender.
         """
+
+    def slip_slopes(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray, on: npt.NDArray
+    ) -> Sparse:
+        """∂s/∂u of those that are asked for, ``(num_multipliers,)``."""
 
     def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
         """∂(Tᵀq)/∂u."""
@@ -141,6 +153,10 @@ class Coulomb(Protocol):
     @property
     def elastic_slip(self) -> float:
         """Slip up to which friction grows to μ p."""
+
+    @property
+    def shear_limit(self) -> float:
+        """Traction beyond which friction doesn't grow with pressure."""
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """The coefficient at Γ1's vertices, the same on every rank. Collective."""

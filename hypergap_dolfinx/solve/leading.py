@@ -56,3 +56,15 @@ def leading(
     left, _, right = np.linalg.svd(product)
     left[:, -1] *= np.linalg.det(left @ right)  # no reflection
     return RigidMotion(left @ right, start, end)
+
+
+def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
+    """Whether two motions turn with each other, rather than one against the other.
+
+    Args:
+        a: A motion.
+        b: Another one.
+    """
+    one = np.eye(len(a.end))
+    against = np.linalg.norm(a.turn - b.turn)
+    return bool(against < max(np.linalg.norm(motion.turn - one) for motion in (a, b)))

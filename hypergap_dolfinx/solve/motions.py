@@ -161,9 +161,10 @@ def tied_groups(
         of each tie tie what is apart.
     """
     num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
+    num_places = num_bodies + len(constraints.interior_sizes)
     sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
     apart = [
-        _apart(fields, num_bodies, sizes, row) | carried
+        _apart(fields, num_bodies, sizes, row[:num_places]) | carried
         for row, carried in zip(constraints.full, constraints.carried(), strict=True)
     ]
     comm = fields[0][1].space.mesh.comm

@@ -51,6 +51,8 @@ class Multigrid(IterativeSolver):
             return "free interior nodes belong to no body"
         if system.constraints.compliances:
             return "a tie has a compliance"
+        if system.constraints.openings:
+            return "a tie has a law"
         if any(map(is_mixed, system.spaces)):
             return "multigrid is for bodies with one field, and a space is mixed"
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}

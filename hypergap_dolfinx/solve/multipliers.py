@@ -255,7 +255,7 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
 
 
 def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
-    """Which multipliers of a tie −C λ alone says, since all else in their rows is prescribed.
+    """Which multipliers of a tie its compliance or law alone says: the rest of a row is prescribed.
 
     Collective.
 
@@ -264,7 +264,9 @@ def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
     """
     tie = every.ties[t]
     fixed = np.zeros((len(every.lists[t].dofs), tie.block_size), dtype=bool)
-    if tie.free_interior or tie.compliance is None or not tie.compliance.gives_way():
+    if tie.free_interior or tie.gives_way is None:
+        return fixed
+    if tie.compliance is not None and not tie.compliance.gives_way():
         return fixed
     order = np.argsort(tie.constraint.rows)
     moves = fixed.copy()

@@ -19,7 +19,10 @@ from hypergap_dolfinx.solve.system import TiedSystem
 
 
 class NonlinearSystem(TiedSystem):
-    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative."""
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative.
+
+    The jumps w_t of ties with a law are u_i too, and F_i(u_i) is the law's F(w_t).
+    """
 
     def __init__(
         self,
@@ -86,6 +89,15 @@ class NonlinearSystem(TiedSystem):
     def _release(self) -> list:
         return [*super()._release(), *self.__dict__.pop("_now", [])]
 
+    def _assign(self, x: PETSc.Vec):
+        """Copy the bodies' part of a vector into u, and that of jumps into the laws."""
+        super()._assign(x)
+        openings = self._constraints.openings
+        parts = x.getNestSubVecs()
+        start = len(parts) - len(self._constraints.bodies) - len(openings)
+        for opening, part in zip(openings, parts[start:], strict=False):
+            opening.take(part)
+
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
         self._assign(x)
@@ -107,8 +119,12 @@ class NonlinearSystem(TiedSystem):
             b.array[held] *= scale
             lifted.append(now.copy())
             petsc.set_bc(lifted[-1], bcs)
-        for b in r_parts[num_bodies : len(r_parts) - num_ties]:
+        of_ties = r_parts[num_bodies : len(r_parts) - num_ties]
+        for b in of_ties:
             b.set(0.0)
+        openings = self._constraints.openings
+        for opening, b in zip(openings, of_ties[len(of_ties) - len(openings) :], strict=True):
+            opening.add_force(b)
         fields = [*lifted, *x_parts[num_bodies : len(x_parts) - num_ties]]
         for t, multiplier in enumerate(multipliers):
             for b, B in zip(r_parts, self._constraints.free[t]):

@@ -86,10 +86,11 @@ class TiedSystem(disposal.Owner):
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
         self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
+        of_ties = [*self._zeros, *(opening.K for opening in self._constraints.openings)]
         B, C = self._constraints.free, self._constraints.compliances.blocks
-        self._A, self._Bt = saddle.saddle_matrix([*self._K, *self._zeros], B, C)
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *of_ties], B, C)
         self._b_bodies = [compat.create_vector(V) for V in spaces]
-        self._b_interiors = [zero.createVecLeft() for zero in self._zeros]
+        self._b_interiors = [K.createVecLeft() for K in of_ties]
         self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
         self._b = PETSc.Vec().createNest(
             [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
@@ -131,7 +132,7 @@ class TiedSystem(disposal.Owner):
         return [obj for obj in objects if obj is not None]
 
     def assemble_matrix(self):
-        """Assemble the bodies' stiffness and the ties' compliance into A. Collective.
+        """Assemble the bodies' stiffness, and what ties give way by, into A. Collective.
 
         A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
         must not see units.
@@ -143,7 +144,8 @@ class TiedSystem(disposal.Owner):
         checks.check_finite(self._K, "the stiffness")
         for i in range(len(self._K)):
             self._scale_prescribed(i)
-        self._constraints.compliances.update()
+        for part in (self._constraints.compliances, *self._constraints.openings):
+            part.update()
         self._A.assemble()
 
     def _scale_prescribed(self, i: int):

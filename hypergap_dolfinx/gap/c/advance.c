@@ -112,6 +112,31 @@ static int num_left(const Front *f)
   return left;
 }
 
+// The end's facets that are not in the front, seen from there. Returns how many.
+static int add_missing(Front *f, int num_end, const int *end, int *missing)
+{
+  int num = 0;
+  for (int t = 0; t < f->num_triangles; ++t)
+    if (f->triangle[t].v[0] >= 0 && is_final(f, t))
+    {
+      const int *v = f->triangle[t].v;
+      for (int i = f->end.offset[v[0]]; i < f->end.offset[v[0] + 1]; ++i)
+        if (f->end.to[i] == v[1])
+          f->end.opposite[i] = -1; // nobody asks any more
+    }
+  for (int e = 0; e < num_end; ++e)
+  {
+    const int *v = end + 3 * e;
+    int there = 0;
+    for (int k = 0; k < 3; ++k)
+      there |= opposite(&f->end, v[k], v[(k + 1) % 3]) < 0;
+    const int seen[3] = {v[1], v[0], v[2]};
+    if (!there)
+      memcpy(missing + 3 * num++, seen, sizeof(seen));
+  }
+  return num;
+}
+
 static void advance(Front *f)
 {
   int before = -1;
@@ -145,9 +170,11 @@ static void advance(Front *f)
 // start       triangles of the start and of the walls, counterclockwise seen from the end
 // end         the end's, counterclockwise seen from beyond
 // max_cells   space for cells
-// cells, left cells; triangles of the front that are no facets of the end, as many as start and
-//             twice n1 at most
-// counts      number of cells, of triangles left, of vertices left
+// cells       what it makes
+// left        triangles of the front that are no facets of the end, as many as start and twice n1 at
+//             most, and then those of the end that are not in the front, as many as it has at most;
+//             counterclockwise seen from between them
+// counts      number of cells, of triangles left of the front, of the end
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
                int num_end, const int *end, int max_cells, int *cells, int *left, int *counts)
 {
@@ -159,7 +186,7 @@ int front_fill(int n0, int n1, const double *vertices, double flat, int num_star
   f.spare = malloc(f.max_triangles * sizeof(int));
   f.home = malloc((f.points.n + 1) * sizeof(int));
   f.next = malloc((f.points.n + 1) * sizeof(int));
-    counts[0] = counts[1] = counts[2] = 0;
+  counts[0] = counts[1] = counts[2] = 0;
   if (!f.triangle || !f.spare || !f.home || !f.next || !sort_edges(&f.end, f.points.n, num_end, end)
       || !sort_edges(&first, f.points.n, num_start, start))
     goto finish;
@@ -192,8 +219,8 @@ int front_fill(int n0, int n1, const double *vertices, double flat, int num_star
       memcpy(left + 3 * counts[1]++, f.triangle[t].v, 3 * sizeof(int));
       status = STUCK;
     }
-  for (int i = n0; i < f.points.n; ++i)
-    counts[2] += f.home[i] >= 0;
+  if (status == STUCK)
+    counts[2] = add_missing(&f, num_end, end, left + 3 * counts[1]);
 finish:
   free_edges(&f.end), free_edges(&first);
   free(f.triangle), free(f.spare), free(f.home), free(f.next), free(f.heap);

@@ -11,19 +11,35 @@ typedef struct {
   int *offset, *facet;
 } Around;
 
+// Of things with some vertices each; offset is 0 at first.
+static void sort_at_vertices(int n, int size, int num, const int *vertices, int *offset, int *at)
+{
+  for (int i = 0; i < size * num; ++i)
+    ++offset[vertices[i] + 2];
+  for (int i = 2; i < n + 2; ++i)
+    offset[i] += offset[i - 1];
+  for (int i = 0; i < size * num; ++i)
+    at[offset[vertices[i] + 1]++] = i / size;
+}
+
 static int gather(Around *around, int n, int num, const int *facets)
 {
   around->offset = calloc(n + 2, sizeof(int));
   around->facet = malloc((3 * num + 1) * sizeof(int));
   if (!around->offset || !around->facet)
     return 0;
-  for (int i = 0; i < 3 * num; ++i)
-    ++around->offset[facets[i] + 2];
-  for (int i = 2; i < n + 2; ++i)
-    around->offset[i] += around->offset[i - 1];
-  for (int i = 0; i < 3 * num; ++i)
-    around->facet[around->offset[facets[i] + 1]++] = i / 3;
+  sort_at_vertices(n, 3, num, facets, around->offset, around->facet);
   return 1;
+}
+
+// The cells at each vertex v: at[offset[v]] to at[offset[v + 1] − 1].
+//
+// offset      (n + 2), 0 at first
+// at          (4 num)
+int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at)
+{
+  sort_at_vertices(n, 4, num, cells, offset, at);
+  return DONE;
 }
 
 static int has(const int *facet, int v)

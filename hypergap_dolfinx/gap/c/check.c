@@ -56,7 +56,11 @@ static void vertices_of_face(const int *cells, int num_cells, const int *outer, 
 
 // Number of faces that aren't there exactly once in each direction, −1: no memory. Faces are
 // gathered at their lowest vertices: what is near in the numbering stays near in memory.
-static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, const int *outer)
+//
+// single      room for those that are there once, as they are there; NULL if nobody asks
+// num_single  how many
+static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, const int *outer,
+                        int *single, int *num_single)
 {
   int num = 4 * num_cells + num_outer, unpaired = 0, v[3], at;
   int *offset = calloc(n + 2, sizeof(int));
@@ -87,6 +91,12 @@ static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, c
       for (next = j + 1; next < count && own[next] >> 1 == own[j] >> 1; ++next)
         ;
       unpaired += !(next == j + 2 && own[j] != own[j + 1]);
+      if (single && next == j + 1)
+      {
+        int b = (int)(own[j] >> 32), c = (int)((unsigned)own[j] >> 1), odd = own[j] & 1;
+        const int given[3] = {i, odd ? c : b, odd ? b : c};
+        memcpy(single + 3 * (*num_single)++, given, sizeof(given));
+      }
     }
   }
   free(offset), free(faces);
@@ -111,6 +121,18 @@ int front_check(int n0, int n, const double *vertices, int num_cells, const int 
              points.vertex[v[3]].n, normal);
     counts[0] += !(D(&points, v[0], v[1], v[2], v[3], normal, &scale) > FLAT * scale);
   }
-  counts[1] = num_unpaired(n, num_cells, cells, num_outer, outer);
+  counts[1] = num_unpaired(n, num_cells, cells, num_outer, outer, NULL, NULL);
   return counts[1] < 0 ? NO_MEMORY : DONE;
+}
+
+// Find the faces around what is missing.
+//
+// faces       those that one cell, or triangle of the boundary, has alone, as it has them
+// counts      faces that don't have exactly one on each side; faces found
+int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer, int *faces,
+                 int *counts)
+{
+  counts[1] = 0;
+  counts[0] = num_unpaired(n, num_cells, cells, num_outer, outer, faces, counts + 1);
+  return counts[0] < 0 ? NO_MEMORY : DONE;
 }

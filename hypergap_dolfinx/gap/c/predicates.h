@@ -16,6 +16,7 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define COLLINEAR 1e-12 // the same for A of a triangle
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
 #define SWEEPS_OF_QUADRATICS 50
+#define SOME_EDGES 5000 // that quadratics are sought with
 #define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 
 typedef struct {

@@ -65,20 +65,20 @@ static void products(const double *y, double *q)
   q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
 }
 
-// Quadratic weights, if they make at least half of the irregular edges regular: where a whole
-// triangulation is sheared, that is all it takes, and what follows would take long.
-// Returns whether all edges are regular without any weights.
+// Quadratic weights, if they make at least half of the irregular edges regular, of some in large
+// surfaces: where a whole triangulation is sheared, that is all it takes, and what follows would take
+// long. Returns whether all edges are regular without any weights.
 static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
                              const Constraint *constraints)
 {
   double Q[6] = {0}, best[6] = {0}, q[6];
-  int at_first = 0, least = num + 1;
+  int at_first = 0, least = num + 1, skip = num / SOME_EDGES * 64;
   for (int sweep = 0; sweep <= SWEEPS_OF_QUADRATICS; ++sweep)
   {
     double before[6];
     int violated = 0;
     memcpy(before, Q, sizeof(Q));
-    for (int i = 0; i < num; ++i)
+    for (int i = 0; i < num; i += (i + 1) % 64 ? 1 : 1 + skip) // neighbours of some in each part
     {
       const Constraint *g = constraints + i;
       double c[6] = {0}, value = 0, square = 0;
@@ -115,50 +115,94 @@ static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
     for (int j = 0; j < 6; ++j)
       vertex[i].w += best[j] * q[j];
   }
-  return at_first == 0;
+  return at_first == 0 && skip == 0;
+}
+
+// Constraints at each vertex, in the order of their numbers, and which have yet to be looked at: bits.
+typedef struct {
+  int *offset, *at;
+  unsigned long long *waits;
+} Queue;
+
+static int sort_constraints(Queue *queue, int n, int num, const int *edges)
+{
+  queue->offset = calloc(n + 2, sizeof(int));
+  queue->at = malloc(((size_t)4 * num + 1) * sizeof(int));
+  queue->waits = calloc(num / 64 + 1, sizeof(unsigned long long));
+  if (!queue->offset || !queue->at || !queue->waits)
+    return 0;
+  for (int i = 0; i < num; ++i)
+    for (int k = 0; k < num_terms(edges + 4 * i); ++k)
+      ++queue->offset[edges[4 * i + k] + 2];
+  for (int i = 2; i < n + 2; ++i)
+    queue->offset[i] += queue->offset[i - 1];
+  for (int i = 0; i < num; ++i)
+    for (int k = 0; k < num_terms(edges + 4 * i); ++k)
+      queue->at[queue->offset[edges[4 * i + k] + 1]++] = i;
+  for (int i = 0; i < num; ++i)
+    queue->waits[i / 64] |= 1ULL << i % 64;
+  return 1;
+}
+
+// Let all constraints at a vertex wait.
+static void wake(Queue *queue, int vertex)
+{
+  for (int i = queue->offset[vertex]; i < queue->offset[vertex + 1]; ++i)
+    queue->waits[queue->at[i] / 64] |= 1ULL << queue->at[i] % 64;
 }
 
 // Weights that make a triangulation locally regular: reflected at one violated constraint after the
-// other (Motzkin and Schoenberg), they end where none is.
+// other (Motzkin and Schoenberg), they end where none is. A sweep goes over those whose weights have
+// changed since they were found to hold.
 //
 // vertices    as of front_fill; their weights are set
 // num, edges  q, r, p, s of each inner edge; a, b, c, −1 for two edges on the boundary
-// sweeps      at most; returned is how many were needed, −1 if these were too few (weights are
-//             then better than none)
-int front_weights(int n, double *vertices, int num, const int *edges, int sweeps)
+// sweeps      at most
+// visits      of constraints in all sweeps, at most; returned is how many sweeps were needed, −1 if
+//             these were too few (weights are then better than none)
+int front_weights(int n, double *vertices, int num, const int *edges, int sweeps, double visits)
 {
   Vertex *vertex = (Vertex *)vertices;
+  Queue queue = {0};
   Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
-  if (!constraints)
-    return -1;
+  int sweep = 0, violated = -1;
+  if (!constraints || !sort_constraints(&queue, n, num, edges))
+    goto finish;
   for (int i = 0; i < n; ++i)
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
     constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
-  int sweep = 0, violated = !quadratic_weights(n, vertex, num, edges, constraints);
-  for (; violated && sweep <= sweeps; ++sweep)
+  violated = !quadratic_weights(n, vertex, num, edges, constraints);
+  for (; violated && sweep <= sweeps && visits > 0; ++sweep)
   {
     violated = 0;
-    for (int i = 0; i < num; ++i)
-    {
-      Constraint *g = constraints + i;
-      const int *v = edges + 4 * i, terms = num_terms(v);
-      double value = 0, square = 0;
-      for (int k = 0; k < terms; ++k)
+    for (int word = 0; word <= num / 64; ++word)
+      for (unsigned long long later = ~0ULL; queue.waits[word] & later;)
       {
-        value += g->c[k] * vertex[v[k]].w;
-        square += g->c[k] * g->c[k];
+        int bit = __builtin_ctzll(queue.waits[word] & later), i = 64 * word + bit;
+        later = bit < 63 ? ~0ULL << (bit + 1) : 0;
+        queue.waits[word] &= ~(1ULL << bit);
+        const Constraint *g = constraints + i;
+        const int *v = edges + 4 * i, terms = num_terms(v);
+        double value = 0, square = 0;
+        --visits;
+        for (int k = 0; k < terms; ++k)
+        {
+          value += g->c[k] * vertex[v[k]].w;
+          square += g->c[k] * g->c[k];
+        }
+        if (!(square > 0) || g->bound - value <= g->tolerance)
+          continue;
+        violated = 1;
+        double step = 2 * (g->bound - value) / square;
+        for (int k = 0; k < terms; ++k)
+        {
+          vertex[v[k]].w += step * g->c[k];
+          wake(&queue, v[k]);
+        }
       }
-      if (!(square > 0))
-        continue;
-      if (g->bound - value <= g->tolerance)
-        continue;
-      violated = 1;
-      double step = 2 * (g->bound - value) / square;
-      for (int k = 0; k < terms; ++k)
-        vertex[v[k]].w += step * g->c[k];
-    }
   }
-  free(constraints);
+finish:
+  free(constraints), free(queue.offset), free(queue.at), free(queue.waits);
   return violated ? -1 : sweep;
 }
