@@ -328,7 +328,7 @@ AS_OTHERS = (
     *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
     *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
-    *("contact_run_time", "rolling"),
+    *("contact_run_time", "peeling", "rolling"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
