@@ -165,7 +165,8 @@ class Response:
         self._jump.x.array[: w.size] = w.ravel()
         for given, mine in self._constants.items():
             mine.value = given.value
-        found = self._law.eval(self._mesh, np.arange(num, dtype=np.int32)).reshape(num, -1)
+        found = self._law.eval(self._mesh, np.arange(num, dtype=np.int32))
+        found = found.reshape(num, block_size * (1 + block_size))  # of no points too
         return found[:, :block_size], found[:, block_size:].reshape(num, block_size, block_size)
 
     def mass(self) -> PETSc.Mat:
