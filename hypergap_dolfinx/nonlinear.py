@@ -132,9 +132,16 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._check_motions()
         self._constraints.read_jumps()
         self._constraints.compliances.update()  # the first residual comes before the first matrix
+        of_ties = self._x.getNestSubVecs()[len(self._u) :]
+        before = [part.array_r.copy() for part in of_ties]
         with self._solver.options.in_use():
             self._snes.solve(None, self._x)
-        self._check_solved()
+        try:
+            self._check_solved()
+        except SolveError:  # users set u back, but have no way to set back these
+            for part, values in zip(of_ties, before, strict=True):
+                part.array[:] = values
+            raise
         if self._snes.getIterationNumber():
             self._check_constants()
         self._assign(self._x)

@@ -218,3 +218,18 @@ def test_bad_input():
         problem(bodies, [t], TIED, HELD)
     with raises(ValueError, '"bodies" is not possible: a tie has a law; take "direct"'):
         held_outside(bodies, [t], TIED, lambda i, x: 0 * x[:2], solver="bodies")
+
+
+@two_ranks()
+def test_one_facet():
+    """A rank may have none of the cells."""
+    bodies = [rectangle((1, 1), (0, i), (1, i + 1)) for i in (0, 1)]
+    t = tie(bodies, *TIED, law=lambda w, n: w / 0.7)
+    solved(bodies, [t], (0.07, 0.14), (0.1, 0.2))
+
+
+def test_given_traction():
+    """A law may have nothing of the mesh."""
+    bodies = blocks()
+    t = tie(bodies, *TIED, law=lambda w, n: ufl.as_vector((0.1, 0.0)))
+    solved(bodies, [t], (0.03, 0.15), (0.1, 0.0))

@@ -131,7 +131,9 @@ class Response:
         normal.x.array[: num * n] = self._samples.normal.ravel()
         w = ufl.variable(self._jump)
         traction = law.traction(w, normal)
-        both = ufl.as_vector([*_entries(traction), *_entries(ufl.diff(traction, w))])
+        # The last one is for laws without anything of the mesh
+        both = [*_entries(traction), *_entries(ufl.diff(traction, w)), _entries(self._jump)[0]]
+        both = ufl.as_vector(both)
         self._constants = {
             c: fem.Constant(points, np.asarray(c.value)) for c in extract_constants(both)
         }
@@ -165,8 +167,10 @@ class Response:
         self._jump.x.array[: w.size] = w.ravel()
         for given, mine in self._constants.items():
             mine.value = given.value
-        found = self._law.eval(self._mesh, np.arange(num, dtype=np.int32)).reshape(num, -1)
-        return found[:, :block_size], found[:, block_size:].reshape(num, block_size, block_size)
+        found = self._law.eval(self._mesh, np.arange(num, dtype=np.int32))
+        found = found.reshape(num, block_size * (1 + block_size) + 1)  # of no points too
+        df = found[:, block_size:-1].reshape(num, block_size, block_size)
+        return found[:, :block_size], df
 
     def mass(self) -> PETSc.Mat:
         """M, with rows and columns as B's rows; a new matrix. Collective."""

@@ -62,19 +62,20 @@ class Compliances:
         """
         if not self._soft:
             return
-        before, self._values = self._values, [soft.values() for soft, _ in self._soft]
+        now = [soft.values() for soft, _ in self._soft]
         assert self._comm is not None
-        same = bool(before) and all(map(np.array_equal, before, self._values))
+        same = bool(self._values) and all(map(np.array_equal, self._values, now))
         if all(self._comm.allgather(same)):
             return
-        for block in (block for row in self.blocks for block in row if block):
-            block.zeroEntries()
         for (soft, _), name in zip(self._soft, self._unknown, strict=True):
             if name and soft.gives_way():
                 raise ValueError(
                     f"the compliance of {name} was 0 when the problem was made, and both sides are "
                     "prescribed, so it has no λ there; make the problem anew with it as it is now."
                 )
+        self._values = now
+        for block in (block for row in self.blocks for block in row if block):
+            block.zeroEntries()
         for (soft, row), values in zip(self._soft, self._values, strict=True):
             C = soft.matrix(values)
             for g, E in row.items():

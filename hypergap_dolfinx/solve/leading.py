@@ -15,6 +15,10 @@ import numpy.typing as npt
 SPREAD = 1e-12
 """Square of the extent of points, over that of their longest direction, that says nothing of how
 a body turns around it."""
+TURNS = 1e-10
+"""Turn that is none but for round-off."""
+TOGETHER = 0.5
+"""How one turns against the other, over how they turn, from which they don't turn together."""
 
 
 @dataclass(frozen=True)
@@ -66,5 +70,5 @@ def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
         b: Another one.
     """
     one = np.eye(len(a.end))
-    against = np.linalg.norm(a.turn - b.turn)
-    return bool(against < max(np.linalg.norm(motion.turn - one) for motion in (a, b)))
+    most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
+    return bool(most > TURNS and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)
