@@ -185,8 +185,9 @@ def test_both_sides_prescribed():
     p = problem(bodies, [t], TIED, [(0, TOP, (0, 1)), (1, BOTTOM, (0, 1))])
     p.solve()
     c.value = 2.0
-    with raises(ValueError, "the compliance of tie 0 was 0 when the problem was made"):
-        p.solve()
+    for _ in range(2):  # each time
+        with raises(ValueError, "the compliance of tie 0 was 0 when the problem was made"):
+            p.solve()
 
 
 @two_ranks(how=["pair"], swap=[True])

@@ -16,6 +16,7 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
+from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.motions import free_motions
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
@@ -124,3 +125,20 @@ def test_near_and_far_ties():
     assert num_free(TiedProblem(a[:2], [None] * 2, bcs=[bc], ties=[near])) == 1
     assert num_free(TiedProblem(a, [None] * 3, bcs=[bc], ties=[near, far])) == 1
     assert num_free(TiedProblem(a, [None] * 3, ties=[near, far])) == 3
+
+
+def test_turns_together():
+    """Translations don't turn, whatever round-off says; nor do bodies that turn on each other."""
+    x = np.random.default_rng(2).random((20, 3))
+    spin = np.cross((0.3, -0.2, 0.7), x)
+
+    def motion(speed, shift):
+        found = leading(MPI.COMM_SELF, x, speed * spin + shift)
+        assert found is not None
+        return found
+
+    for shift in np.random.default_rng(3).random((50, 3)):
+        assert not turns_together(motion(0, shift), motion(0, 0.3 * shift))
+    assert turns_together(motion(0.1, shift), motion(0.1, 0))
+    assert not turns_together(motion(0.1, shift), motion(0.005, 0))
+    assert not turns_together(motion(0.1, shift), motion(-0.1, 0))
