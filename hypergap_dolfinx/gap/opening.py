@@ -63,7 +63,7 @@ class _State:
         """∂q/∂u of the rays, ``(num_points, 7, num_dofs)``."""
         return by_dofs(self.surfaces, self.rays)
 
-    def on_some(self, on) -> tuple[Rays, npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+    def on_some(self, on) -> tuple[Rays, npt.NDArray, npt.NDArray, npt.NDArray]:
         """The rays on some pieces.
 
         All of the rule's: with fewer of them second derivatives of curved quadrilaterals are 10 %
@@ -73,11 +73,16 @@ class _State:
             on: Numbers of pieces.
 
         Returns:
-            The rays, and the piece and the weight of each.
+            The rays, and ∂q/∂u, the piece and the weight of each.
         """
         each = len(self.piece) // len(self.vertex)  # points follow each other as pieces do
         points = (on[:, None] * each + np.arange(each)).ravel()
-        return self.rays.some(points), self.piece[points], self.weights[points]
+        return (
+            self.rays.some(points),
+            self.by_dofs[points],
+            self.piece[points],
+            self.weights[points],
+        )
 
     @property
     def areas(self) -> npt.NDArray[np.float64]:
@@ -201,13 +206,12 @@ class Opening:
         on = np.flatnonzero(pressure)
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = state.on_some(on)
+        rays, T, piece, weights = state.on_some(on)
         facets = tuple(facet[on] for facet in state.pieces.facets)
         first = _first(*facets)
         starts = np.zeros(len(pressure), dtype=np.intp)
         starts[on[first[1:]]] = 1
         pair = np.cumsum(starts)  # of each piece
-        T = by_dofs(state.surfaces, rays)
         blocks = Blocks(len(first), T.shape[2])
         blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays, T)
         edges = _edges(state, pressure != 0)
@@ -251,15 +255,15 @@ class Opening:
             on: Vertices that are asked for, ``(num_multipliers,)``.
         """
         state = self._at(u)
-        points = np.flatnonzero(on[state.vertex[state.piece]])
-        if not len(points):
+        some = np.flatnonzero(on[state.vertex])
+        if not len(some):
             return Sparse.empty()
-        rays, piece = state.rays.some(points), state.piece[points]
-        T, directions = state.by_dofs[points], self._directions(state, lender, piece)
+        rays, T, piece, weights = state.on_some(some)
+        directions = self._directions(state, lender, piece)
         moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
         at_points = slip_columns.motions(T, moves[self._dofs(*rays.facets)])
         slopes = [slip_columns.slopes(rays, T, e, at_points) for e in directions]
-        return self._slip_rows(state, rays, piece, state.weights[points], slopes)
+        return self._slip_rows(state, rays, piece, weights, slopes)
 
     def _directions(self, state: _State, lender, piece) -> npt.NDArray[np.float64]:
         """Both directions of slip at points on pieces, ``(2, num_points, 3)``."""
@@ -293,8 +297,7 @@ class Opening:
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = state.on_some(on)
-        T = by_dofs(state.surfaces, rays)
+        rays, T, piece, weights = state.on_some(on)
         block = slip_columns.curvature(rays, T, weights[:, None] * traction[piece])
         first = _first(*rays.facets)
         block = np.add.reduceat(block, first).transpose(0, 1, 3, 2, 4)
