@@ -54,10 +54,10 @@ class Rim:
         s0, s1 = self.s[0], self.s[1] + np.append(moved, moved[0])
         middles = [_middles(s0, weights[c0] / self.length**2)]
         middles.append(_middles(s1, weights[n0 + c1] / self.length**2))
-        for i, s in enumerate(self.s):  # edges shorter than the shift stay in their wall
+        for i, s in enumerate(self.s):  # all stay in their wall, in their order
             wall = np.searchsorted(self.shared, (s[1:] + s[:-1]) / 2) - 1
-            ends = self.shared[wall], self.shared[wall + 1]
-            middles[i] = wall + np.clip(middles[i], *ends)
+            middles[i] = wall + _squeezed(middles[i], self.shared[wall], self.shared[wall + 1])
+            middles[i] = np.maximum.accumulate(middles[i])
         side, edge, apex = merge(*middles)
         a, b = (np.where(side == i, edge, 0) for i in (0, 1))
         a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
@@ -70,8 +70,15 @@ def _middles(s, weights):
     """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
     w = np.append(weights, weights[0])
     ds = np.diff(s)
-    middles = (s[1:] + s[:-1]) / 2 + np.diff(w) / (2 * np.where(ds > 0, ds, 1))
-    return np.maximum.accumulate(middles)
+    return (s[1:] + s[:-1]) / 2 + np.diff(w) / (2 * np.where(ds > 0, ds, 1))
+
+
+def _squeezed(s, start, end):
+    """Numbers between 0 and 1 in the order of parameters, which may lie before or behind a wall."""
+    if not np.isfinite(start).all():
+        return s
+    t = (2 * s - start - end) / (end - start)
+    return (1 + t / (1 + np.abs(t))) / 2
 
 
 def rims(side0: Side, side1: Side) -> list[Rim]:
