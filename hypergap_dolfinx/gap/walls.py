@@ -30,8 +30,7 @@ class Rim:
     s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
     """Their parameters from 0 to 1, equal where nodes coincide; the last closes the loop."""
     tangents: npt.NDArray[np.float64]
-    """At Γ1's nodes: how the parameter grows with the place, ``(num_nodes1, 3)``."""
-
+    """Of Γ1's edges: how the parameter grows with the place, ``(num_nodes1, 3)``."""
     length: float
     """Length of the loops."""
     shared: npt.NDArray[np.float64]
@@ -50,10 +49,10 @@ class Rim:
             Vertices, counterclockwise seen from outside, ``(num_triangles, 3)``.
         """
         c0, c1 = self.nodes
-        moved = np.einsum("vi,vi->v", self.tangents, shift[c1])
-        s0, s1 = self.s[0], self.s[1] + np.append(moved, moved[0])
-        middles = [_middles(s0, weights[c0] / self.length**2)]
-        middles.append(_middles(s1, weights[n0 + c1] / self.length**2))
+        w0, w1 = weights[c0] / self.length**2, weights[n0 + c1] / self.length**2
+        moved = [np.einsum("ei,ei->e", self.tangents, shift[c]) for c in (c1, np.roll(c1, -1))]
+        s0, s1 = self.s
+        middles = [_middles(s0[:-1], s0[1:], w0), _middles(s1[:-1] + moved[0], s1[1:] + moved[1], w1)]
         for i, s in enumerate(self.s):  # all stay in their wall, in their order
             wall = np.searchsorted(self.shared, (s[1:] + s[:-1]) / 2) - 1
             middles[i] = wall + _squeezed(middles[i], self.shared[wall], self.shared[wall + 1])
@@ -66,11 +65,10 @@ class Rim:
         return np.where((side == 0)[:, None], on0, on1)
 
 
-def _middles(s, weights):
+def _middles(start, end, weights):
     """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
-    w = np.append(weights, weights[0])
-    ds = np.diff(s)
-    return (s[1:] + s[:-1]) / 2 + np.diff(w) / (2 * np.where(ds > 0, ds, 1))
+    ds, dw = end - start, np.roll(weights, -1) - weights
+    return (start + end) / 2 + dw / (2 * np.where(ds > 0, ds, 1))
 
 
 def _squeezed(s, start, end):
@@ -99,10 +97,10 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
         loop0 = loops0.pop(distances.index(min(distances)))
         c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
         x = side1.x[c1]
-        chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
-        length = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum()
-        size = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-300)
-        found.append(Rim((c0, c1), (s0, s1), chord / size / length, length, shared))
+        edge = np.roll(x, -1, axis=0) - x
+        size = np.linalg.norm(edge, axis=1)
+        t = edge / np.maximum(size, 1e-300)[:, None] / size.sum()
+        found.append(Rim((c0, c1), (s0, s1), t, size.sum(), shared))
     return found
 
 

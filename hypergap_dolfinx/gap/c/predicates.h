@@ -15,8 +15,10 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define FLAT 1e-9      // D of a cell over the product of its two edges on the surfaces that is none
 #define COLLINEAR 1e-12 // the same for A of a triangle
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
-#define SWEEPS_OF_QUADRATICS 50
-#define SOME_EDGES 5000 // that quadratics are sought with
+#define STEPS_OF_QUADRATICS 5
+#define RIDGE 1e-3 // of their coefficients' squares, beside those of what edges lack
+#define SOME_EDGES 4000 // that quadratics are sought with
+#define FEW 0.01 // share of irregular ones below which none are
 #define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 
 typedef struct {
