@@ -21,8 +21,8 @@ import numpy.typing as npt
 from dolfinx.jit import get_options
 
 NAMES = (
-    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
-)
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c program.c columns.c"
+).split()
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
@@ -39,6 +39,10 @@ int find_bases(int n, const int *on, int num_facets, const int *facets, int num_
 int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
 int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                  int *faces, int *counts);
+int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
+               const double *normals, double limit, double corner, double stands_out, int *kinks);
+int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
+                 double *s);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
 void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
@@ -79,6 +83,12 @@ def as_ints(array: npt.NDArray):
     """An array as C's ``int *``; what it points to lives as long as it does."""
     array = np.ascontiguousarray(array, dtype=np.int32)
     return library().ffi.from_buffer("int[]", array)
+
+
+def as_doubles(array: npt.NDArray):
+    """An array as C's ``double *``; what it points to lives as long as it does."""
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    return library().ffi.from_buffer("double[]", array)
 
 
 def _compile(name: str, source: str, path: Path):

@@ -159,6 +159,10 @@ class Side:
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
+        return list(self._loops)
+
+    @cached_property
+    def _loops(self) -> list[npt.NDArray[np.intp]]:
         return loops(self.triangles, self.behind, self.surface.name, self.x)
 
     def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:

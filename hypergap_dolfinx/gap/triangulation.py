@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.nearest import nearest
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
@@ -85,43 +87,36 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     Returns:
         Facet and local number of each such edge (one of its two facets).
     """
-    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    limit = TURN + NOISE * np.abs(surface.x).max() / surface.size.min()
+    kink = np.empty(behind.shape, dtype=np.int32)
+    status = library().lib.find_kinks(
+        len(surface.x),
+        as_doubles(surface.x),
+        *behind.shape,
+        as_ints(surface.polygons),
+        as_ints(behind),
+        as_doubles(surface.normals),
+        limit,
+        CORNER,
+        STANDS_OUT,
+        as_ints(kink),
+    )
+    if status:
+        raise MemoryError("no memory for a surface's corners")
+    f, k = np.nonzero(kink)
     g = behind[f, k]
-    n0, n1 = surface.normals[f], surface.normals[g]
-    turn = np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
-    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
-    limit = TURN + noise
-    if turn.max(initial=0) <= limit:  # it is a plane
-        return f[:0], k[:0]
-    a, b = edge_ends(surface, f, k)
-    # A vertex opposite in each facet, and the edges there that don't touch this one
-    m = np.argmax(behind[g] == f[:, None], axis=1)
-    opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
-    t = surface.x[b] - surface.x[a]
-    t /= lengths(t)[:, None]
-    ends = np.concatenate((a, b))
-    order = np.argsort(ends, kind="stable")
-    offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
-    beside = np.zeros(len(turn))
-    for side, few in ((0, True), (1, True), (0, False), (1, False)):
-        # On a smooth surface few edges are candidates any more after a look at the first ones
-        candidate = np.flatnonzero((turn > limit) & (turn <= CORNER) & (turn > STANDS_OUT * beside))
-        p = opposite[candidate, side]
-        count = offsets[p + 1] - offsets[p]
-        count = np.minimum(count, 2) if few else count
-        e = np.repeat(candidate, count)
-        start = np.repeat(offsets[p] - np.cumsum(count) + count, count)
-        other = order[start + np.arange(len(e))] % len(a)
-        apart = (a[other] != a[e]) & (a[other] != b[e]) & (b[other] != a[e]) & (b[other] != b[e])
-        e, other = e[apart], other[apart]
-        parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
-        np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > CORNER) | (turn > np.maximum(STANDS_OUT * beside, limit))
-    bent = np.flatnonzero(kink & (surface.curved[f] | surface.curved[g]))
-    here, there = (_normals_at_edges(surface, *e) for e in ((f[bent], k[bent]), (g[bent], m[bent])))
-    angle = np.arctan2(lengths(np.cross(here, there)), np.einsum("ei,ei->e", here, there))
-    kink[bent] = angle > CURVES * turn[bent]
-    return f[kink], k[kink]
+    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
+    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
+    turn = _angles(surface.normals[edges[0]], surface.normals[beyond[0]])
+    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
+    keep = np.ones(len(f), dtype=bool)
+    keep[bent] = left > CURVES * turn
+    return f[keep], k[keep]
+
+
+def _angles(n0, n1) -> npt.NDArray[np.float64]:
+    """Between normals, ``(num,)``."""
+    return np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
 
 
 def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
@@ -215,15 +210,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     ]
     samples = np.concatenate(picks)
     centres, middles = _centres(other), _centres(surface, samples)
-    found = np.empty(len(samples), dtype=np.intp)
-    origin = centres.mean(axis=0)
-    centre = (centres - origin).T.copy()
-    own = (centre**2).sum(axis=0)
-    chunk = max(1, 50_000 // len(centres))
-    for c in range(0, len(samples), chunk):
-        part = slice(c, c + chunk)
-        square = own - 2 * (middles[part] - origin) @ centre  # but for the samples' own
-        found[part] = square.argmin(axis=1)
+    found = nearest(middles, centres)
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
@@ -285,16 +272,14 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
             "there with ties of their own."
         )
     after = dict(zip(start.tolist(), end.tolist(), strict=True))
-    left, found = set(start.tolist()), []
+    found = []
     for first in start.tolist():
-        if first not in left:
-            continue
         loop, node = [], first
-        while node in left:
-            left.remove(node)
+        while node in after:
             loop.append(node)
-            node = after.get(node)
-        found.append(np.array(loop))
+            node = after.pop(node)
+        if loop:
+            found.append(np.array(loop))
     return found
 
 
