@@ -50,7 +50,7 @@ void column_curvatures(int num, int n, const int *block, const double *factor, c
 void add_products(int num, int n, const int *block, const double *a, const double *b,
                   double *blocks);
 """
-FLAGS = ["-O2", "-g0"]
+FLAGS = ["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @cache

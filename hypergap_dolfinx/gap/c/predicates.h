@@ -35,6 +35,10 @@ typedef struct {
   double flat; // D of a cell over that product up to which a front does without it
 } Points;
 
+static inline double larger(double a, double b) { return a > b ? a : b; }
+
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
 static inline double dot(const double *a, const double *b)
 {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -113,7 +117,7 @@ static double A(const Points *p, int a, int b, int c, double *scale)
     n[i] = u->n[i] + v->n[i] + w->n[i];
   minus(v->y, u->y, e);
   minus(w->y, u->y, g);
-  *scale = fmax(dot(e, e), dot(g, g));
+  *scale = larger(dot(e, e), dot(g, g));
   return triple(e, g, n);
 }
 

@@ -23,7 +23,7 @@ static Constraint inner_edge(const Vertex *vertex, const int *edge)
   for (int k = 0; k < 3; ++k)
   {
     minus(v[k + 1]->y, v[0]->y, e[k]);
-    longest = fmax(longest, dot(e[k], e[k]));
+    longest = larger(longest, dot(e[k], e[k]));
   }
   for (int k = 0; k < 3; ++k)
   {
