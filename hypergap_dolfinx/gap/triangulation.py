@@ -133,9 +133,13 @@ def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
-    """Which edges of a surface run along edges of the other one."""
+    """Which edges of a surface are on lines that run along edges of the other one.
+
+    Such a line parts what is beside it where the other surface has ended, too.
+    """
     (f, k), (g, m) = edges, other_edges
-    a, b = (surface.x[end] for end in edge_ends(surface, f, k))
+    first, last = edge_ends(surface, f, k)
+    a, b = surface.x[first], surface.x[last]
     start, end = (other.x[end] for end in edge_ends(other, g, m))
     t = end - start
     length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
@@ -148,7 +152,8 @@ def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArr
         distance = np.linalg.norm(start + s[..., None] * t - middle, axis=2)
         reach = 0.25 * np.maximum(length[part, None], np.sqrt(square))
         near[part] = (distance < reach).any(axis=1)
-    return near
+    line = components(len(surface.x), first, last)[first]
+    return np.isin(line, line[near])
 
 
 def facing_pieces(surfaces: tuple[Surface, Surface], behind):
