@@ -21,10 +21,17 @@ import numpy.typing as npt
 from dolfinx.jit import get_options
 
 NAMES = (
-    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c program.c columns.c"
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c project.c "
+    "program.c columns.c"
 ).split()
 SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
 DECLARATIONS = """
+typedef struct {
+  int num_terms, num_bends;
+  const int *powers;
+  const double *nodes, *corners, *bends, *normals;
+  int steps, further;
+} Curves;
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
                int num_end, const int *end, int max_cells, int *cells, int *left, int *counts);
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps, double visits);
@@ -45,6 +52,10 @@ int find_nearest(int num, const double *points, int n, const double *x, int *nod
                  double *s);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
+void project(int num, const double *points, const double *x, const int *triangles,
+             const int *behind, const Curves *curves, int *facet, double *X);
+void project_on_curved(int num, const double *points, const double *x, const int *triangles,
+                       const Curves *curves, const int *facet, double *X);
 void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
                        const double *bends, const double *T, double *blocks);
 void add_products(int num, int n, const int *block, const double *a, const double *b,
