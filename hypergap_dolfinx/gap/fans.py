@@ -58,11 +58,11 @@ class Gaps:
 def find_gaps(fans: Fans) -> Gaps:
     """Weighted gaps where the sides are."""
     num, num_vertices = len(fans.cells), fans.sigma.sides[1].num_vertices
-    shapes = (num,), (num,), (num, 3, 2), (num_vertices,), (num_vertices,)
-    arrays = [np.empty(shape) for shape in shapes]
-    pointers = [as_doubles(array) for array in arrays]
+    volumes, areas = np.empty((2, num))
+    x, (g, m) = np.empty((num, 3, 2)), np.empty((2, num_vertices))
+    pointers = [as_doubles(array) for array in (volumes, areas, x, g, m)]
     C = _entries(fans, False, lambda C: library().lib.find_gaps(fans.sigma, *pointers, C))
-    return Gaps(*arrays, C)
+    return Gaps(volumes, areas, x, g, m, C)
 
 
 def gap_curvature(fans: Fans, p: npt.NDArray[np.float64]) -> Sparse:

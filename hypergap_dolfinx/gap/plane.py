@@ -26,7 +26,7 @@ class _State:
     """Σ at displacements."""
 
     u: Displacements
-    fans: rays.Fans
+    found: rays.Fans
     gaps: fans.Gaps | None = None
     """Once they are asked for."""
 
@@ -129,7 +129,7 @@ class PlaneOpening:
         if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
             surfaces = displaced(self.sides, u)
             walls = [wall.ends for wall in self._walls if wall.is_between(surfaces)]
-            found = rays.cast(self._in_c, surfaces, last.fans if last else None, walls)
+            found = rays.cast(self._in_c, surfaces, last.found if last else None, walls)
             if not len(found.cells):
                 mesh_strip(*surfaces)  # says why
                 raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
@@ -139,7 +139,7 @@ class PlaneOpening:
     def _gaps(self, u: Displacements) -> fans.Gaps:
         state = self._at(u)
         if state.gaps is None:
-            state.gaps = fans.find_gaps(state.fans)
+            state.gaps = fans.find_gaps(state.found)
         return state.gaps
 
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
@@ -162,7 +162,7 @@ class PlaneOpening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        return fans.gap_curvature(self._at(u).fans, p)
+        return fans.gap_curvature(self._at(u).found, p)
 
     def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
@@ -174,7 +174,7 @@ class PlaneOpening:
         Returns:
             T with s = T (u − u_since), of the size of C.
         """
-        return fans.find_slips(self._at(u).fans)
+        return fans.find_slips(self._at(u).found)
 
     def slip_slopes(
         self,
@@ -192,7 +192,7 @@ class PlaneOpening:
             on: Not asked for: all rows are there.
         """
         moved = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
-        return fans.find_slips(self._at(u).fans, moved)
+        return fans.find_slips(self._at(u).found, moved)
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
@@ -204,7 +204,7 @@ class PlaneOpening:
             q: ``(1, num_multipliers)``.
             lender: Not asked for.
         """
-        return fans.slip_curvature(self._at(u).fans, q[0])
+        return fans.slip_curvature(self._at(u).found, q[0])
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people, (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas.
@@ -215,7 +215,7 @@ class PlaneOpening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        gaps, vertices = self._gaps(u), self._at(u).fans.cells["vertices"]
+        gaps, vertices = self._gaps(u), self._at(u).found.cells["vertices"]
         halves = gaps.areas * p[vertices].mean(axis=1) / 2
         total = np.bincount(vertices.ravel(), np.repeat(halves, 2), self.num_multipliers)
         return np.divide(total, gaps.m, out=np.zeros_like(total), where=gaps.m > 0)
@@ -227,7 +227,7 @@ class PlaneOpening:
             u: Displacements.
             p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
         """
-        gaps, cells = self._gaps(u), self._at(u).fans.cells
+        gaps, cells = self._gaps(u), self._at(u).found.cells
         rank = np.empty(len(cells), dtype=np.int32)
         for i, moving in enumerate(self.sides):
             on = cells["side"] == i

@@ -140,7 +140,8 @@ def cast(
     while True:
         cells = np.empty(room, CELL)
         fields["cells"] = sigma.cells = ffi.from_buffer("Cell[]", cells)
-        if lib.cast_rays(sigma, chains, *given, FARTHER, room, as_ints(whole)):
+        sigma.max_cells = room
+        if lib.cast_rays(sigma, chains, *given, FARTHER, as_ints(whole)):
             raise MemoryError("no memory for the cells of the gap domain")
         if sigma.num_cells <= room:
             break

@@ -52,7 +52,7 @@ typedef struct {
 // Σ where the sides are.
 typedef struct {
   Side sides[2];
-  int num_cells, num_crossings;
+  int num_cells, max_cells, num_crossings;
   Cell *cells;
   Crossing *crossings;
   double *motions; // ∂s/∂u of crossings by the dofs of both their edges, (num_crossings, num_by)
@@ -70,7 +70,7 @@ typedef struct {
 void find_kinks(const Side *side, double kink, int *kinks);
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
               int num_walls, const int *walls, double end, double faces, double farther,
-              int max_cells, int *whole);
+              int *whole);
 void find_crossings(Sigma *sigma);
 void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, double *g, double *m,
                Entries *C);

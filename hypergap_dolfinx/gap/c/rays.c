@@ -27,6 +27,7 @@ typedef struct {
 } Opposite;
 
 typedef struct {
+  Sigma *sigma;
   const Side *below, *above; // Γ0 and Γ1
   const Chains *chains;      // Γ0's
   Opposite *opposite;        // of Γ1's edges
@@ -107,6 +108,7 @@ static void shoot(const Cast *cast, int f)
 {
   Opposite *own = cast->opposite + f;
   double nearest[3] = {INFINITY, INFINITY, INFINITY}, s[2];
+  own->cut[0] = own->cut[1] = NOWHERE;
   for (int k = 0; k < 3; ++k)
     own->places[k].edge = NOWHERE, own->t[k] = 0;
   for (int g = 0; g < cast->below->num_edges; ++g)
@@ -146,10 +148,15 @@ static void find_cut(const Cast *cast, int g, int k)
     found->cut[1 - k] = g, found->foot[1 - k] = foot;
 }
 
-// The number of its parameter.
-static int add_crossing(Sigma *sigma, Crossing crossing)
+// A crossing's parameter.
+//
+// g, f     edges of Γ0 and Γ1
+// unknown  side on which it moves
+// s, t     positions on both
+static int add_crossing(const Cast *cast, int g, int f, int unknown, double s, double t)
 {
-  sigma->crossings[sigma->num_crossings] = crossing;
+  Sigma *sigma = cast->sigma;
+  sigma->crossings[sigma->num_crossings] = (Crossing){{g, f}, unknown, {s, t}};
   return FIXED + sigma->num_crossings++;
 }
 
@@ -157,7 +164,7 @@ static int add_crossing(Sigma *sigma, Crossing crossing)
 //
 // walls       places that are known, of the start and the end
 // least       part of the edge: if more is covered both vertices have a weight
-static void cover(Sigma *sigma, const Cast *cast, int f, const Place *walls, double least)
+static void cover(const Cast *cast, int f, const Place *walls, double least)
 {
   Opposite *own = cast->opposite + f;
   Place *places = own->places;
@@ -191,23 +198,36 @@ static void cover(Sigma *sigma, const Cast *cast, int f, const Place *walls, dou
     else if (k < 2 && cuts[k])
     {
       places[k].parameter = 1 - k;
-      own->limits[k] = add_crossing(sigma, (Crossing){{g, f}, 1, {1 - k, own->foot[k]}});
+      own->limits[k] = add_crossing(cast, g, f, 1, 1 - k, own->foot[k]);
     }
     else if (k < 2 && own->t[k] == at && is_end(cast->chains, g, at))
       places[k].parameter = at; // a ray meets an end of Γ0
     else
-      places[k].parameter = add_crossing(sigma, (Crossing){{g, f}, 0, {own->t[k], positions[k]}});
+      places[k].parameter = add_crossing(cast, g, f, 0, own->t[k], positions[k]);
   }
 }
 
-static void emit(Sigma *sigma, int max, Cell cell)
+static void emit(const Cast *cast, Cell cell)
 {
-  if (sigma->num_cells < max)
+  Sigma *sigma = cast->sigma;
+  if (sigma->num_cells < sigma->max_cells)
     sigma->cells[sigma->num_cells] = cell;
   ++sigma->num_cells;
 }
 
-// Steps from one place on Γ0 to another of the same chain, the shorter way round loops.
+// Cells with their bases on Γ1.
+static void add_base(const Cast *cast, int f)
+{
+  const Opposite *own = cast->opposite + f;
+  const int *vertices = cast->above->vertices + 2 * f;
+  int whole = own->places[AT_MIDDLE].edge >= 0;
+  Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
+  int first = vertices[whole ? 0 : own->owner], last = vertices[whole ? 1 : own->owner];
+  if (apex.edge >= 0)
+    emit(cast, (Cell){1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}, {first, last}});
+}
+
+// Steps from one edge of Γ0 to another of the same chain, the shorter way round loops.
 static int steps(const Chains *chains, int from, int to)
 {
   int chain = chains->chain[from], count = chains->count[chain], half = count / 2;
@@ -215,50 +235,41 @@ static int steps(const Chains *chains, int from, int to)
   return chains->closed[chain] ? ((num + half) % count + count) % count - half : num;
 }
 
-// Add cells between an apex and Γ0 from one place to another of the same chain.
-static void add_fan(Sigma *sigma, const Chains *chains, int max, int vertex, Place from, Place to,
-                    Place apex)
+// The edge of Γ0 that comes some steps after another one.
+static int edge_behind(const Chains *chains, int edge, int num)
 {
-  int num = steps(chains, from.edge, to.edge), back = num < 0;
+  int chain = chains->chain[edge];
+  return chains->edges[chains->start[chain] + (chains->position[edge] + num) % chains->count[chain]];
+}
+
+// Length of the way between the middles of two edges of Γ0.
+static double way(const Cast *cast, int from, int to)
+{
+  int num = steps(cast->chains, from, to), first = num < 0 ? to : from;
+  double c[2], length = -0.5 * (chord(cast->below, from, c) + chord(cast->below, to, c));
+  for (int k = 0; k <= abs(num); ++k)
+    length += chord(cast->below, edge_behind(cast->chains, first, k), c);
+  return length;
+}
+
+// Add cells between an apex and Γ0 from one place to another of the same chain.
+static void add_fan(const Cast *cast, int vertex, Place from, Place to, Place apex)
+{
+  int num = steps(cast->chains, from.edge, to.edge), back = num < 0;
   Place first = back ? to : from, last = back ? from : to;
-  int chain = chains->chain[first.edge], count = chains->count[chain];
   num = abs(num);
   for (int k = 0; k <= num; ++k)
   {
-    int place = (chains->position[first.edge] + k) % count;
-    int start = k ? AT_START : first.parameter, end = k < num ? AT_END : last.parameter;
-    emit(sigma, max,
-             (Cell){.side = 0,
-                    .base = chains->edges[chains->start[chain] + place],
-                    .apex = apex.edge,
-                    .parameters = {back ? end : start, back ? start : end, apex.parameter},
-                    .vertices = {vertex, vertex}});
-  }
-}
-
-// Ways to the middles of Γ0's edges along their chains, and those chains' lengths.
-static void measure(const Cast *cast, double *way, double *length)
-{
-  const Chains *chains = cast->chains;
-  for (int c = 0; c < chains->num; ++c)
-  {
-    length[c] = 0;
-    for (int k = 0; k < chains->count[c]; ++k)
-    {
-      int edge = chains->edges[chains->start[c] + k];
-      double own[2], size = chord(cast->below, edge, own);
-      way[edge] = length[c] + size / 2;
-      length[c] += size;
-    }
+    int base = edge_behind(cast->chains, first.edge, k);
+    int s = k ? AT_START : first.parameter, t = k < num ? AT_END : last.parameter;
+    emit(cast, (Cell){0, base, apex.edge, {back ? t : s, back ? s : t, apex.parameter}, {vertex, vertex}});
   }
 }
 
 // Cells with their bases on Γ0: a fan at a vertex of Γ1, or one on each side of it.
-static void add_fans(Sigma *sigma, const Cast *cast, int max, int vertex, int kink,
-                     const double *way, const double *length)
+static void add_fans(const Cast *cast, int vertex, int kink)
 {
-  const Chains *chains = cast->chains;
-  const int *edges = cast->above->beside + 2 * vertex;
+  const int *edges = cast->above->beside + 2 * vertex, *chain = cast->chains->chain;
   Place places[2] = {{NOWHERE, NOWHERE}, {NOWHERE, NOWHERE}};
   for (int i = 0; i < 2; ++i)
   {
@@ -271,16 +282,13 @@ static void add_fans(Sigma *sigma, const Cast *cast, int max, int vertex, int ki
       places[i] = own->places[i];
   }
   // Γ0 runs against Γ1: a fan goes from what is behind the vertex to what is before it
-  int chain = places[0].edge < 0 ? NOWHERE : chains->chain[places[0].edge];
-  if (chain >= 0 && places[1].edge >= 0 && chain == chains->chain[places[1].edge] && !kink)
+  int from = places[1].edge, to = places[0].edge;
+  if (!kink && from >= 0 && to >= 0 && chain[from] == chain[to])
   {
     double c[2], reach = chord(cast->above, edges[0], c) + chord(cast->above, edges[1], c);
-    double far = fabs(way[places[0].edge] - way[places[1].edge]);
-    if (chains->closed[chain])
-      far = fmin(far, length[chain] - far);
-    if (far <= cast->farther * reach)
+    if (way(cast, from, to) <= cast->farther * reach)
     {
-      add_fan(sigma, chains, max, vertex, places[1], places[0], (Place){edges[1], AT_START});
+      add_fan(cast, vertex, places[1], places[0], (Place){edges[1], AT_START});
       return;
     }
   }
@@ -291,71 +299,49 @@ static void add_fans(Sigma *sigma, const Cast *cast, int max, int vertex, int ki
       continue;
     const Opposite *opposite = cast->opposite + edges[i];
     Place own = opposite->places[1 - i], apex = {edges[i], opposite->limits[1 - i]};
-    if (chains->chain[own.edge] == chains->chain[places[i].edge])
-      add_fan(sigma, chains, max, vertex, i ? places[i] : own, i ? own : places[i], apex);
+    if (chain[own.edge] == chain[places[i].edge])
+      add_fan(cast, vertex, i ? places[i] : own, i ? own : places[i], apex);
   }
-}
-
-// Cells with their bases on Γ1.
-static void add_bases(Sigma *sigma, const Cast *cast, int max, int f)
-{
-  const Opposite *own = cast->opposite + f;
-  const int *vertices = cast->above->vertices + 2 * f;
-  int whole = own->places[AT_MIDDLE].edge >= 0;
-  Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
-  if (apex.edge >= 0)
-    emit(sigma, max,
-             (Cell){.side = 1,
-                    .base = f,
-                    .apex = apex.edge,
-                    .parameters = {own->limits[0], own->limits[1], apex.parameter},
-                    .vertices = {vertices[whole ? 0 : own->owner], vertices[whole ? 1 : own->owner]}});
 }
 
 // Find cells, and crossings without their motions.
 //
-// sigma      the sides; room for crossings, three for each edge of Γ1, and for cells
-// chains     Γ0's
-// kinks      of Γ1, (num_vertices)
-// least      parts of Γ1's edges: where more is covered both vertices have a weight
-// walls      known places: edge and end of Γ1, edge and end of Γ0, (num_walls, 4)
-// end        distance along an edge, in its lengths, of ends that are opposite to each other
-// faces      cosine between edges from which they face each other
-// farther    longest way on Γ0 between neighbouring rays, in lengths of their edges
-// max_cells  room for cells; num_cells is larger if there are more
-// whole      edges of Γ1 of which both vertices have a weight
+// sigma    the sides; room for crossings, three for each edge of Γ1, and for cells: if there are
+//          more of these num_cells is larger than max_cells
+// chains   Γ0's
+// kinks    of Γ1, (num_vertices)
+// least    parts of Γ1's edges: where more is covered both vertices have a weight
+// walls    known places: edge and end of Γ1, edge and end of Γ0, (num_walls, 4)
+// end      distance along an edge, in its lengths, of ends that are opposite to each other
+// faces    cosine between edges from which they face each other
+// farther  longest way on Γ0 between neighbouring rays, in lengths of their edges
+// whole    edges of Γ1 of which both vertices have a weight
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
-              int num_walls, const int *walls, double end, double faces, double farther,
-              int max_cells, int *whole)
+              int num_walls, const int *walls, double end, double faces, double farther, int *whole)
 {
   const Side *below = sigma->sides, *above = below + 1;
-  Cast cast = {below, above, chains, NULL, end, faces, farther};
-  Opposite *opposite = cast.opposite = malloc((above->num_edges + 1) * sizeof(Opposite));
-  double *way = malloc((below->num_edges + chains->num + 1) * sizeof(double));
-  int status = opposite && way ? DONE : NO_MEMORY;
+  Opposite *opposite = malloc((above->num_edges + 1) * sizeof(Opposite));
+  const Cast cast = {sigma, below, above, chains, opposite, end, faces, farther};
+  if (!opposite)
+    return NO_MEMORY;
   sigma->num_cells = sigma->num_crossings = 0;
-  for (int f = 0; f < above->num_edges && status == DONE; ++f)
-  {
-    opposite[f].cut[0] = opposite[f].cut[1] = NOWHERE;
+  for (int f = 0; f < above->num_edges; ++f)
     shoot(&cast, f);
-  }
-  for (int c = 0; c < chains->num && status == DONE; ++c)
+  for (int c = 0; c < chains->num; ++c)
     for (int k = 0; k < 2 && !chains->closed[c]; ++k)
       find_cut(&cast, chains->edges[chains->start[c] + (k ? chains->count[c] - 1 : 0)], k);
-  for (int f = 0; f < above->num_edges && status == DONE; ++f)
+  for (int f = 0; f < above->num_edges; ++f)
   {
     Place known[2] = {{NOWHERE, NOWHERE}, {NOWHERE, NOWHERE}};
     for (const int *wall = walls; wall < walls + 4 * num_walls; wall += 4)
       if (wall[0] == f)
         known[wall[1]] = (Place){wall[2], wall[3]};
-    cover(sigma, &cast, f, known, least[f]);
+    cover(&cast, f, known, least[f]);
     whole[f] = opposite[f].places[AT_MIDDLE].edge >= 0;
-    add_bases(sigma, &cast, max_cells, f);
+    add_base(&cast, f);
   }
-  if (status == DONE)
-    measure(&cast, way, way + below->num_edges);
-  for (int v = 0; v < above->num_vertices && status == DONE; ++v)
-    add_fans(sigma, &cast, max_cells, v, kinks[v], way, way + below->num_edges);
-  free(opposite), free(way);
-  return status;
+  for (int v = 0; v < above->num_vertices; ++v)
+    add_fans(&cast, v, kinks[v]);
+  free(opposite);
+  return DONE;
 }
