@@ -52,10 +52,11 @@ static void add_motions(Local *local, const Side *side, int edge, int v, const d
   }
 }
 
+// The dofs of the base, of the apex, then others on which parameters hang.
 static void gather_dofs(const Sigma *sigma, const Cell *cell, const Shape *c, Local *local)
 {
   const Side *sides = sigma->sides;
-  int num = 2 * (c->num_base + c->num_apex);
+  int num = c->num - 3;
   local->num = 0, local->width = 4 * num;
   memset(local->motions, 0, c->num * local->width * sizeof(double));
   add_motions(local, c->base, cell->base, 0, NULL);
@@ -72,43 +73,43 @@ static void gather_dofs(const Sigma *sigma, const Cell *cell, const Shape *c, Lo
   }
 }
 
-// Add derivatives by a cell's variables to the rows of both its vertices, one half each.
-static void add_row(const Sigma *sigma, const Cell *cell, const Shape *c, const double *first,
-                    Entries *rows)
+// Number of a dof's component.
+static int component_of(const Local *local, int k)
 {
-  Local local;
-  gather_dofs(sigma, cell, c, &local);
-  for (int k = 0; k < 2 * local.num; ++k)
+  return 2 * local->dofs[k / 2] + k % 2;
+}
+
+// Add derivatives by a cell's variables to the rows of both its vertices, one half each.
+static void add_row(const Cell *cell, int n, const double *first, const Local *local, Entries *rows)
+{
+  for (int k = 0; k < 2 * local->num; ++k)
   {
     double by = 0;
-    for (int v = 0; v < c->num; ++v)
-      by += first[v] * local.motions[local.width * v + k];
+    for (int v = 0; v < n; ++v)
+      by += first[v] * local->motions[local->width * v + k];
     for (int half = 0; half < 2; ++half)
-      add(rows, cell->vertices[half], 2 * local.dofs[k / 2] + k % 2, 0.5 * by);
+      add(rows, cell->vertices[half], component_of(local, k), 0.5 * by);
   }
 }
 
 // Add a matrix by a cell's variables, times a factor.
-static void add_block(const Sigma *sigma, const Cell *cell, const Shape *c, int n, double H[n][n],
-                      double factor, Entries *entries)
+static void add_block(int n, double H[n][n], double factor, const Local *local, Entries *entries)
 {
-  Local local;
-  gather_dofs(sigma, cell, c, &local);
-  int num = 2 * local.num;
+  int num = 2 * local->num;
   double right[n][num], row[num];
   memset(right, 0, sizeof(right));
   for (int v = 0; v < n; ++v)
     for (int w = 0; w < n; ++w)
       for (int k = 0; H[v][w] != 0 && k < num; ++k)
-        right[v][k] += factor * H[v][w] * local.motions[local.width * w + k];
+        right[v][k] += factor * H[v][w] * local->motions[local->width * w + k];
   for (int l = 0; l < num; ++l)
   {
     memset(row, 0, sizeof(row));
     for (int v = 0; v < n; ++v)
-      for (int k = 0; local.motions[local.width * v + l] != 0 && k < num; ++k)
-        row[k] += local.motions[local.width * v + l] * right[v][k];
+      for (int k = 0; local->motions[local->width * v + l] != 0 && k < num; ++k)
+        row[k] += local->motions[local->width * v + l] * right[v][k];
     for (int k = 0; k < num; ++k)
-      add(entries, 2 * local.dofs[l / 2] + l % 2, 2 * local.dofs[k / 2] + k % 2, row[k]);
+      add(entries, component_of(local, l), component_of(local, k), row[k]);
   }
 }
 
@@ -124,6 +125,7 @@ void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, do
 {
   memset(g, 0, sigma->sides[1].num_vertices * sizeof(double));
   memset(m, 0, sigma->sides[1].num_vertices * sizeof(double));
+  Local local;
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
@@ -138,7 +140,8 @@ void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, do
       g[cell->vertices[half]] += 0.5 * volumes[k];
       m[cell->vertices[half]] += 0.5 * areas[k];
     }
-    add_row(sigma, cell, &c, first, C);
+    gather_dofs(sigma, cell, &c, &local);
+    add_row(cell, c.num, first, &local, C);
   }
 }
 
@@ -155,6 +158,7 @@ void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries 
 {
   const Side *sides = sigma->sides;
   int num0 = 2 * sides[0].num_dofs, n = num0 + 2 * sides[1].num_dofs;
+  Local local;
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
@@ -165,7 +169,8 @@ void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries 
     double first[c.num], second[c.num][c.num];
     volume(&c, first);
     volume_hessian(&c, c.num, second);
-    add_block(sigma, cell, &c, c.num, second, pressure, H);
+    gather_dofs(sigma, cell, &c, &local);
+    add_block(c.num, second, pressure, &local, H);
     for (int i = 0; i < 3; ++i)
       if (cell->parameters[i] >= FIXED)
         slopes[cell->parameters[i] - FIXED] += pressure * first[c.num - 3 + i];
@@ -192,6 +197,7 @@ void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries 
 // Weighted slips s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.
 void find_slips(const Sigma *sigma, const double *moved, Entries *rows)
 {
+  Local local;
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
@@ -199,21 +205,18 @@ void find_slips(const Sigma *sigma, const double *moved, Entries *rows)
     int n = c.num;
     double T[n], S[n][n];
     slip(&c, n, T, moved ? S : NULL);
+    gather_dofs(sigma, cell, &c, &local);
     for (int u = 0; moved && u < n - 3; ++u)
-    {
-      int apex = u >= 2 * c.num_base, own = u - apex * 2 * c.num_base;
-      const Side *side = sigma->sides + (apex ? 1 - cell->side : cell->side);
-      int dof = side->dofs[(apex ? cell->apex : cell->base) * side->num_dofs + own / 2];
       for (int v = 0; v < n; ++v)
-        T[v] += S[u][v] * moved[2 * dof + own % 2];
-    }
-    add_row(sigma, cell, &c, T, rows);
+        T[v] += S[u][v] * moved[component_of(&local, u)];
+    add_row(cell, n, T, &local, rows);
   }
 }
 
 // Σ q ∂T/∂u; it isn't symmetric.
 void slip_curvature(const Sigma *sigma, const double *q, Entries *H)
 {
+  Local local;
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
@@ -223,6 +226,7 @@ void slip_curvature(const Sigma *sigma, const double *q, Entries *H)
     Shape c = shape_of(sigma, cell);
     double T[c.num], S[c.num][c.num];
     slip(&c, c.num, T, S);
-    add_block(sigma, cell, &c, c.num, S, traction, H);
+    gather_dofs(sigma, cell, &c, &local);
+    add_block(c.num, S, traction, &local, H);
   }
 }

@@ -26,7 +26,8 @@ typedef struct {
   double s[3];                  // s₁, s₂, r
   double origin[2];             // differences keep their digits far from the origin
   Jet ends[2], apex;
-  double chord[2]; // x(s₂) − x(s₁)
+  double chord[2];    // x(s₂) − x(s₁)
+  double reach[2][2]; // q − x(s₁), q − x(s₂)
 } Shape;
 
 // a × b
@@ -86,8 +87,11 @@ static double parameter(const Sigma *sigma, int number)
 static Shape shape_of(const Sigma *sigma, const Cell *cell)
 {
   const Side *base = sigma->sides + cell->side, *apex = sigma->sides + 1 - cell->side;
-  Shape c = {base, cell->base, base->num_dofs, apex->num_dofs};
-  c.num = 2 * (c.num_base + c.num_apex) + 3;
+  Shape c = {.base = base,
+             .edge = cell->base,
+             .num_base = base->num_dofs,
+             .num_apex = apex->num_dofs,
+             .num = 2 * (base->num_dofs + apex->num_dofs) + 3};
   memcpy(c.origin, base->nodes + 2 * cell->base * base->num_nodes, sizeof(c.origin));
   for (int k = 0; k < 3; ++k)
     c.s[k] = parameter(sigma, cell->parameters[k]);
@@ -95,7 +99,11 @@ static Shape shape_of(const Sigma *sigma, const Cell *cell)
     c.ends[k] = jet_at(base, cell->base, c.s[k], c.origin);
   c.apex = jet_at(apex, cell->apex, c.s[2], c.origin);
   for (int i = 0; i < 2; ++i)
+  {
     c.chord[i] = c.ends[1].x[0][i] - c.ends[0].x[0][i];
+    for (int e = 0; e < 2; ++e)
+      c.reach[e][i] = c.apex.x[0][i] - c.ends[e].x[0][i];
+  }
   return c;
 }
 
@@ -115,7 +123,6 @@ static double volume(const Shape *c, double *first)
 {
   int to_apex = 2 * c->num_base, to_s = c->num - 3;
   double value = 0, weight, reach[2];
-  const double *q = c->apex.x[0], *dq = c->apex.x[1];
   memset(first, 0, c->num * sizeof(double));
   for (int p = 0; p < c->base->num_points; ++p)
   {
@@ -130,12 +137,8 @@ static double volume(const Shape *c, double *first)
   for (int b = 0; b < c->num_apex; ++b)
     add_turned(0.5 * c->apex.N[0][b], c->chord, first + to_apex + 2 * b);
   for (int e = 0; e < 2; ++e)
-  {
-    const Jet *end = c->ends + e;
-    const double way[2] = {q[0] - end->x[0][0], q[1] - end->x[0][1]};
-    first[to_s + e] = (e ? 0.5 : -0.5) * wedge(way, end->x[1]);
-  }
-  first[to_s + 2] = 0.5 * wedge(dq, c->chord);
+    first[to_s + e] = (e ? 0.5 : -0.5) * wedge(c->reach[e], c->ends[e].x[1]);
+  first[to_s + 2] = 0.5 * wedge(c->apex.x[1], c->chord);
   return value;
 }
 
@@ -144,7 +147,7 @@ static void volume_hessian(const Shape *c, int n, double H[n][n])
 {
   int to_apex = 2 * c->num_base, s = n - 3, r = n - 1;
   double weight, reach[2];
-  const double *q = c->apex.x[0], *dq = c->apex.x[1];
+  const double *dq = c->apex.x[1];
   memset(H, 0, n * sizeof(H[0]));
   // One of each pair of entries, and half of those that are pairs by themselves
   for (int p = 0; p < c->base->num_points; ++p)
@@ -173,16 +176,15 @@ static void volume_hessian(const Shape *c, int n, double H[n][n])
   {
     const Jet *end = c->ends + e;
     double half = e ? 0.5 : -0.5;
-    const double way[2] = {q[0] - end->x[0][0], q[1] - end->x[0][1]};
     for (int a = 0; a < c->num_base; ++a)
     {
       add_turned(-half * end->N[0][a], end->x[1], H[s + e] + 2 * a);
-      add_turned(-half * end->N[1][a], way, H[s + e] + 2 * a);
+      add_turned(-half * end->N[1][a], c->reach[e], H[s + e] + 2 * a);
     }
     for (int b = 0; b < c->num_apex; ++b)
       add_turned(half * c->apex.N[0][b], end->x[1], H[s + e] + to_apex + 2 * b);
     H[r][s + e] = half * wedge(dq, end->x[1]);
-    H[s + e][s + e] = 0.5 * half * wedge(way, end->x[2]);
+    H[s + e][s + e] = 0.5 * half * wedge(c->reach[e], end->x[2]);
   }
   H[r][r] = 0.25 * wedge(c->apex.x[2], c->chord);
   for (int v = 0; v < n; ++v)

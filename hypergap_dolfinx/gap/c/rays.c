@@ -222,9 +222,11 @@ static void add_base(const Cast *cast, int f)
   const int *vertices = cast->above->vertices + 2 * f;
   int whole = own->places[AT_MIDDLE].edge >= 0;
   Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
-  int first = vertices[whole ? 0 : own->owner], last = vertices[whole ? 1 : own->owner];
+  Cell cell = {1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}};
+  for (int k = 0; k < 2; ++k)
+    cell.vertices[k] = vertices[whole ? k : own->owner];
   if (apex.edge >= 0)
-    emit(cast, (Cell){1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}, {first, last}});
+    emit(cast, cell);
 }
 
 // Steps from one edge of Γ0 to another of the same chain, the shorter way round loops.
@@ -238,8 +240,8 @@ static int steps(const Chains *chains, int from, int to)
 // The edge of Γ0 that comes some steps after another one.
 static int edge_behind(const Chains *chains, int edge, int num)
 {
-  int chain = chains->chain[edge];
-  return chains->edges[chains->start[chain] + (chains->position[edge] + num) % chains->count[chain]];
+  int chain = chains->chain[edge], place = chains->position[edge] + num;
+  return chains->edges[chains->start[chain] + place % chains->count[chain]];
 }
 
 // Length of the way between the middles of two edges of Γ0.
@@ -261,8 +263,9 @@ static void add_fan(const Cast *cast, int vertex, Place from, Place to, Place ap
   for (int k = 0; k <= num; ++k)
   {
     int base = edge_behind(cast->chains, first.edge, k);
-    int s = k ? AT_START : first.parameter, t = k < num ? AT_END : last.parameter;
-    emit(cast, (Cell){0, base, apex.edge, {back ? t : s, back ? s : t, apex.parameter}, {vertex, vertex}});
+    int limits[2] = {k ? AT_START : first.parameter, k < num ? AT_END : last.parameter};
+    emit(cast, (Cell){0, base, apex.edge, {limits[back], limits[!back], apex.parameter},
+                      {vertex, vertex}});
   }
 }
 
