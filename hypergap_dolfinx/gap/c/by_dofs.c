@@ -52,15 +52,17 @@ static void add_motions(Local *local, const Side *side, int edge, int v, const d
   }
 }
 
-// The dofs of the base, of the apex, then others on which parameters hang.
-static void gather_dofs(const Sigma *sigma, const Cell *cell, const Shape *c, Local *local)
+// A cell where it is, and its dofs: those of the base, of the apex, then others on which parameters
+// hang.
+static Shape gather_cell(const Sigma *sigma, const Cell *cell, Local *local)
 {
   const Side *sides = sigma->sides;
-  int num = c->num - 3;
+  Shape c = shape_of(sigma, cell);
+  int num = c.num - 3;
   local->num = 0, local->width = 4 * num;
-  memset(local->motions, 0, c->num * local->width * sizeof(double));
-  add_motions(local, c->base, cell->base, 0, NULL);
-  add_motions(local, sides + 1 - cell->side, cell->apex, 2 * c->num_base, NULL);
+  memset(local->motions, 0, c.num * local->width * sizeof(double));
+  add_motions(local, c.base, cell->base, 0, NULL);
+  add_motions(local, sides + 1 - cell->side, cell->apex, 2 * c.num_base, NULL);
   for (int k = 0; k < 3; ++k)
   {
     int number = cell->parameters[k] - FIXED;
@@ -71,6 +73,7 @@ static void gather_dofs(const Sigma *sigma, const Cell *cell, const Shape *c, Lo
     add_motions(local, sides, edges[0], num + k, by);
     add_motions(local, sides + 1, edges[1], num + k, by + 2 * sides[0].num_dofs);
   }
+  return c;
 }
 
 // Number of a dof's component.
@@ -129,7 +132,7 @@ void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, do
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
-    Shape c = shape_of(sigma, cell);
+    Shape c = gather_cell(sigma, cell, &local);
     double first[c.num];
     volumes[k] = volume(&c, first);
     areas[k] = 0.5 * sqrt(c.chord[0] * c.chord[0] + c.chord[1] * c.chord[1]);
@@ -140,7 +143,6 @@ void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, do
       g[cell->vertices[half]] += 0.5 * volumes[k];
       m[cell->vertices[half]] += 0.5 * areas[k];
     }
-    gather_dofs(sigma, cell, &c, &local);
     add_row(cell, c.num, first, &local, C);
   }
 }
@@ -165,11 +167,10 @@ void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries 
     double pressure = mean(cell, p);
     if (pressure == 0)
       continue;
-    Shape c = shape_of(sigma, cell);
+    Shape c = gather_cell(sigma, cell, &local);
     double first[c.num], second[c.num][c.num];
     volume(&c, first);
     volume_hessian(&c, c.num, second);
-    gather_dofs(sigma, cell, &c, &local);
     add_block(c.num, second, pressure, &local, H);
     for (int i = 0; i < 3; ++i)
       if (cell->parameters[i] >= FIXED)
@@ -201,11 +202,10 @@ void find_slips(const Sigma *sigma, const double *moved, Entries *rows)
   for (int k = 0; k < sigma->num_cells; ++k)
   {
     const Cell *cell = sigma->cells + k;
-    Shape c = shape_of(sigma, cell);
+    Shape c = gather_cell(sigma, cell, &local);
     int n = c.num;
     double T[n], S[n][n];
     slip(&c, n, T, moved ? S : NULL);
-    gather_dofs(sigma, cell, &c, &local);
     for (int u = 0; moved && u < n - 3; ++u)
       for (int v = 0; v < n; ++v)
         T[v] += S[u][v] * moved[component_of(&local, u)];
@@ -223,10 +223,9 @@ void slip_curvature(const Sigma *sigma, const double *q, Entries *H)
     double traction = mean(cell, q);
     if (traction == 0)
       continue;
-    Shape c = shape_of(sigma, cell);
+    Shape c = gather_cell(sigma, cell, &local);
     double T[c.num], S[c.num][c.num];
     slip(&c, c.num, T, S);
-    gather_dofs(sigma, cell, &c, &local);
     add_block(c.num, S, traction, &local, H);
   }
 }

@@ -6,8 +6,8 @@
 
 // Volumes and slips of cells in the plane (gap/fans.py), and their derivatives by dofs.
 //
-// A cell lies between a piece of an edge, x(s) from s₁ to s₂, and an apex q(r) on the other side. Its
-// variables are the dofs of the base, those of the apex, both by components, and s₁, s₂, r.
+// A cell lies between a piece of an edge, x(s) from s₁ to s₂, and an apex q(r) on the other side.
+// Its variables are the dofs of the base, those of the apex, both by components, and s₁, s₂, r.
 
 #define NEWTON 8 // steps to where a ray meets a curved edge: round-off after 3 or 4
 #define LAST_STEP 1e-15
@@ -197,7 +197,7 @@ static void volume_hessian(const Shape *c, int n, double H[n][n])
 //   ½ ∫ x' · (Δu(q) − Δu(s) − τ Δu'(s)) ds,   τ = (q − x) · x' / x' · x',
 //
 // T by the dofs, and S = ∂T by the variables, if S isn't NULL.
-static void slip(const Shape *c, int n, double *T, double S[n][n])
+static void slip(const Shape *c, int n, double *T, double (*S)[n])
 {
   int to_apex = 2 * c->num_base, to_s = n - 3;
   double along[2] = {0}, along_by[n][2], weight, d[2];

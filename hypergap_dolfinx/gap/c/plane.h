@@ -55,7 +55,7 @@ typedef struct {
   int num_cells, max_cells, num_crossings;
   Cell *cells;
   Crossing *crossings;
-  double *motions; // ∂s/∂u of crossings by the dofs of both their edges, (num_crossings, num_by)
+  double *motions; // ∂s/∂u of crossings by the dofs of both their edges, (num_crossings, num)
 } Sigma;
 
 // Entries of a sparse matrix. If there is no room for all, num is at least what they need.

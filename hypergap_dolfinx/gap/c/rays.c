@@ -222,7 +222,7 @@ static void add_base(const Cast *cast, int f)
   const int *vertices = cast->above->vertices + 2 * f;
   int whole = own->places[AT_MIDDLE].edge >= 0;
   Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
-  Cell cell = {1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}};
+  Cell cell = {1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}, {0}};
   for (int k = 0; k < 2; ++k)
     cell.vertices[k] = vertices[whole ? k : own->owner];
   if (apex.edge >= 0)
