@@ -75,8 +75,12 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
     """
     surface, element = side.rest, side.reference.element
     num_nodes, num = surface.geometry.dim, len(surface.facets)
-    if max(num_nodes, element.dim) > library().lib.MOST_DOFS:
-        raise InterfaceError(f"{surface.name}: degree {element.degree} is too high for contact.")
+    most = library().lib.MOST_DOFS
+    if max(num_nodes, element.dim) > most:
+        raise InterfaceError(
+            f"{surface.name} has degree {max(num_nodes, element.dim) - 1}: contact in the plane "
+            f"takes degrees up to {most - 1}."
+        )
     beside = np.full((len(surface.x), 2), -1)
     beside[surface.facets[:, 1], 0] = beside[surface.facets[:, 0], 1] = np.arange(num)
     # Exact for volumes, and for slips along straight edges
