@@ -9,8 +9,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, skew, two_blocks
+from helpers import close, raises, skew, two_blocks, two_rings
 
+from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.surface import create_surface
@@ -28,9 +30,21 @@ SCENES = (
 )
 
 
-def scene(gap=0.1, amplitude=0.02, **options):
+RARE = (  # for derivatives: Γ0 much finer; loops that are curved at first; surfaces with corners
+    {"n": (60, 3), "amplitude": 0.005},
+    {"rings": True, "k": (1, 2)},
+    {"whole": True, "k": (2, 1), "spans": ((0, 2), (0.33, 1.27))},
+)
+
+
+def scene(gap=0.1, amplitude=0.02, *, whole=False, rings=False, **options):
     """Two sides, and displacements that part them and make both surfaces rough."""
-    blocks = two_blocks(n=(5, 7), mapping=skew, **options)
+    if rings:
+        blocks = two_rings((10, 12), g=2, angle=2 * np.pi, **options)
+    else:
+        blocks = two_blocks(**{"n": (5, 7), "mapping": skew, **options})
+    if whole:
+        blocks = [(V, exterior_facet_indices(V.mesh.topology)) for V, _ in blocks]
     sides = tuple(
         MovingSurface(create_surface(*block, name))
         for block, name in zip(blocks, ("Γ0", "Γ1"), strict=True)
@@ -52,7 +66,7 @@ def dense(sparse, shape):
     return A
 
 
-@pytest.mark.parametrize("options", SCENES)
+@pytest.mark.parametrize("options", (*SCENES, *RARE))
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
@@ -133,6 +147,13 @@ def test_cut_ends():
         along = (cut - 0.2) * np.array((np.cos(np.radians(25)), np.sin(np.radians(25))))
         _, m, _ = opening.gap((u[0] + along, u[1]))
         assert (m[x.argmin()] > 0) == there and abs(m.sum() - 2 + cut) <= 1e-12
+
+
+def test_degree():
+    """One that is too high is told."""
+    sides, u, _ = scene(n=(1, 1), k=(1, 12))
+    with raises(InterfaceError, r"Γ1 has degree 12: contact .* up to 11"):
+        PlaneOpening.between(sides, u, free(sides))
 
 
 def test_what_is_at_both_limits_stays_in_the_set():

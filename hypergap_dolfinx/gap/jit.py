@@ -22,9 +22,9 @@ from dolfinx.jit import get_options
 
 NAMES = (
     "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c project.c "
-    "program.c columns.c"
+    "program.c columns.c plane.h rays.c fans.c by_dofs.c"
 ).split()
-SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
+FOLDER = Path(__file__).parent / "c"
 DECLARATIONS = """
 typedef struct {
   int num_terms, num_bends;
@@ -74,15 +74,16 @@ def library():
     Raises:
         RuntimeError: There is no C compiler that works.
     """
-    source = "".join(path.read_text() for path in SOURCES)
+    source = "".join((FOLDER / name).read_text() for name in NAMES)
+    declarations = DECLARATIONS + (FOLDER / "plane.h").read_text()
     version = f"{cffi.__version__} {sys.version} {FLAGS}"
-    digest = hashlib.sha256("\n".join((source, DECLARATIONS, version)).encode()).hexdigest()
+    digest = hashlib.sha256("\n".join((source, declarations, version)).encode()).hexdigest()
     name = f"hypergap_front_{digest[:16]}"
     folder = Path(get_options()["cache_dir"])
     path = folder / (name + importlib.machinery.EXTENSION_SUFFIXES[0])
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        _compile(name, source, path)
+        _compile(name, source, declarations, path)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -97,20 +98,20 @@ def as_ints(array: npt.NDArray):
 
 
 def as_doubles(array: npt.NDArray):
-    """An array as C's ``double *``; what it points to lives as long as it does."""
-    array = np.ascontiguousarray(array, dtype=np.float64)
-    return library().ffi.from_buffer("double[]", array)
+    """An array as C's ``double *``, likewise."""
+    return library().ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
 
 
-def _compile(name: str, source: str, path: Path):
+def _compile(name: str, source: str, declarations: str, path: Path):
     builder = cffi.FFI()
     builder.set_source(name, source, extra_compile_args=FLAGS)
-    builder.cdef(DECLARATIONS)
+    builder.cdef(declarations)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=name) as folder:
         try:
             built = builder.compile(tmpdir=folder)
         except Exception as error:  # setuptools' errors have no class in common
             raise RuntimeError(
-                f"3D interfaces need a C compiler, as DOLFINx does, and it failed: {error}"
+                "3D interfaces and contact need a C compiler, as DOLFINx does, and it failed: "
+                f"{error}"
             ) from error
         os.replace(built, path)
