@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc
-from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
@@ -136,8 +134,9 @@ class ContactSystem(NonlinearSystem):
             SolveError: It failed.
         """
         self._assign(self._x)
-        for part in (self._tangent, *self._rows):
-            part.set_out()
+        self._tangent.set_out()
+        for rows in self._rows:
+            rows.set_out()
         self._constraints.read_jumps()
         self._lead()
         before: list[npt.NDArray] = []
@@ -198,14 +197,11 @@ class ContactSystem(NonlinearSystem):
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""
-        jumps = []
-        for u, bcs, held in zip(self._u, self._bcs, self._constraints.prescribed, strict=True):
-            lifted = compat.create_vector(u.function_space)
-            lifted.array[:] = owned_values(u)
-            petsc.set_bc(lifted, bcs)
-            jumps.append(np.where(held, lifted.array_r - owned_values(u), 0))
-            lifted.destroy()
-        return jumps
+        prescribed = self._constraints.prescribed
+        return [
+            np.where(held, wanted[: len(held)] - owned_values(u), 0)
+            for u, wanted, held in zip(self._u, self._lifted(), prescribed, strict=True)
+        ]
 
     def _choose(
         self, before: Sequence[npt.NDArray[np.bool_]], *, ahead: bool
@@ -315,24 +311,17 @@ class ContactSystem(NonlinearSystem):
     def _balances(self) -> bool:
         """Whether the residual is none and what is in contact is closed. Collective."""
         comm = self._u[0].function_space.mesh.comm
-        residual = self._b.copy()
-        parts = residual.getNestSubVecs()
+        parts = [part.copy() for part in self._b.getNestSubVecs()]
         self._add_contact(parts, all_dofs=False)
         num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
         self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
         saddle.destroy_parts(parts)
-        residual.destroy()
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if not all(rows.is_closed(rows.closed) for rows in self._rows):
-            return False  # forces needn't be assembled to see that
-        size, least = 0.0, 0.0
-        for u, F, K in zip(self._u, self._F, self._K, strict=True):
-            raw = compat.create_vector(u.function_space)
-            petsc.assemble_vector(raw, F)
-            raw.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            size += raw.norm() ** 2
-            raw.destroy()
+            return False  # forces needn't be known to see that
+        size, least = sum(force**2 for force in self._forces), 0.0
+        for u, K in zip(self._u, self._K, strict=True):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())

@@ -55,7 +55,7 @@ class Pattern:
         return np.bincount(at, entries.values, len(self.keys)).astype(float)  # of none: integers
 
 
-def around(on: npt.NDArray[np.bool_], facets: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def around(on: npt.NDArray[np.bool_], facets: npt.NDArray) -> npt.NDArray[np.bool_]:
     """A set of vertices and those beside them.
 
     Args:
@@ -68,7 +68,7 @@ def around(on: npt.NDArray[np.bool_], facets: npt.NDArray[np.intp]) -> npt.NDArr
 
 
 def reached(
-    a: npt.NDArray[np.intp], node: npt.NDArray[np.intp], facets: npt.NDArray[np.intp], num: int
+    a: npt.NDArray[np.intp], node: npt.NDArray[np.intp], facets: npt.NDArray, num: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """The nodes that multipliers act on, and those of facets that these belong to.
 

@@ -203,8 +203,8 @@ def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
     A.mult(ksp.getSolution(), r)
     r.aypx(-1.0, b)
     if units is not None:
-        squares = [np.linalg.norm(units * part.array_r) ** 2 for part in (r, b)]
-        lengths = tuple(np.sqrt(A.comm.tompi4py().allreduce(np.array(squares))))
+        own = np.array([np.linalg.norm(units * part.array_r) ** 2 for part in (r, b)])
+        lengths = tuple(np.sqrt(A.comm.tompi4py().allreduce(own)))
     elif A.getType() != PETSc.Mat.Type.NEST:
         lengths = r.norm(), b.norm()
     else:

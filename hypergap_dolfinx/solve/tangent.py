@@ -12,6 +12,7 @@ multiplier, of what isn't in contact p = 0, and room for the entries of what may
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -23,7 +24,6 @@ from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.contacts import ContactRows, Linear
 from hypergap_dolfinx.solve.options import Options
 from hypergap_dolfinx.solve.pattern import Pattern
-
 
 UNFIT = (
     " The matrix has zeros on its diagonal, those of what is in contact; "
@@ -66,11 +66,21 @@ class _Kept:
     patterns: list[Pattern]
     mine: list[npt.NDArray[np.intp]]
     """This rank's entries of each."""
+    num_base: int
+    """Number of this rank's entries of bodies and ties."""
     A: PETSc.Mat
     entries: compat.Triplets
     ksp: PETSc.KSP
     units: npt.NDArray[np.float64] | None
     load_step: int
+    _values: npt.NDArray | None = None
+
+    def fill(self, values: npt.NDArray):
+        """Set this rank's entries; if they are what they were, factors hold. Collective."""
+        same = self._values is not None and np.array_equal(values, self._values)
+        if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
+            self.entries.set(values)
+            self._values = values
 
     def destroy(self):
         """Collective."""
@@ -130,34 +140,47 @@ class Tangent:
         Raises:
             SolveError: The solver failed.
         """
-        values = [
-            None if self._kept is None else pattern.values(linear.matrix)
-            for pattern, linear in zip(
-                self._kept.patterns if self._kept else [None] * len(equations), equations
-            )
-        ]
-        fresh = any(part is None for part in values)
-        if fresh:
+        base = self._base(viscous)
+        values = self._values(equations, len(base))
+        fresh = values is None
+        if values is None:
             values = self._renew(equations)
         try:
-            return self._solve(right, equations, values, viscous)
+            return self._solve(right, equations, [base, *values])
         except SolveError:
             self.destroy()
             if fresh:
                 raise
         # What was analysed with other values may lead to poor pivots
-        return self._solve(right, equations, self._renew(equations), viscous)
+        return self._solve(right, equations, [base, *self._renew(equations)])
 
-    def _solve(self, right, equations, values, viscous):
+    def _base(self, viscous: float) -> npt.NDArray:
+        """This rank's entries of the nested matrix."""
+        return np.concatenate(
+            [
+                block.getValuesCSR()[2] * (1 + viscous * (i == j < self._num_bodies))
+                for i, j, block in self._blocks()
+            ]
+        )
+
+    def _values(
+        self, equations: Sequence[Linear], num_base: int
+    ) -> list[npt.NDArray[np.float64]] | None:
+        """This rank's entries of equations, by contact; None if there is no place for all."""
+        kept, found = self._kept, []
+        fits = kept is not None and kept.num_base == num_base
+        if kept is not None:
+            for pattern, mine, linear in zip(kept.patterns, kept.mine, equations, strict=True):
+                values = pattern.values(linear.matrix)
+                fits &= values is not None
+                found.append(np.empty(0) if values is None else values[mine])
+        return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
+
+    def _solve(self, right, equations, values):
         kept = self._kept
         assert kept is not None
-        parts = [
-            block.getValuesCSR()[2] * (1 + viscous * (i == j < self._num_bodies))
-            for i, j, block in self._blocks()
-        ]
-        parts += [value[mine] for value, mine in zip(values, kept.mine, strict=True)]
-        kept.entries.set(np.concatenate(parts).astype(PETSc.ScalarType, copy=False))
-        b, x = kept.A.createVecLeft(), kept.A.createVecRight()
+        kept.fill(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
+        b, x = kept.A.createVecs()
         own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
         b.array[:] = np.concatenate([part.array_r for part in right] + own)
         try:
@@ -182,15 +205,14 @@ class Tangent:
         """Make a matrix with room for equations; their values."""
         patterns = [rows.pattern() for rows in self._rows]
         for c, linear in enumerate(equations):
-            if patterns[c].values(linear.matrix) is None:
-                patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
+            patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
             if self._kept is not None and self._kept.load_step == self._load_step:
                 patterns[c] = patterns[c].joined(self._kept.patterns[c])
         self.destroy()
         self._kept = self._made(patterns)
-        values = [p.values(linear.matrix) for p, linear in zip(patterns, equations, strict=True)]
-        assert None not in map(type, values)
-        return [value for value in values if value is not None]
+        values = self._values(equations, self._kept.num_base)
+        assert values is not None
+        return values
 
     def _made(self, patterns: list[Pattern]) -> _Kept:
         nest = self._nest
@@ -200,11 +222,12 @@ class Tangent:
         numbering = Numbering([*ranges, *(rows.ranges for rows in self._rows)])
         first, end = numbering.of_rank(comm.rank)
         i, j, mine = [], [], []
-        for k, l, block in self._blocks():
+        for k, of, block in self._blocks():
             indptr, columns, _ = block.getValuesCSR()
             rows_of = np.arange(*block.getOwnershipRange())
             i.append(np.repeat(numbering.of(k, rows_of), np.diff(indptr)))
-            j.append(numbering.of(l, columns))
+            j.append(numbering.of(of, columns))
+        num_base = sum(map(len, i))
         for c, (rows, pattern) in enumerate(zip(self._rows, patterns, strict=True)):
             part, number = rows.unknowns
             among = np.full(len(part), -1)
@@ -239,7 +262,7 @@ class Tangent:
                 for n, scale in zip(numbering.sizes[:, comm.rank], saddle.scales(nest))
             ]
             units[: sum(map(len, parts))] = np.concatenate(parts)
-        return _Kept(patterns, mine, A, entries, ksp, units, self._load_step)
+        return _Kept(patterns, mine, num_base, A, entries, ksp, units, self._load_step)
 
     def _blocks(self) -> Iterator[tuple[int, int, PETSc.Mat]]:
         num = self._nest.getNestSize()[0]
