@@ -21,8 +21,8 @@ import numpy.typing as npt
 from dolfinx.jit import get_options
 
 NAMES = (
-    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c project.c "
-    "program.c columns.c plane.h rays.c fans.c by_dofs.c"
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c "
+    "program.c columns.c project.c plane.h rays.c fans.c by_dofs.c"
 ).split()
 FOLDER = Path(__file__).parent / "c"
 DECLARATIONS = """
