@@ -46,7 +46,10 @@ int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
 int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                  int *faces, int *counts);
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double corner, double stands_out, int *kinks);
+               const double *normals, double limit, double noise, double corner,
+               double stands_out, int *kinks);
+int find_neighbours(int n, int num, int size, const int *facets, int *behind);
+int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
 int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
                  double *s);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
