@@ -41,13 +41,22 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
                int num, int max, int *cells);
 int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
                 int *found);
-int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,
-               const int *cells, int *bases);
+int find_bases(int n0, int n1, int num0, const int *facets0, int num1, const int *facets1,
+               int num_cells, const int *cells, int *bases);
+void facets_beside(int first, int last, const int *seeds, int num, const int *cells, int *beside);
+void cell_normals(int num, const int *cells, const double *at_vertices, const int *bases,
+                  const double *normals0, const double *normals1, double *normals);
+void vertex_hosts(int num, const int64_t *which, const int *cells, int points, int num_local,
+                  const int *local, const int *at, const int *on, const double *X,
+                  const int *beside, int64_t *facets, double *places);
 int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
 int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                  int *faces, int *counts);
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double corner, double stands_out, int *kinks);
+               const double *normals, double limit, double noise, double corner,
+               double stands_out, int *kinks);
+int find_neighbours(int n, int num, int size, const int *facets, int *behind);
+int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
 int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
                  double *s);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,

@@ -41,28 +41,28 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     Raises:
         InterfaceError: More than two facets meet in an edge, or two that are turned over.
     """
+    behind = np.empty(facets.shape, dtype=np.int32)
+    status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
+    if status == 0:
+        return behind.astype(np.intp)
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
     order = np.argsort(key)
     key = key[order]
-    same = key[1:] // 2 == key[:-1] // 2  # as the next one
     twice = np.flatnonzero(key[1:] == key[:-1])
-    if len(twice):
-        at = order[twice[0]]
-        place = spot(x[[a[at], b[at]]])
-        if (key // 2 == key[twice[0]] // 2).sum() == 2:
-            raise InterfaceError(
-                f"{name} is folded at {place}: the two facets at an edge there have their bodies "
-                "on opposite sides; are cells turned over?"
-            )
+    if not len(twice):
+        raise MemoryError("no memory for a surface's edges")
+    at = order[twice[0]]
+    place = spot(x[[a[at], b[at]]])
+    if (key // 2 == key[twice[0]] // 2).sum() == 2:
         raise InterfaceError(
-            f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
-            "for each branch)."
+            f"{name} is folded at {place}: the two facets at an edge there have their bodies "
+            "on opposite sides; are cells turned over?"
         )
-    behind = np.full(len(a), -1)
-    one, two = order[:-1][same], order[1:][same]
-    behind[one], behind[two] = two // facets.shape[1], one // facets.shape[1]
-    return behind.reshape(facets.shape)
+    raise InterfaceError(
+        f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
+        "for each branch)."
+    )
 
 
 def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -85,7 +85,6 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     Returns:
         Facet and local number of each such edge (one of its two facets).
     """
-    limit = TURN + NOISE * np.abs(surface.x).max() / surface.size.min()
     kink = np.empty(behind.shape, dtype=np.int32)
     status = library().lib.find_kinks(
         len(surface.x),
@@ -94,7 +93,8 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         as_ints(surface.polygons),
         as_ints(behind),
         as_doubles(surface.normals),
-        limit,
+        TURN,
+        NOISE * np.abs(surface.x).max(),
         CORNER,
         STANDS_OUT,
         as_ints(kink),

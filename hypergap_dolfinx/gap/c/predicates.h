@@ -7,6 +7,7 @@
 // Predicates: what four vertices of Σ make, seen along the mean of their normals.
 
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 

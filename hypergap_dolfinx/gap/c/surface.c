@@ -4,7 +4,55 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Where a surface turns, and what of an outline or of some points is the nearest.
+// Which facets of a surface meet, where it turns, and what of an outline or of some points is nearest.
+
+// The facet behind each edge.
+//
+// n           number of vertices
+// num, size   facets, and corners of each
+// facets      (num, size), around the facets: edge k goes from corner k to the next one
+// behind      (num, size): −1 at the boundary
+// Returns BAD_INPUT where facets have an edge in the same direction.
+int find_neighbours(int n, int num, int size, const int *facets, int *behind)
+{
+  int *offset = calloc(n + 2, sizeof(int)), *at = malloc(((size_t)size * num + 1) * sizeof(int));
+  int status = offset && at ? DONE : NO_MEMORY;
+  if (status == DONE)
+    sort_at_vertices(n, size, num, facets, offset, at);
+  for (int f = 0; f < num && status == DONE; ++f)
+    for (int k = 0; k < size; ++k)
+    {
+      int a = facets[size * f + k], b = facets[size * f + (k + 1) % size], found = -1;
+      for (int i = offset[a]; i < offset[a + 1]; ++i)
+      {
+        const int *other = facets + size * at[i];
+        for (int m = 0; m < size && at[i] != f; ++m)
+        {
+          int next = other[m + 1 < size ? m + 1 : 0];
+          if (other[m] == a && next == b)
+            status = BAD_INPUT;
+          else if (other[m] == b && next == a)
+            found = at[i];
+        }
+      }
+      behind[size * f + k] = found;
+    }
+  free(offset), free(at);
+  return status;
+}
+
+// Whether a surface has an edge at which the cosine between normals is less than that.
+int has_corner(int num, int size, const int *behind, const double *normals, double cosine)
+{
+  for (int f = 0; f < num; ++f)
+    for (int k = 0; k < size; ++k)
+    {
+      int g = behind[size * f + k];
+      if (g > f && dot(normals + 3 * f, normals + 3 * g) < cosine)
+        return 1;
+    }
+  return 0;
+}
 
 typedef struct {
   double t[3], turn; // unit vector along it, and by what normals turn there
@@ -14,12 +62,23 @@ typedef struct {
 // The turns at inner edges, of facets with lower numbers than those behind them. Returns the largest.
 //
 // which       (num, size): number of the turn, −1 of other edges
+// shortest    of the longest edges of all facets
 static double find_turns(int num, int size, const int *facets, const int *behind, const double *x,
-                         const double *normals, Turn *turns, int *which, int *num_turns)
+                         const double *normals, Turn *turns, int *which, int *num_turns,
+                         double *shortest)
 {
-  double most = 0;
+  double most = 0, least = INFINITY;
   *num_turns = 0;
   for (int f = 0; f < num; ++f)
+  {
+    double longest = 0;
+    for (int k = 0; k < size; ++k)
+    {
+      double e[3];
+      minus(x + 3 * facets[size * f + (k + 1) % size], x + 3 * facets[size * f + k], e);
+      longest = larger(longest, dot(e, e));
+    }
+    least = smaller(least, longest);
     for (int k = 0; k < size; ++k)
     {
       int g = behind[size * f + k];
@@ -36,8 +95,10 @@ static double find_turns(int num, int size, const int *facets, const int *behind
       double length = sqrt(dot(own->t, own->t));
       for (int i = 0; i < 3; ++i)
         own->t[i] /= length;
-      most = own->turn > most ? own->turn : most;
+      most = larger(most, own->turn);
     }
+  }
+  *shortest = sqrt(least);
   return most;
 }
 
@@ -63,11 +124,13 @@ static int turns_beside(const Turn *turns, const int *offset, const int *at, int
 // behind      (num, size): the facet behind each edge, −1 at the boundary
 // normals     unit normals of the facets
 // limit       turn that is none
+// noise       error of coordinates' differences, which adds to that
 // corner      turn that is a corner whatever is beside it
 // stands_out  times the turns beside it from which a turn is one
 // kinks       (num, size): whether it is one, of each edge once
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double corner, double stands_out, int *kinks)
+               const double *normals, double limit, double noise, double corner,
+               double stands_out, int *kinks)
 {
   int num_turns, status = NO_MEMORY;
   Turn *turns = malloc((size_t)(num * size + 1) * sizeof(Turn));
@@ -75,7 +138,10 @@ int find_kinks(int n, const double *x, int num, int size, const int *facets, con
   if (!turns || !offset)
     goto finish;
   // ``kinks`` has the turns' numbers first
-  if (find_turns(num, size, facets, behind, x, normals, turns, kinks, &num_turns) <= limit)
+  double shortest;
+  double most = find_turns(num, size, facets, behind, x, normals, turns, kinks, &num_turns, &shortest);
+  limit += noise / shortest;
+  if (most <= limit)
   {
     memset(kinks, 0, (size_t)num * size * sizeof(int));
     status = DONE;
@@ -131,16 +197,15 @@ static Ball *make_balls(int n, const double *x)
       double low = INFINITY, high = -INFINITY;
       for (int i = first; i <= last; ++i)
       {
-        double at = x[3 * (i % n) + k];
-        low = at < low ? at : low;
-        high = at > high ? at : high;
+        low = smaller(low, x[3 * (i % n) + k]);
+        high = larger(high, x[3 * (i % n) + k]);
       }
       own->middle[k] = (low + high) / 2;
     }
     for (int i = first; i <= last; ++i)
     {
       minus(x + 3 * (i % n), own->middle, e);
-      square = dot(e, e) > square ? dot(e, e) : square;
+      square = larger(square, dot(e, e));
     }
     own->radius = (1 + 1e-12) * sqrt(square);
   }
@@ -155,7 +220,7 @@ static double off_edge(const double *point, const double *a, const double *b, do
   minus(point, a, e);
   double square = dot(t, t);
   *s = square > 0 ? dot(e, t) / square : 0;
-  *s = *s < 0 ? 0 : *s > 1 ? 1 : *s;
+  *s = smaller(larger(*s, 0), 1);
   for (int k = 0; k < 3; ++k)
     e[k] -= *s * t[k];
   return dot(e, e);
@@ -205,8 +270,7 @@ int find_nearest(int num, const double *points, int n, const double *x, int *nod
           s[p] = at;
         }
       }
-      double now = (1 + 1e-12) * sqrt(to_node);
-      reach = now < reach ? now : reach;
+      reach = smaller(reach, (1 + 1e-12) * sqrt(to_node));
     }
     last = node[p];
   }
