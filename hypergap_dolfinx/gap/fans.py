@@ -36,6 +36,9 @@ from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 from hypergap_dolfinx.gap.moving import Sparse
 from hypergap_dolfinx.gap.rays import Fans
 
+ROOM = 32
+"""Entries of a row for which there is room at first."""
+
 
 @dataclass(frozen=True)
 class Gaps:
@@ -115,7 +118,7 @@ def _entries(fans: Fans, square: bool, add: Callable) -> Sparse:
     num_rows = sides[1].num_vertices
     if square:
         num_rows = 2 * sum(side.num_edges * side.num_dofs for side in sides)
-    room = 32 * num_rows
+    room = ROOM * num_rows
     while True:
         ints = np.empty((3, room), np.int32)
         values, first = np.empty(room), np.full(num_rows, -1, np.int32)

@@ -36,6 +36,8 @@ FARTHER = 8.0
 """Longest way on Γ0 between neighbouring rays, in lengths of their edges."""
 REACHED = 0.999
 """Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
+ROOM = 3
+"""Cells for each edge of both sides for which there is room at first."""
 
 CELL = np.dtype(
     [(name, np.int32) for name in ("side", "base", "apex")]
@@ -124,7 +126,8 @@ def cast(
     """
     lib, ffi = library().lib, library().ffi
     num = len(surfaces[1].facets)
-    room, crossings = 2 * num + len(surfaces[0].facets), np.empty(3 * num, CROSSING)
+    room = ROOM * (num + len(surfaces[0].facets))
+    crossings = np.empty(3 * num, CROSSING)
     motions = np.empty((len(crossings), 2 * sum(side["num_dofs"] for side in sides)))
     fields = {
         "sides": [
