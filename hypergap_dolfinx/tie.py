@@ -126,7 +126,7 @@ class Tie(disposal.Owner):
                 ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
                 body, or a callable of x. Read anew when the matrix is assembled. Where all of both
                 sides is prescribed λ follows from c alone: one that was 0 when the problem was made
-                is to stay so, or an error says so.
+                is to stay so, and of a pair both are 0 or none, or an error says so.
             law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
                 softens and lets go, a spring that pushes and doesn't pull. A function of the jump
                 (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
@@ -134,8 +134,8 @@ class Tie(disposal.Owner):
                 ``conditional`` and ``max_value`` too, so Newton's iteration has the exact tangent;
                 of a potential ψ it is ``ufl.diff(psi, w)`` with ``w = ufl.variable(jump)``.
                 ``fem.Constant`` may be in it, and change between solves. It has no memory: what
-                opens closes the same way. For :class:`NonlinearTiedProblem` and
-                :class:`ContactProblem`.
+                opens closes the same way. Complex scalars are compared as ``ufl.real(…)``. For
+                :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
             discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
                 Where both sides consist of several materials, traction jumps from one to the next:
                 give a tie for each material then, with this, its two surfaces ending at one place.
@@ -545,7 +545,8 @@ class Tie(disposal.Owner):
                 use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
 
                 ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
-                the forces of λ at both sides' nodes: of an order more than λ, and smooth. It is a
+                the forces of λ at both sides' nodes: of an order more than λ, and smooth, by what
+                fits this very λ (that of a sum is the sum within its own error). It is a
                 Lagrange function on a mesh of its own, the part of Γᵢ that is tied, so
                 ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
                 ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files have it. At kinks it

@@ -38,7 +38,7 @@ class Springs:
 
     def __call__(self, jump, n):
         opening = ufl.dot(jump, n)
-        along = ufl.conditional(ufl.gt(opening, 0), self.k[0], self.k[1]) * opening
+        along = ufl.conditional(ufl.gt(ufl.real(opening), 0), self.k[0], self.k[1]) * opening
         return along * n + self.k[2] * (jump - opening * n)
 
     def traction(self, jump):
@@ -207,7 +207,7 @@ def test_bad_input():
             lambda w, n: ufl.SpatialCoordinate(mesh),
             "it may have the jump, the normal and constants",
         ),
-        (lambda w, n: ufl.sqrt(ufl.dot(w, w)) * w, "its derivative is nan"),
+        (lambda w, n: ufl.sqrt(ufl.dot(w, w)) * w, r"its derivative is \(?nan"),
     ):
         with raises(ValueError, said):
             tie(bodies, *TIED, law=wrong)

@@ -29,12 +29,13 @@ import numpy as np
 import numpy.typing as npt
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import default_scalar_type, fem, mesh
 from hypergap_dolfinx.errors import raise_on_all
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.samples import Samples
 from ufl.algorithms.analysis import extract_constants, extract_type
+from ufl.algorithms.comparison_checker import ComplexComparisonError, do_comparison_check
 from ufl.classes import FormArgument, GeometricQuantity
 from ufl.core.expr import Expr
 
@@ -72,7 +73,8 @@ class Law:
         """λ in UFL.
 
         Raises:
-            ValueError: What is given is none, or depends on other functions.
+            ValueError: What is given is none, depends on other functions, or compares what is
+                complex.
         """
         sign = -1 if self.turned else 1
         try:
@@ -86,6 +88,13 @@ class Law:
             raise ValueError(
                 f"the law gives values of shape {found.ufl_shape}, the jump has {jump.ufl_shape}."
             )
+        if np.issubdtype(default_scalar_type, np.complexfloating):
+            try:
+                found = do_comparison_check(found)
+            except ComplexComparisonError:
+                raise ValueError(
+                    "the law compares what may be complex; take ufl.real of it first."
+                ) from None
         others = [f for f in _quantities(found) if f not in {*_quantities(jump), normal}]
         if others:
             raise ValueError(
