@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.compliance import Compliance
 from hypergap_dolfinx.solve.extension import Extension
 from hypergap_dolfinx.solve.interface import Interface
 
@@ -35,10 +36,13 @@ class Compliances:
             unknown: What messages call ties whose λ is left out somewhere: both sides are
                 prescribed there, and they don't give way. None for others.
         """
-        every = zip(ties, rows, unknown, strict=True)
-        given = [(tie.compliance, *others) for tie, *others in every if tie.compliance is not None]
-        self._soft = [(soft, row) for soft, row, _ in given]
-        self._unknown = [(name, soft.gives_way()) for soft, _, name in given]
+        self._soft: list[tuple[Compliance, dict[int, Extension]]] = []
+        self._unknown: list[tuple[Compliance, str, npt.NDArray]] = []  # where it gave way before
+        for tie, row, name in zip(ties, rows, unknown, strict=True):
+            if tie.compliance is not None:
+                self._soft.append((tie.compliance, row))
+                if name:
+                    self._unknown.append((tie.compliance, name, tie.compliance.gives_way()))
         self._comm = ties[0].sigma.comm if ties else None
         self.blocks: list[list[PETSc.Mat | None]] = [[None] * num for _ in range(num)]
         """−C, ``[interface][interface]``; None is zero."""
@@ -67,8 +71,8 @@ class Compliances:
         same = bool(self._values) and all(map(np.array_equal, self._values, now))
         if all(self._comm.allgather(same)):
             return
-        for (soft, _), (name, before) in zip(self._soft, self._unknown, strict=True):
-            if name and (soft.gives_way() & ~before).any():
+        for soft, name, before in self._unknown:
+            if (soft.gives_way() & ~before).any():
                 raise ValueError(
                     f"the compliance of {name} was 0 when the problem was made, where both sides "
                     "are prescribed, so it has no λ there; make the problem anew as it is now."

@@ -291,11 +291,11 @@ def _from_compliance(every: Every, t: int, prescribed) -> tuple[npt.NDArray[np.b
     parts = tie.compliance.gives_way()[:, tie.constraint.rows]
     half = fixed.all(axis=1) & parts.any(axis=0) & ~parts.all(axis=0)
     if half.any():
-        m = int(half.argmax())
-        where = "across" if parts[0, m] else "along"
+        first = int(half.argmax())
+        where = "across" if parts[0, first] else "along"
         raise ValueError(
-            f"the compliance is 0 {where} the normal at {spot(every.lists[t].x[m])}, where both "
-            "sides are prescribed, so λ is not determined there; give both parts or none, or "
+            f"the compliance is 0 {where} the normal at {spot(every.lists[t].x[first])}, where "
+            "both sides are prescribed, so λ is not determined there; give both parts or none, or "
             "prescribe one side only."
         )
     says = parts.all(axis=0)[:, None]
