@@ -74,5 +74,5 @@ def find_kinks(sigma, i: int) -> npt.NDArray[np.bool_]:
     """
     side = sigma.sides[i]
     kinks = np.empty(side.num_vertices, np.int32)
-    library().lib.find_kinks(library().ffi.addressof(side), KINK, as_ints(kinks))
+    library().lib.kinks_of(library().ffi.addressof(side), KINK, as_ints(kinks))
     return kinks > 0

@@ -67,7 +67,7 @@ typedef struct {
   int *first; // of each row
 } Entries;
 
-void find_kinks(const Side *side, double kink, int *kinks);
+void kinks_of(const Side *side, double kink, int *kinks);
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
               int num_walls, const int *walls, double end, double faces, double farther,
               int *whole);

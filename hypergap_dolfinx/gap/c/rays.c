@@ -52,7 +52,7 @@ static double chord(const Side *side, int edge, double *c)
 //
 // kink     cosine of the turn
 // kinks    whether they are some, (num_vertices)
-void find_kinks(const Side *side, double kink, int *kinks)
+void kinks_of(const Side *side, double kink, int *kinks)
 {
   for (int v = 0; v < side->num_vertices; ++v)
   {
