@@ -20,7 +20,6 @@ from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
 
-
 @dataclass(frozen=True)
 class Slab:
     """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
