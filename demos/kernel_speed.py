@@ -98,9 +98,9 @@ def tie_seconds(n, degree):
 
 # ## Σ in space
 #
-# between a ball and its shell, both triangulated at random, and between plates: flat ones of squares
-# that are halved, and waved ones whose squares have lost their shape. Pieces that face each other,
-# cells, checks, and where all vertices of the cells lie. Facets are those of both sides.
+# between a ball and its shell, both triangulated at random, and between plates: flat ones of halved
+# squares, and waved ones whose squares have lost their shape. Pieces that face each other, cells,
+# checks, and where all vertices of the cells lie. Facets are those of both sides.
 
 
 def sphere(num, name, seed):

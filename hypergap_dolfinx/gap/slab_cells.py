@@ -79,7 +79,8 @@ class Slab:
     def bases(self) -> npt.NDArray[np.int32]:
         """The facet of each side that is a face of the cell, −1 where there is none.
 
-        ``(2, num_cells)``."""
+        ``(2, num_cells)``.
+        """
         bases = np.empty((2, len(self.cells)), dtype=np.int32)
         sides = [(len(side.triangles), as_ints(side.triangles)) for side in self.sides]
         num = [len(side.x) for side in self.sides]
@@ -92,7 +93,8 @@ class Slab:
     def beside(self) -> npt.NDArray[np.int32]:
         """A facet of each side at each cell: at a vertex on it, else at an interior one.
 
-        ``(2, num_cells)``."""
+        ``(2, num_cells)``.
+        """
         beside = np.empty((2, len(self.cells)), dtype=np.int32)
         cells = len(self.cells), as_ints(self._cells)
         for start, side, seeds, own in zip(

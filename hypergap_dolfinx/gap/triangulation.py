@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Surfaces in three dimensions: neighbours, kinks, smooth pieces, and where points project."""
+"""Surfaces in three dimensions: neighbours, kinks and smooth pieces."""
 
 from itertools import pairwise
 
@@ -23,8 +23,6 @@ CORNER = np.radians(
     80
 )  # a turn that is a corner whatever is beside it: five facets round a tube aren't
 CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
-FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
-NEWTON = 6  # steps to where a line along a surface's normals meets it
 
 
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -130,9 +128,13 @@ def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
-    """Which edges of a surface run along edges of the other one."""
+    """Which edges of a surface are on lines that run along edges of the other one.
+
+    Such a line parts what is beside it where the other surface has ended, too.
+    """
     (f, k), (g, m) = edges, other_edges
-    a, b = (surface.x[end] for end in edge_ends(surface, f, k))
+    first, last = edge_ends(surface, f, k)
+    a, b = surface.x[first], surface.x[last]
     start, end = (other.x[end] for end in edge_ends(other, g, m))
     t = end - start
     length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
@@ -145,7 +147,8 @@ def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArr
         distance = np.linalg.norm(start + s[..., None] * t - middle, axis=2)
         reach = 0.25 * np.maximum(length[part, None], np.sqrt(square))
         near[part] = (distance < reach).any(axis=1)
-    return near
+    line = components(len(surface.x), first, last)[first]
+    return np.isin(line, line[near])
 
 
 def facing_pieces(surfaces: tuple[Surface, Surface], behind):
@@ -281,108 +284,3 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
         if loop:
             found.append(np.array(loop))
     return found
-
-
-def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, refine=None):
-    """Walk over a surface from a facet to the one that a point projects into.
-
-    Beyond a boundary the last facet is extrapolated.
-
-    Args:
-        x: Vertex coordinates.
-        facets: Vertices of each facet.
-        behind: The facets' neighbours.
-        points: Points, ``(num_points, 3)``.
-        seed: Where the walk starts, ``(num_points,)``.
-        refine: ``refine(facet, points, X)``: better coordinates than those on straight facets, with
-            which a second walk goes on.
-
-    Returns:
-        Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
-    """
-
-    def frames(f):
-        v = x[facets[f]]
-        d, e = v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]
-        N = np.cross(d, e)
-        square = np.maximum(np.einsum("fi,fi->f", N, N), 1e-300)[:, None]
-        return v[:, 0], d, e, np.cross(e, N) / square, np.cross(N, d) / square
-
-    every = frames(slice(None)) if len(points) > len(facets) else None
-
-    def flat(f, p):
-        origin, d, e, grad0, grad1 = (part[f] for part in every) if every else frames(f)
-        y = p - origin
-        X = np.zeros((len(y), 2))
-        for _ in range(2):  # in narrow facets the first time leaves round-off over their width
-            X[:, 0] += np.einsum("pi,pi->p", y, grad0)
-            X[:, 1] += np.einsum("pi,pi->p", y, grad1)
-            y = p - (origin + X[:, :1] * d + X[:, 1:] * e)
-        return X
-
-    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)
-    if refine is None:
-        return host, X
-    return _walk(behind, points, host, lambda f, p: refine(f, p, flat(f, p)), FURTHER)
-
-
-def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
-    """The facets that points lie in, and coordinates(facet, point) there."""
-    best, facet = np.full(len(points), -np.inf), facet.copy()
-    host, X = facet.copy(), np.zeros((len(points), 2))
-    active = np.arange(len(points))
-    for step in range(steps):
-        if step & (step - 1) == 0:  # at 0, 1, 2, 4, 8 …: who comes back there goes in a circle
-            mark = facet.copy()
-        f = facet[active]
-        at = coordinates(f, points[active])
-        weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
-        inside = weights.min(axis=1)
-        better = inside > best[active]
-        best[active[better]], X[active[better]] = inside[better], at[better]
-        host[active[better]] = f[better]
-        # Go on over the edge that is farthest off and has a facet behind it
-        beyond = np.roll(behind[f], -1, axis=1)  # opposite to each vertex
-        weights[beyond < 0] = np.inf
-        k = weights.argmin(axis=1)
-        each = np.arange(len(f))
-        go = weights[each, k] < -1e-12
-        facet[active[go]] = beyond[each, k][go]
-        active = active[go]
-        active = active[facet[active] != mark[active]]
-        if not len(active):
-            break
-    return host, X
-
-
-def along_normals(surface, n, points, X) -> npt.NDArray[np.float64]:
-    """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
-
-    Other than the facets' normals these don't jump from one facet to the next, so points near each
-    other get to places near each other.
-
-    Args:
-        surface: Takes ``X`` to places, ``(num_points, 3)``, and their derivatives,
-            ``(num_points, 2, 3)``.
-        n: Normals at the vertices of each point's triangle, ``(num_points, 3, 3)``.
-        points: ``(num_points, 3)``.
-        X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
-    """
-    dn = n[:, 1:] - n[:, :1]
-    z = np.column_stack((X, np.zeros(len(X))))  # coordinates, and how far off
-    done = np.zeros(len(X), dtype=bool)
-    for _ in range(NEWTON):
-        x, dx = surface(z[:, :2])
-        normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
-        off = x + z[:, 2:] * normal - points
-        square = np.einsum("pji,pji->p", dx, dx)
-        J = np.concatenate((dx + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
-        J[np.abs(np.linalg.det(J)) < 1e-6 * square] = np.eye(3)
-        step = np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
-        step[done] = 0  # whatever the others still need
-        z = z - step
-        z[:, :2] = np.clip(z[:, :2], X - 1, X + 1)
-        done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square  # before this step, the last one
-        if done.all():
-            break
-    return np.where(done[:, None], z[:, :2], X)
