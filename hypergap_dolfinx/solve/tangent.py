@@ -30,6 +30,8 @@ from hypergap_dolfinx.solve.pattern import Pattern
 RESIDUAL = 1e-8
 """Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
 or needs LU's pivots; what is below is for Newton's next step."""
+SPACE = {"mat_mumps_icntl_7": 5}
+"""In space LDLᵀ is ordered by METIS, as LU is by MUMPS itself: a third less operations."""
 UNFIT = (
     " The matrix has zeros on its diagonal, those of what is in contact; "
     'pc_type "lu" (MUMPS) takes them.'
@@ -58,7 +60,8 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
     found = [Way(Options(prefix, given or {}, defaults, UNFIT))]
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
     if symmetric and not named:
-        options = Options(prefix, given or {}, {**defaults, "pc_type": "cholesky"}, UNFIT)
+        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else SPACE), "pc_type": "cholesky"}
+        options = Options(prefix, given or {}, defaults, UNFIT)
         found.insert(0, Way(options, RESIDUAL))
     return found
 
