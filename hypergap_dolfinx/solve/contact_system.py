@@ -25,7 +25,6 @@ from hypergap_dolfinx.solve.contacts import (
     owned_values,
     share_ends,
 )
-from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
@@ -33,9 +32,8 @@ from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
-from hypergap_dolfinx.solve.options import Options
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
-from hypergap_dolfinx.solve.tangent import UNFIT, Tangent
+from hypergap_dolfinx.solve.tangent import Tangent, ways
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -82,16 +80,24 @@ class ContactSystem(NonlinearSystem):
         """
         super().__init__(F, u, bcs, pieces, **compiling)
         self._rtol = rtol
-        plane = self._u[0].function_space.mesh.topology.dim == 2
-        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-        chosen = Options(petsc_options_prefix, petsc_options or {}, defaults, UNFIT)
         held = self._constraints.prescribed
         self._rows = [
             (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
             for one in touching
         ]
         share_ends(self._rows, pieces.interfaces)
-        self._tangent = Tangent(self._A, len(self._K), self._rows, petsc_options_prefix, chosen)
+        self._tangent = Tangent(
+            self._A,
+            len(self._K),
+            self._rows,
+            petsc_options_prefix,
+            ways(
+                petsc_options_prefix,
+                petsc_options,
+                plane=self._u[0].function_space.mesh.topology.dim == 2,
+                symmetric=all(one.contact.friction is None for one in touching),
+            ),
+        )
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = 0
