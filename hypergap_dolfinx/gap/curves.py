@@ -20,8 +20,8 @@ import basix
 
 NEWTON = 5  # steps to where two edges cross
 DRIFT = 0.5
-"""By how much, in edges, a crossing is elsewhere than that of straight edges at most: all but parallel
-ones cross anywhere."""
+"""By how much, in edges, a crossing is elsewhere than that of straight edges at most: if these are
+all but parallel, edges cross anywhere."""
 
 
 @cache
