@@ -317,10 +317,10 @@ class ContactSystem(NonlinearSystem):
     def _balances(self) -> bool:
         """Whether the residual is none and what is in contact is closed. Collective."""
         comm = self._u[0].function_space.mesh.comm
-        parts = [part.copy() for part in self._b.getNestSubVecs()]
+        num = len(self._b.getNestSubVecs()) - len(self._constraints.bodies)  # forces at jumps too
+        parts = [part.copy() for part in self._b.getNestSubVecs()[:num]]
         self._add_contact(parts, all_dofs=False)
-        num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
-        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts))
         saddle.destroy_parts(parts)
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
@@ -418,26 +418,31 @@ class ContactSystem(NonlinearSystem):
         Returns:
             This rank's changes of displacements, of each body.
         """
-        stiffness, equations = self._stiffness(), []
+        stiffness, equations, moves = self._stiffness(), [], None
+        comm = self._u[0].function_space.mesh.comm
+        goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         for rows in self._rows:
             if rows.now.on.any():
-                parts = [
-                    np.zeros_like(owned_values(f)) if body is None else jump[body]
-                    for body, f in zip(rows.bodies, rows.fields, strict=True)
-                ]
-                equations.append(rows.linearised(stiffness, rows.displacements(parts)))
+                if goes:
+                    moves = rows.displacements(
+                        [
+                            np.zeros_like(owned_values(f)) if body is None else jump[body]
+                            for body, f in zip(rows.bodies, rows.fields, strict=True)
+                        ]
+                    )
+                equations.append(rows.linearised(stiffness, moves))
             else:
                 equations.append(rows.without_forces(stiffness))
             if settled:
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
-        moves, unknowns = self._take(right, equations, viscous)
+        changes, unknowns = self._take(right, equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             if rows.now.on.any():
                 rows.take(linear, values)
             else:
                 rows.forget()
-        return moves
+        return changes
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body. Collective."""

@@ -242,7 +242,9 @@ class ContactRows:
     @property
     def typical_area(self) -> float:
         """Median of the areas of multipliers."""
-        return float(np.median(self.m[self.valid])) if self.valid.any() else 1.0
+        areas = np.sort(self.m[self.valid])  # np.median takes ten times as long
+        num = len(areas)
+        return float(areas[(num - 1) // 2] + areas[num // 2]) / 2 if num else 1.0
 
     def times(self, values: Displacements) -> npt.NDArray[np.float64]:
         """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
@@ -331,16 +333,16 @@ class ContactRows:
         """Entries at all that multipliers act on."""
         return self.C
 
-    def linearised(self, stiffness: float, moves: Displacements) -> Linear:
+    def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
         """Equations of gaps.
 
         Args:
             stiffness: Of the bodies' nodes, which rows are scaled by.
-            moves: What prescribed displacements have to move yet.
+            moves: What prescribed displacements have to move yet, if anything.
         """
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
-        right = scale * (self.g + self.times(moves))
+        right = scale * (self.g if moves is None else self.g + self.times(moves))
         return self._linear(stiffness, rows, rows, Sparse.empty(), right, scale)
 
     def _linear(

@@ -96,7 +96,7 @@ class Numbering:
 
 @dataclass
 class _Kept:
-    """A matrix with a pattern, and what MUMPS knows of it."""
+    """A matrix with a pattern, and a solver that knows it."""
 
     patterns: list[Pattern]
     mine: list[npt.NDArray[np.intp]]
@@ -106,7 +106,9 @@ class _Kept:
     A: PETSc.Mat
     entries: compat.Triplets
     units: npt.NDArray[np.float64] | None
+    """Of this rank's rows, if they differ."""
     load_step: int
+    """When it was made."""
     ksp: PETSc.KSP | None = None
     _values: npt.NDArray | None = None
 
@@ -147,7 +149,7 @@ class Tangent:
             num_bodies: How many of its rows of blocks are bodies'.
             rows: The contacts.
             prefix: Of the KSP's options.
-            ways: To solve; the next one is taken for good where only that can.
+            ways: How to solve; the next one is taken for good where only that can.
         """
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
         self._prefix, self._ways = prefix, list(ways)
@@ -225,6 +227,7 @@ class Tangent:
         return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
 
     def _solve(self, right, equations, values, way: Way):
+        """Solve in one way, with values for all places."""
         kept = self._kept
         assert kept is not None
         ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
@@ -264,6 +267,7 @@ class Tangent:
         return values
 
     def _made(self, patterns: list[Pattern]) -> _Kept:
+        """A matrix with room for what the nested one has, and for patterns of contacts."""
         nest = self._nest
         comm = nest.comm.tompi4py()
         num = nest.getNestSize()[0]
@@ -296,11 +300,8 @@ class Tangent:
         units = None
         if num > self._num_bodies:
             units = np.ones(size)
-            parts = [
-                np.full(n, scale)
-                for n, scale in zip(numbering.sizes[:, comm.rank], saddle.scales(nest))
-            ]
-            units[: sum(map(len, parts))] = np.concatenate(parts)
+            of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
+            units[: len(of_nest)] = of_nest
         return _Kept(patterns, mine, num_base, A, entries, units, self._load_step)
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
