@@ -72,10 +72,12 @@ class Side:
         if corners.shape[1] == 3:
             X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
             side = cls(surface, x, corners, facets, X)
+            known = {"is_whole": True, "normals": surface.normals[facets]}
             if behind is not None:
                 own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
                 own[facets] = np.arange(len(facets))
-                side.__dict__["behind"] = own[behind[facets]]  # as its property would find them
+                known["behind"] = own[behind[facets]]
+            side.__dict__.update(known)  # as its properties would find them
             return side
         places, pieces = HALVES if halves else QUARTERS
         if not halves:
@@ -169,6 +171,10 @@ class Side:
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
+        return list(self._loops)
+
+    @cached_property
+    def _loops(self) -> list[npt.NDArray[np.intp]]:
         return loops(self.triangles, self.behind, self.surface.name, self.x)
 
     def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:

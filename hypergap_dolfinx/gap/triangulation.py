@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.nearest import nearest
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
@@ -39,28 +41,28 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     Raises:
         InterfaceError: More than two facets meet in an edge, or two that are turned over.
     """
+    behind = np.empty(facets.shape, dtype=np.int32)
+    status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
+    if status == 0:
+        return behind.astype(np.intp)
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
     order = np.argsort(key)
     key = key[order]
-    same = key[1:] // 2 == key[:-1] // 2  # as the next one
     twice = np.flatnonzero(key[1:] == key[:-1])
-    if len(twice):
-        at = order[twice[0]]
-        place = spot(x[[a[at], b[at]]])
-        if (key // 2 == key[twice[0]] // 2).sum() == 2:
-            raise InterfaceError(
-                f"{name} is folded at {place}: the two facets at an edge there have their bodies "
-                "on opposite sides; are cells turned over?"
-            )
+    if not len(twice):
+        raise MemoryError("no memory for a surface's edges")
+    at = order[twice[0]]
+    place = spot(x[[a[at], b[at]]])
+    if (key // 2 == key[twice[0]] // 2).sum() == 2:
         raise InterfaceError(
-            f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
-            "for each branch)."
+            f"{name} is folded at {place}: the two facets at an edge there have their bodies "
+            "on opposite sides; are cells turned over?"
         )
-    behind = np.full(len(a), -1)
-    one, two = order[:-1][same], order[1:][same]
-    behind[one], behind[two] = two // facets.shape[1], one // facets.shape[1]
-    return behind.reshape(facets.shape)
+    raise InterfaceError(
+        f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
+        "for each branch)."
+    )
 
 
 def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -83,43 +85,36 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     Returns:
         Facet and local number of each such edge (one of its two facets).
     """
-    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    kink = np.empty(behind.shape, dtype=np.int32)
+    status = library().lib.find_kinks(
+        len(surface.x),
+        as_doubles(surface.x),
+        *behind.shape,
+        as_ints(surface.polygons),
+        as_ints(behind),
+        as_doubles(surface.normals),
+        TURN,
+        NOISE * np.abs(surface.x).max(),
+        CORNER,
+        STANDS_OUT,
+        as_ints(kink),
+    )
+    if status:
+        raise MemoryError("no memory for a surface's corners")
+    f, k = np.nonzero(kink)
     g = behind[f, k]
-    n0, n1 = surface.normals[f], surface.normals[g]
-    turn = np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
-    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
-    limit = TURN + noise
-    if turn.max(initial=0) <= limit:  # it is a plane
-        return f[:0], k[:0]
-    a, b = edge_ends(surface, f, k)
-    # A vertex opposite in each facet, and the edges there that don't touch this one
-    m = np.argmax(behind[g] == f[:, None], axis=1)
-    opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
-    t = surface.x[b] - surface.x[a]
-    t /= lengths(t)[:, None]
-    ends = np.concatenate((a, b))
-    order = np.argsort(ends, kind="stable")
-    offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
-    beside = np.zeros(len(turn))
-    for side, few in ((0, True), (1, True), (0, False), (1, False)):
-        # On a smooth surface few edges are candidates any more after a look at the first ones
-        candidate = np.flatnonzero((turn > limit) & (turn <= CORNER) & (turn > STANDS_OUT * beside))
-        p = opposite[candidate, side]
-        count = offsets[p + 1] - offsets[p]
-        count = np.minimum(count, 2) if few else count
-        e = np.repeat(candidate, count)
-        start = np.repeat(offsets[p] - np.cumsum(count) + count, count)
-        other = order[start + np.arange(len(e))] % len(a)
-        apart = (a[other] != a[e]) & (a[other] != b[e]) & (b[other] != a[e]) & (b[other] != b[e])
-        e, other = e[apart], other[apart]
-        parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
-        np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > CORNER) | (turn > np.maximum(STANDS_OUT * beside, limit))
-    bent = np.flatnonzero(kink & (surface.curved[f] | surface.curved[g]))
-    here, there = (_normals_at_edges(surface, *e) for e in ((f[bent], k[bent]), (g[bent], m[bent])))
-    angle = np.arctan2(lengths(np.cross(here, there)), np.einsum("ei,ei->e", here, there))
-    kink[bent] = angle > CURVES * turn[bent]
-    return f[kink], k[kink]
+    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
+    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
+    turn = _angles(surface.normals[edges[0]], surface.normals[beyond[0]])
+    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
+    keep = np.ones(len(f), dtype=bool)
+    keep[bent] = left > CURVES * turn
+    return f[keep], k[keep]
+
+
+def _angles(n0, n1) -> npt.NDArray[np.float64]:
+    """Between normals, ``(num,)``."""
+    return np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
 
 
 def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
@@ -218,15 +213,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     ]
     samples = np.concatenate(picks)
     centres, middles = _centres(other), _centres(surface, samples)
-    found = np.empty(len(samples), dtype=np.intp)
-    origin = centres.mean(axis=0)
-    centre = (centres - origin).T.copy()
-    own = (centre**2).sum(axis=0)
-    chunk = max(1, 50_000 // len(centres))
-    for c in range(0, len(samples), chunk):
-        part = slice(c, c + chunk)
-        square = own - 2 * (middles[part] - origin) @ centre  # but for the samples' own
-        found[part] = square.argmin(axis=1)
+    found = nearest(middles, centres)
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
@@ -288,14 +275,12 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
             "there with ties of their own."
         )
     after = dict(zip(start.tolist(), end.tolist(), strict=True))
-    left, found = set(start.tolist()), []
+    found = []
     for first in start.tolist():
-        if first not in left:
-            continue
         loop, node = [], first
-        while node in left:
-            left.remove(node)
+        while node in after:
             loop.append(node)
-            node = after.get(node)
-        found.append(np.array(loop))
+            node = after.pop(node)
+        if loop:
+            found.append(np.array(loop))
     return found
