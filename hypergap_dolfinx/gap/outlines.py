@@ -22,11 +22,13 @@ NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
 STEEP = np.radians(80)
 """What a normal may be off by at most: it turns from one node to the next."""
+AWAY = 0.5
+"""Distance of outlines, in lengths of their edges, that nothing explains."""
 PAIRS = 1_000_000
 """Pairs that are looked at in one go."""
 ROUND_OFF = 1e-12
 """How negative the weight of a vertex may be at a point inside of its triangle."""
-FEET = 5
+FEET = 6
 """Steps of Newton's method to where a point lies along a triangle's normals."""
 LEVEL = 0.2
 """Cosine between such a normal and the triangle's that Newton's steps are no longer for."""
@@ -71,6 +73,7 @@ class Rim:
         bend = np.minimum(other.bend[edge] + self.bend, STEEP)
         explained += height * np.tan(bend)
         length = np.maximum(self.length, other.length[edge])
+        explained = np.minimum(explained, AWAY * length)
         apart = self.x - other.x[there.node]
         to_node = _along(apart, other.normal[there.node])[1] / length
         return edge, there.s, (distance - explained) / length, there.node, to_node
