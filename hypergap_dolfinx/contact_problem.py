@@ -176,7 +176,8 @@ class ContactProblem(ContactSystem):
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
         arrays = [array for law in laws for array in law.arrays]
-        arrays += [contact.friction.array for contact in contacts if contact.friction]
+        told = [part for one in contacts for part in (one.friction, one.compliance) if part]
+        arrays += [part.array for part in told]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 

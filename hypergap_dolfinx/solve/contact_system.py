@@ -210,7 +210,8 @@ class ContactSystem(NonlinearSystem):
         none = self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
-            now.on = active.pushing(now.p, rows.g, rows.m, rows.valid, c, now.on, none)
+            gaps = rows.clearance, rows.m, rows.valid
+            now.on = active.pushing(now.p, *gaps, rows.in_series(c), now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():

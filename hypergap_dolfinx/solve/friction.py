@@ -72,7 +72,8 @@ class FrictionRows(ContactRows):
         self.slipped = np.zeros((len(self.now.p), self._n))
 
     def set_out(self):
-        """Read the coefficient of friction. Collective."""
+        """Read the coefficient of friction too. Collective."""
+        super().set_out()
         self.mu = self._friction.at_vertices()
         self._since = self.start
 
@@ -191,7 +192,7 @@ class FrictionRows(ContactRows):
             trial = now.q - c * self.slip
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
-            bound, _ = self._bounds(now.p - c * gap)
+            bound, _ = self._bounds(now.p - self.in_series(c) * gap)
             none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
             # What is at both limits stays what it is
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
@@ -276,10 +277,11 @@ class FrictionRows(ContactRows):
                 Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
                 for other in range(across)
             ]
+        gives = self._giving(stiffness * scale)
         return self._linear(
             joined(normal, *along),
             joined(normal, forces),
-            joined(*corner),
+            joined(*corner, *([gives] if gives else [])),
             right,
             np.tile(scale, self._n),
         )
