@@ -130,7 +130,7 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._lead()
         before: list[npt.NDArray] = []
-        polished = False
+        polished, self._largest = False, 0.0
         relaxation = Relaxation(self._u[0].function_space.mesh.comm)
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
@@ -327,7 +327,8 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
-        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)))
+        self._largest = max(self._largest, np.sqrt(least))  # what bodies come back from left digits
+        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * self._largest))
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""
