@@ -239,7 +239,7 @@ class Contact:
 
     @property
     def compliance(self) -> Coefficient | None:
-        """c of surfaces that overlap by c p, if they do."""
+        """By how much surfaces overlap under a pressure of 1, if they do."""
         return self._compliance
 
     @property

@@ -183,7 +183,7 @@ class ContactInterface(Protocol):
 
     @property
     def compliance(self) -> AtVertices | None:
-        """c where surfaces overlap by c p, if they do."""
+        """By how much surfaces overlap under a pressure of 1, if they do."""
 
     @property
     def follows(self) -> bool:
