@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.errors import SolveError, spot
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values, share_ends
@@ -31,6 +31,7 @@ from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.options import Options
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
+from hypergap_dolfinx.solve.strays import Strays
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -57,6 +58,7 @@ class ContactSystem(NonlinearSystem):
         pieces: Pieces,
         touching: Sequence[Touching],
         *,
+        names: Sequence[str],
         rtol: float,
         petsc_options_prefix: str,
         petsc_options: dict | None,
@@ -70,13 +72,14 @@ class ContactSystem(NonlinearSystem):
             bcs: Dirichlet conditions of any of the bodies.
             pieces: The ties, and what they are pieces of.
             touching: The contacts.
+            names: Of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, that is none.
             petsc_options_prefix: Prefix of the KSP's options.
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
         super().__init__(F, u, bcs, pieces, **compiling)
-        self._rtol = rtol
+        self._rtol, self._names = rtol, names
         self._prefix = petsc_options_prefix
         plane = self._u[0].function_space.mesh.topology.dim == 2
         defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
@@ -101,6 +104,7 @@ class ContactSystem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
+            self._strays = Strays(self._system.spaces, self._free, self._names)
 
     def _state(self):
         """What a failed load step gives back."""
@@ -167,16 +171,18 @@ class ContactSystem(NonlinearSystem):
         """Raise if what is active only to hold a body would have to pull it."""
         none = self._no_pressure()
         for rows in self._rows:
-            p = rows.now.p[rows.now.on]
+            p = rows.now.p * rows.now.on
             if p.min(initial=0) < -max(PULLS * np.abs(p).max(initial=0), none):
+                at = spot(rows.sides[1].displaced(rows.u[1]).x[[p.argmin()]])
                 raise SolveError(
-                    "contact would have to pull: a body that nothing else holds is drawn away, or "
-                    "tilts; hold it by boundary conditions."
+                    f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
+                    "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
                 )
             if isinstance(rows, FrictionRows) and rows.holds_too_much:
                 raise SolveError(
-                    "a body that nothing else holds slides: its load is more than friction can "
-                    "hold; hold it by boundary conditions, or move it by them."
+                    f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
+                    "more than friction can hold; hold it by boundary conditions, or move it by "
+                    "them."
                 )
 
     def _no_pressure(self) -> float:
@@ -263,11 +269,29 @@ class ContactSystem(NonlinearSystem):
             num_free = hold_by_sticking(rubbing, np.vstack((holds[on], across)))
         if num_free:
             slid = ": it fell or slid away, its load may be more than friction can hold"
+            sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
+            across = np.vstack([part.reshape(-1, self._free.num) for part in (across, *sticking)])
+            who = self._strays.unheld(self._owned(), np.vstack((holds[on], across)))
             raise SolveError(
                 f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
                 f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact"
-                f"{slid if rubbing else ' without friction'}; hold them by boundary conditions."
+                f"{slid if rubbing else ' without friction'}: {who}; hold them by boundary "
+                "conditions."
             )
+
+    def _owned(self) -> list[npt.NDArray[np.float64]]:
+        """This rank's owned displacements of each body."""
+        return [owned_values(u) for u in self._u]
+
+    def _lost(self, state, error: Exception) -> str:
+        """Where a load step that failed led bodies that only contact holds. Collective.
+
+        Args:
+            state: Where it started.
+            error: Why it failed.
+        """
+        assert self._free is not None
+        return self._strays.lost(state[0], self._owned(), str(error)) if self._free.num else ""
 
     def _load(self) -> npt.NDArray[np.float64]:
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
