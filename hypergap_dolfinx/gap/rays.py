@@ -34,6 +34,8 @@ FARTHER = 8.0
 CHUNK = 256  # edges of Γ1 at a time
 REACHED = 0.999
 """Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
+KEPT = 0.9
+"""The same of degree 2, if both had them: for degree 1 it is :data:`COVERED`."""
 
 
 class Fixed(IntEnum):
@@ -237,7 +239,8 @@ def cast(
     for a, b in walls:
         f, k = np.argwhere(surface1.facets == a)[0]
         known[f, k] = np.argwhere(surface0.facets == b)[0]
-    least = np.where(last.whole, COVERED, REACHED) if last else np.full(num, REACHED)
+    kept = COVERED if surface1.element.degree == 1 else KEPT
+    least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     covered = _cover(_Rays.of(surface0, surface1, order), order, known, least)
     f = np.flatnonzero(covered.there)
     owner, whole = covered.owner[f], covered.whole[f]

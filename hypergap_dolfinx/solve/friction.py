@@ -216,6 +216,12 @@ class FrictionRows(ContactRows):
         way = np.sign(now.way[0]) * slips if self._n == 2 else slips
         return np.concatenate((now.on, self.stuck, way))
 
+    def keep(self, last: Pressed) -> npt.NDArray:
+        """Go back to what stuck and slipped too."""
+        assert isinstance(last, Rubbed)
+        self.now.sticks, self.now.way = last.sticks.copy(), last.way.copy()
+        return super().keep(last)
+
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
         rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
