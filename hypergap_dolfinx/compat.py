@@ -47,19 +47,44 @@ def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
     return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=index_map.comm)
 
 
+class Triplets:
+    """Fills a new matrix from (row, column, value) triplets, once or several times."""
+
+    def __init__(self, A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray):
+        """Make room for them. Collective.
+
+        Args:
+            A: The matrix, of which sizes and type are set.
+            i: Global rows, on any rank.
+            j: Global columns.
+        """
+        self._A = A
+        i, j = i.astype(PETSc.IntType), j.astype(PETSc.IntType)
+        self._at_once = hasattr(A, "setPreallocationCOO")
+        if self._at_once:
+            A.setPreallocationCOO(i, j)
+            return
+        A.setUp()  # petsc4py 3.22: into a hash table, which takes three times as long
+        self._order = np.argsort(i, kind="stable")
+        self._rows, start = np.unique(i[self._order], return_index=True)
+        self._indptr = np.append(start, len(i)).astype(PETSc.IntType)
+        self._columns = j[self._order]
+
+    def set(self, values: npt.NDArray):
+        """Set values, which are added up where they are at one place. Collective."""
+        if self._at_once:
+            self._A.setValuesCOO(values)
+        else:
+            if self._A.isAssembled():
+                self._A.zeroEntries()
+            add, values = PETSc.InsertMode.ADD, values[self._order]
+            self._A.setValuesIJV(self._indptr, self._columns, values, add, self._rows)
+        self._A.assemble()
+
+
 def set_triplets(A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray, values: npt.NDArray):
     """Fill a new matrix from (row, column, value) triplets, which are added up. Collective."""
-    i, j = i.astype(PETSc.IntType), j.astype(PETSc.IntType)
-    if hasattr(A, "setPreallocationCOO"):
-        A.setPreallocationCOO(i, j)
-        A.setValuesCOO(values)
-    else:  # petsc4py 3.22: into a hash table, which takes three times as long
-        A.setUp()
-        order = np.argsort(i, kind="stable")
-        rows, start = np.unique(i[order], return_index=True)
-        indptr = np.append(start, len(i)).astype(PETSc.IntType)
-        A.setValuesIJV(indptr, j[order], values[order], PETSc.InsertMode.ADD, rows)
-    A.assemble()
+    Triplets(A, i, j).set(values)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

@@ -98,15 +98,19 @@ def least(problem):
     """The smallest singular value of the rows of contacts and ties, of length 1."""
     spaces = [u.function_space for u in problem.u]
     sizes = [V.dofmap.index_map.size_global * V.dofmap.index_map_bs for V in spaces]
-    blocks = [rows._blocks(rows.C) for rows in problem._rows]
-    blocks += [
-        {i: B for i, B in enumerate(row) if B is not None} for row in problem._constraints.free
-    ]
+    starts = np.cumsum([0, *sizes])
     every = []
-    for line in blocks:
-        parts = {i: dense(B) for i, B in line.items()}
-        num = len(next(iter(parts.values())))
-        every.append(np.hstack([parts.get(i, np.zeros((num, k))) for i, k in enumerate(sizes)]))
+    for rows in problem._rows:
+        body, number = rows.unknowns
+        use = rows.now.on[rows.C.i] & (body[rows.C.j] >= 0)
+        i, j, values = rows.C.i[use], rows.C.j[use], rows.C.values[use]
+        every.append(np.zeros((len(rows.g), starts[-1])))
+        np.add.at(every[-1], (i, starts[body[j]] + number[j]), values)
+    for line in problem._constraints.free:
+        parts = [B and dense(B) for B in line]
+        num = next(len(B) for B in parts if B is not None)
+        parts = [np.zeros((num, k)) if B is None else B for k, B in zip(sizes, parts, strict=True)]
+        every.append(np.hstack(parts))
     rows = np.vstack(every)
     rows = rows[np.linalg.norm(rows, axis=1) > 0]
     rows /= np.linalg.norm(rows, axis=1)[:, None]

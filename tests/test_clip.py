@@ -17,7 +17,7 @@ from hypergap_dolfinx.gap import slab
 from hypergap_dolfinx.gap.clip import clip
 from hypergap_dolfinx.gap.cutting import Cutting
 from hypergap_dolfinx.gap.overhang import overhang
-from hypergap_dolfinx.gap.triangulation import project
+from hypergap_dolfinx.gap.projection import Triangles
 
 pytestmark = pytest.mark.serial
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
@@ -227,7 +227,8 @@ def test_narrow_triangles(width):
     piece = side("Γ0", x @ turn, t)
     t = piece.triangles
     points = np.einsum("tpv,tvi->tpi", at, piece.x[t]).reshape(-1, 3)
-    triangle, xi = project(piece.x, t, piece.behind, points, np.zeros(len(points), dtype=np.intp))
+    triangles = Triangles(piece.x, t, piece.behind)
+    triangle, xi = triangles.project(points, np.zeros(len(points), dtype=np.intp))
     weights = np.column_stack((1 - xi.sum(axis=1), xi))
     found = np.einsum("pv,pvi->pi", weights, piece.x[t[triangle]])
     np.testing.assert_allclose(found, points, rtol=0, atol=1e-15)

@@ -9,8 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, skew, two_blocks
+from helpers import close, raises, skew, two_blocks, two_rings
 
+import basix
+import meshes
+from dolfinx import fem
+from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap import fans, rays
 from hypergap_dolfinx.gap.moving import MovingSurface
 from hypergap_dolfinx.gap.plane import PlaneOpening
 from hypergap_dolfinx.gap.surface import create_surface
@@ -28,17 +34,34 @@ SCENES = (
 )
 
 
-def scene(gap=0.1, amplitude=0.02, **options):
+RARE = (  # for derivatives: Γ0 much finer; loops that are curved at first; surfaces with corners
+    {"n": (60, 3), "amplitude": 0.005},
+    {"rings": True, "k": (1, 2)},
+    {"whole": True, "k": (2, 1), "spans": ((0, 2), (0.33, 1.27))},
+)
+
+
+def scene(gap=0.1, amplitude=0.02, *, whole=False, rings=False, **options):
     """Two sides, and displacements that part them and make both surfaces rough."""
-    blocks = two_blocks(n=(5, 7), mapping=skew, **options)
-    sides = tuple(
-        MovingSurface(create_surface(*block, name))
-        for block, name in zip(blocks, ("Γ0", "Γ1"), strict=True)
-    )
+    if rings:
+        blocks = two_rings(**{"n": (10, 12), "g": 2, "angle": 2 * np.pi, **options})
+    else:
+        blocks = two_blocks(**{"n": (5, 7), "mapping": skew, **options})
+    if whole:
+        blocks = [(V, exterior_facet_indices(V.mesh.topology)) for V, _ in blocks]
+    sides = sides_of(blocks)
     rng = np.random.default_rng(1)
     u = [amplitude * rng.standard_normal((len(side.dofs), 2)) for side in sides]
     u[1] += gap * skew(np.array([[0.0, 1.0]])) - gap * skew(np.zeros((1, 2)))
     return sides, tuple(u), rng
+
+
+def sides_of(blocks):
+    """Γ0 and Γ1 of blocks."""
+    return tuple(
+        MovingSurface(create_surface(*block, name))
+        for block, name in zip(blocks, ("Γ0", "Γ1"), strict=True)
+    )
 
 
 def free(sides):
@@ -52,7 +75,7 @@ def dense(sparse, shape):
     return A
 
 
-@pytest.mark.parametrize("options", SCENES)
+@pytest.mark.parametrize("options", (*SCENES, *RARE))
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
@@ -113,6 +136,48 @@ def test_value(options):
     assert abs(m.sum() - width) <= 0.1  # ends that don't match are cut at their feet
 
 
+@pytest.mark.parametrize("n", ((10, 12), (60, 9), (9, 60)))
+def test_volume_between_loops(n):
+    """However rough they are: rays may cross each other."""
+    sides, u, _ = scene(0.0, 0.03, rings=True, n=n, k=(1, 2))
+    opening = PlaneOpening.between(sides, u, free(sides))
+    g, m, _ = opening.gap(u)
+    s, weights = basix.make_quadrature(basix.CellType.interval, 3)
+    volume = 0.0
+    for surface in (side.displaced(part) for side, part in zip(sides, u, strict=True)):
+        N, dN = surface.geometry.tabulate(1, s)[..., 0]
+        x, dx = (np.einsum("pa,fai->fpi", table, surface.nodes) for table in (N, dN))
+        volume -= 0.5 * (weights * (x[..., 0] * dx[..., 1] - x[..., 1] * dx[..., 0])).sum()
+    assert (m > 0).all()
+    close(g.sum(), volume, 1e-12)
+
+
+def test_room(monkeypatch):
+    """Where there is too little for cells and entries there is more."""
+    sides, u, _ = scene()
+    found = []
+    for room in (fans.ROOM, 0):
+        monkeypatch.setattr(fans, "ROOM", room)
+        monkeypatch.setattr(rays, "ROOM", room)
+        g, _, C = PlaneOpening.between(sides, u, free(sides)).gap(u)
+        found.append(np.concatenate((g, dense(C, (len(g), 2 * sum(map(len, u)))).ravel())))
+    close(*found, 1e-15)
+
+
+def test_corner():
+    """Opposite of a corner there is nothing between the normals of its edges."""
+    size, gap, blocks = 0.5, 0.1, []
+    turn = np.array(((1, 1), (-1, 1))) / np.sqrt(2)
+    for n, place in ((9, lambda x: 2 * x - (1, 2)), (1, lambda x: size * x @ turn + (0, gap))):
+        mesh, _ = meshes.block(comm, (n, 1), place)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        blocks.append((V, exterior_facet_indices(mesh.topology)))
+    sides = sides_of(blocks)
+    u = tuple(np.zeros((len(side.dofs), 2)) for side in sides)
+    _, m, _ = PlaneOpening.between(sides, u, free(sides)).gap(u)
+    close(m[sides[1].reference.x[:, 1].argmin()], (0.5 + np.sqrt(0.5)) * size)
+
+
 def test_cut_ends():
     """A vertex with no facet that is nearly covered has no weight; the others have its part.
 
@@ -133,6 +198,13 @@ def test_cut_ends():
         along = (cut - 0.2) * np.array((np.cos(np.radians(25)), np.sin(np.radians(25))))
         _, m, _ = opening.gap((u[0] + along, u[1]))
         assert (m[x.argmin()] > 0) == there and abs(m.sum() - 2 + cut) <= 1e-12
+
+
+def test_degree():
+    """One that is too high is told."""
+    sides, u, _ = scene(n=(1, 1), k=(1, 12))
+    with raises(InterfaceError, r"Γ1 has degree 12: contact .* up to 11"):
+        PlaneOpening.between(sides, u, free(sides))
 
 
 def test_what_is_at_both_limits_stays_in_the_set():

@@ -67,7 +67,9 @@ def slip_of(opening, sides, u, rng, positions):
     return np.array([T @ (x @ (turn - turn.T)).ravel() for turn in turns])
 
 
-@pytest.mark.parametrize("options", plane.SCENES[1:3])
+@pytest.mark.parametrize(
+    "options", (*plane.SCENES[1:3], *plane.RARE[::2], {"rings": True, "k": (2, 2)})
+)
 def test_slip(options):
     """A rotation's slip is the gap: so moments of friction balance where it is closed."""
     sides, u, rng = plane.scene(**options)

@@ -244,7 +244,7 @@ def derivatives(made):
 
 def test_cells_that_extrapolate_are_swapped(monkeypatch):
     """Such cells decide about the condition of G: hardly any are left."""
-    sides = ball(100), ball(500, seed=1)
+    sides = ball(200), ball(1000, seed=1)
     swapped = derivatives(filled(*sides))
     monkeypatch.setattr(front, "EXTRAPOLATE", 1e300)
     before = derivatives(filled(*sides))

@@ -76,3 +76,17 @@ def test_kinks_beside_each_other(middle, num):
         (common,) = clip(*whole)
         assert [one.is_whole for one in common] == [True, True]
         check_cells(fill(common))
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("swap", (False, True))
+def test_a_kink_parts_where_the_other_side_has_ended(swap):
+    x, t = ridge((0.0,), 7)
+    ends = [(x, t), (x * (1, 0.5, 1) + (0, 0.45, 0), t)]
+    (x0, t0), (x1, t1) = ends[::-1] if swap else ends
+    pair = side("Γ0", x0, t0).surface, side("Γ1", x1, t1[:, ::-1]).surface
+    groups, found, _ = pairs_of_pieces(*pair)
+    assert found == 2
+    for surface, own in zip(pair, groups, strict=True):
+        across = surface.x[surface.facets].mean(axis=1)[:, 0] > 0
+        assert len(np.unique(own[across])) == len(np.unique(own[~across])) == 1

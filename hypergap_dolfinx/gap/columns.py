@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.heights import Rays
-from hypergap_dolfinx.gap.jit import as_ints, library
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 
 
 class Blocks:
@@ -44,16 +44,16 @@ class Blocks:
             rays: The points.
             T: ∂q/∂u, ``(num_points, 7, num_dofs)``.
         """
-        bends = library().ffi.NULL if rays.bends is None else _doubles(rays.bends)
+        bends = library().ffi.NULL if rays.bends is None else as_doubles(rays.bends)
         library().lib.column_curvatures(
             len(T),
             T.shape[2],
             as_ints(pair),
-            _doubles(factor),
-            _doubles(rays.q),
+            as_doubles(factor),
+            as_doubles(rays.q),
             bends,
-            _doubles(T),
-            _doubles(self._below),
+            as_doubles(T),
+            as_doubles(self._below),
         )
 
     def add_products(self, pair, a, b):
@@ -65,9 +65,5 @@ class Blocks:
             b: Likewise.
         """
         library().lib.add_products(
-            len(a), a.shape[1], as_ints(pair), _doubles(a), _doubles(b), _doubles(self._below)
+            len(a), a.shape[1], as_ints(pair), as_doubles(a), as_doubles(b), as_doubles(self._below)
         )
-
-
-def _doubles(array: npt.NDArray[np.float64]):
-    return library().ffi.from_buffer("double[]", np.ascontiguousarray(array))

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""The weighted gap of fans in the plane, and its derivatives. NumPy alone: no MPI, no PETSc.
+r"""The weighted gap and slip of fans in the plane, and their derivatives. No MPI, no PETSc.
 
 A cell between a piece of an edge, :math:`\mathbf x(s)` from :math:`s_1` to :math:`s_2`, and an apex
 :math:`\mathbf q(r)` on the other side has the volume
@@ -11,184 +11,122 @@ A cell between a piece of an edge, :math:`\mathbf x(s)` from :math:`s_1` to :mat
 .. math:: g = \tfrac12 \int_{s_1}^{s_2} (\mathbf q - \mathbf x) \times \mathbf x' \,ds,
 
 which is a polynomial of the edge's nodes, the apex' nodes and the parameters. Those move with the
-bodies where rays cross edges; their derivatives follow from :math:`\Phi = 0` there.
+bodies where rays cross edges; their derivatives follow from :math:`\Phi = 0` there. Of what moves
+along both, :math:`\Delta\mathbf u`, the cell makes the slip
+
+.. math:: \tfrac12 \int_{s_1}^{s_2} \mathbf x'\cdot\Bigl(\Delta\mathbf u(\mathbf q)
+   - \Delta\mathbf u(s) - \tau\,\Delta\mathbf u'(s)\Bigr) ds, \qquad
+   \tau = \frac{(\mathbf q - \mathbf x)\cdot\mathbf x'}{\mathbf x'\cdot\mathbf x'},
+
+the motion of the apex along the edge's tangent against that of the edge below it. It is nothing for
+a translation, the cell's volume for a rotation, and nothing if :math:`\Delta\mathbf u` is where the
+bodies are: with :math:`\Delta\mathbf u = \mathbf x - \mathbf x_n` slip is that of material points
+that are opposite to each other now, and a rotation of closed bodies, however large, is none.
+
+It is all computed in C (``c/fans.c``, ``c/by_dofs.c``).
 """
 
-from functools import cache, cached_property
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-import basix
-from basix.finite_element import FiniteElement
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.moving import Sparse
+from hypergap_dolfinx.gap.rays import Fans
 
-TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # a × b = aᵀ TURN b
-SIGN = np.array((-1.0, 1.0))  # of a base's ends
-NEWTON = 8  # steps to where a ray meets a curved edge: round-off after 3 or 4
-
-
-def shapes(element: FiniteElement, s) -> npt.NDArray[np.float64]:
-    """Shape functions and two derivatives, ``(3, *s.shape, num_nodes)``."""
-    if not s.size:
-        return np.zeros((3, *s.shape, element.dim))
-    values = element.tabulate(2, np.ascontiguousarray(s.reshape(-1, 1)))[..., 0]
-    return values.reshape(3, *s.shape, -1)
+ROOM = 32
+"""Entries of a row for which there is room at first."""
 
 
-def cross(a, b) -> npt.NDArray[np.float64]:
-    """A × b in the plane."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+@dataclass(frozen=True)
+class Gaps:
+    """Weighted gaps, and the cells that they are made of."""
+
+    volumes: npt.NDArray[np.float64]
+    """Of cells, ``(num_cells,)``."""
+    areas: npt.NDArray[np.float64]
+    """Likewise."""
+    x: npt.NDArray[np.float64]
+    """Both ends of cells' bases and their apexes, ``(num_cells, 3, 2)``."""
+    g: npt.NDArray[np.float64]
+    """Sums of volumes, ``(num_vertices1,)``."""
+    m: npt.NDArray[np.float64]
+    """Sums of areas, likewise."""
+    C: Sparse
+    """∂g/∂u, by both sides' dofs, Γ1's behind all of Γ0's."""
 
 
-class Volumes:
-    """Volumes of cells, by their base's nodes, their apex' nodes and s₁, s₂, r, in this order."""
-
-    def __init__(self, elements: tuple[FiniteElement, FiniteElement], X, Q, s):
-        """Look up shape functions.
-
-        Args:
-            elements: Of the base's and the apex' geometry.
-            X: Nodes of the bases' edges, ``(num_cells, num_nodes, 2)``.
-            Q: Nodes of the apexes' edges, ``(num_cells, num_apex_nodes, 2)``.
-            s: s₁, s₂ and r, ``(num_cells, 3)``.
-        """
-        origin = X[:, :1]  # differences keep their digits far from the origin
-        X, Q = X - origin, Q - origin
-        points, weights = interval_rule(2 * (X.shape[1] - 1))
-        width = s[:, 1:2] - s[:, :1]
-        self._dS = width * weights
-        # At both ends of the base, then at the rule's points
-        N = shapes(elements[0], np.hstack((s[:, :2], s[:, :1] + width * points)))
-        self._N, self._x = N, np.einsum("dcpa,cai->dcpi", N, X)
-        self._M = shapes(elements[1], s[:, 2])
-        self._q = np.einsum("dca,cai->dci", self._M, Q)
-        self.chord = self._x[0, :, 1] - self._x[0, :, 0]
-        """From end to end of the base, ``(num_cells, 2)``."""
-        num, a, b = len(X), X.shape[1], Q.shape[1]
-        self._shape = num, a, b
-        self._nodes, self._apex = slice(0, 2 * a), slice(2 * a, 2 * (a + b))
-        self._s, self._r = slice(2 * (a + b), -1), -1
-
-    @property
-    def _reach(self) -> npt.NDArray[np.float64]:
-        """From the base's ends and points to the apex."""
-        return self._q[0][:, None] - self._x[0]
-
-    @cached_property
-    def value(self) -> npt.NDArray[np.float64]:
-        """``(num_cells,)``."""
-        return 0.5 * (self._dS * cross(self._reach[:, 2:], self._x[1, :, 2:])).sum(axis=1)
-
-    @cached_property
-    def first(self) -> npt.NDArray[np.float64]:
-        """Derivatives, ``(num_cells, num_variables)``."""
-        num, a, b = self._shape
-        first = np.empty((num, 2 * (a + b) + 3))
-        reach, (N, dN, _), (_, dx, _) = self._reach, self._N, self._x
-        by = np.einsum("cp,cpa,cpi->cai", self._dS, N[:, 2:], dx[:, 2:])
-        by += np.einsum("cp,cpa,cpi->cai", self._dS, dN[:, 2:], reach[:, 2:])
-        first[:, self._nodes] = (-0.5 * by @ TURN.T).reshape(num, -1)
-        by = 0.5 * self._M[0][:, :, None] * (self.chord @ TURN.T)[:, None]
-        first[:, self._apex] = by.reshape(num, -1)
-        first[:, self._s] = 0.5 * SIGN * cross(reach[:, :2], dx[:, :2])
-        first[:, self._r] = 0.5 * cross(self._q[1], self.chord)
-        return first
-
-    @cached_property
-    def second(self) -> npt.NDArray[np.float64]:
-        """Second derivatives, ``(num_cells, num_variables, num_variables)``."""
-        num, a, b = self._shape
-        nodes, apex, ends, r = self._nodes, self._apex, self._s, self._r
-        (N, dN, _), (M, dM, _), (_, dq, ddq) = self._N, self._M, self._q
-        reach, (_, dy, ddy) = self._reach[:, :2], self._x[:, :, :2]
-        E, dE = N[:, :2], dN[:, :2]
-        H = np.zeros((num, 2 * (a + b) + 3, 2 * (a + b) + 3))
-        skew = np.einsum("cp,cpa,cpb->cab", self._dS, N[:, 2:], dN[:, 2:])
-        skew = skew - skew.transpose(0, 2, 1)
-        by = np.einsum("cab,ij->caibj", -0.5 * skew, TURN)
-        H[:, nodes, nodes] = by.reshape(num, 2 * a, 2 * a) / 2  # symmetric: it is added twice
-        by = np.einsum("cm,ca,ij->cmiaj", M, E[:, 1] - E[:, 0], 0.5 * TURN)
-        H[:, apex, nodes] = by.reshape(num, 2 * b, 2 * a)
-        by = np.einsum("ci,ij,ca->caj", dq, 0.5 * TURN, E[:, 1] - E[:, 0])
-        H[:, r, nodes] = by.reshape(num, 2 * a)
-        by = np.einsum("ca,ij,cj->cai", dM, 0.5 * TURN, self.chord)
-        H[:, r, apex] = by.reshape(num, 2 * b)
-        by = E[..., None] * dy[:, :, None] + dE[..., None] * reach[:, :, None]
-        by = (-0.5 * SIGN)[:, None, None] * by @ TURN.T
-        H[:, ends, nodes] = by.reshape(num, 2, 2 * a)
-        by = np.einsum("cb,cei,e->cebi", M, dy @ TURN.T, 0.5 * SIGN)
-        H[:, ends, apex] = by.reshape(num, 2, 2 * b)
-        H[:, r, ends] = 0.5 * SIGN * cross(dq[:, None], dy)
-        H += H.transpose(0, 2, 1)
-        index = np.arange(2 * (a + b), 2 * (a + b) + 2)
-        H[:, index, index] = 0.5 * SIGN * cross(reach, ddy)
-        H[:, r, r] = 0.5 * cross(ddq, self.chord)
-        return H
+def find_gaps(fans: Fans) -> Gaps:
+    """Weighted gaps where the sides are."""
+    num, num_vertices = len(fans.cells), fans.sigma.sides[1].num_vertices
+    volumes, areas = np.empty((2, num))
+    x, (g, m) = np.empty((num, 3, 2)), np.empty((2, num_vertices))
+    pointers = [as_doubles(array) for array in (volumes, areas, x, g, m)]
+    C = _entries(fans, False, lambda C: library().lib.find_gaps(fans.sigma, *pointers, C))
+    return Gaps(volumes, areas, x, g, m, C)
 
 
-@cache
-def interval_rule(degree: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Points and weights between 0 and 1."""
-    points, weights = basix.make_quadrature(basix.CellType.interval, degree)
-    return points[:, 0], weights
+def gap_curvature(fans: Fans, p: npt.NDArray[np.float64]) -> Sparse:
+    """Σ_a p_a ∂²g_a/∂u².
+
+    Args:
+        fans: Where the sides are.
+        p: ``(num_vertices1,)``.
+    """
+    given = fans.sigma, as_doubles(p)
+
+    def add(H):
+        slopes = np.zeros(fans.sigma.num_crossings)
+        library().lib.gap_curvature(*given, as_doubles(slopes), H)
+
+    return _entries(fans, True, add)
 
 
-class Crossings:
-    """Where rays along Γ1's normals cross: Φ = (x₀(s₀) − x₁(s₁)) · (chord of Γ1's edge) = 0."""
+def find_slips(fans: Fans, moved: npt.NDArray[np.float64] | None = None) -> Sparse:
+    """T with the weighted slips s = T Δu, as C; ∂s/∂u if Δu moves with u.
 
-    def __init__(self, elements: tuple[FiniteElement, FiniteElement], X0, X1, unknown, s):
-        """Find them.
+    Args:
+        fans: Where the sides are.
+        moved: Δu by both sides' dofs, all components, if it does.
+    """
+    given = library().ffi.NULL if moved is None else as_doubles(moved)
+    return _entries(fans, False, lambda T: library().lib.find_slips(fans.sigma, given, T))
 
-        Args:
-            elements: Of both sides' geometry.
-            X0: Nodes of Γ0's edges, ``(num, num_nodes0, 2)``.
-            X1: Nodes of Γ1's edges, ``(num, num_nodes1, 2)``.
-            unknown: Side of the parameter that is looked for, ``(num,)``.
-            s: Parameters on both sides, and where to start, ``(num, 2)``.
-        """
-        a, b = X0.shape[1], X1.shape[1]
-        origin, s, each = X1[:, :1], s.copy(), np.arange(len(X0))
-        X0, X1 = X0 - origin, X1 - origin
-        c = X1[:, 1] - X1[:, 0]  # the vertices come first
-        on0 = unknown == 0
-        for _ in range(NEWTON):
-            N, M = shapes(elements[0], s[:, 0]), shapes(elements[1], s[:, 1])
-            x0, x1 = np.einsum("dca,cai->dci", N, X0), np.einsum("dca,cai->dci", M, X1)
-            moves = np.where(on0[:, None], x0[1], -x1[1])
-            phi, slope = (((x0[0] - x1[0]) * c).sum(axis=1), (moves * c).sum(axis=1))
-            step = phi / slope
-            s[each, unknown] -= step
-            if (np.abs(step) < 1e-15).all() or (a == 2 and b == 2 and _):
-                break
-        self.value: npt.NDArray[np.float64] = s[each, unknown]
-        """The parameters that were looked for, ``(num,)``."""
-        chord = np.zeros(b)
-        chord[:2] = -1, 1
-        by = np.empty((len(X0), a + b, 2))
-        by[:, :a] = N[0][..., None] * c[:, None]
-        by[:, a:] = -M[0][..., None] * c[:, None] + chord[:, None] * (x0[0] - x1[0])[:, None]
-        self.first: npt.NDArray[np.float64] = by.reshape(len(X0), -1) / -slope[:, None]
-        """Derivatives by X0 and X1, ``(num, num_variables)``."""
-        self._at = on0, N, M, chord, c, moves, slope, np.where(on0[:, None], x0[2], -x1[2])
 
-    @cached_property
-    def second(self) -> npt.NDArray[np.float64]:
-        """Second derivatives, ``(num, num_variables, num_variables)``."""
-        on0, N, M, chord, c, moves, slope, bends = self._at
-        t, (num, a), b = self.first, N[0].shape, len(chord)
-        H = np.zeros((num, a + b, 2, a + b, 2))
-        across = N[0][:, :, None] * chord
-        own = M[0][:, :, None] * chord
-        for i in (0, 1):
-            H[:, :a, i, a:, i] = across
-            H[:, a:, i, :a, i] = across.transpose(0, 2, 1)
-            H[:, a:, i, a:, i] = -own - own.transpose(0, 2, 1)
-        H = H.reshape(num, 2 * (a + b), 2 * (a + b))
-        mixed = np.zeros((num, a + b, 2))
-        mixed[:, :a] = (on0[:, None] * N[1])[..., None] * c[:, None]
-        mixed[:, a:] = -(~on0[:, None] * M[1])[..., None] * c[:, None]
-        mixed[:, a:] += chord[:, None] * moves[:, None]
-        twice = mixed.reshape(num, -1)[:, :, None] * t[:, None]
-        H += twice + twice.transpose(0, 2, 1)
-        H += (bends * c).sum(axis=1)[:, None, None] * t[:, :, None] * t[:, None]
-        return H / -slope[:, None, None]
+def slip_curvature(fans: Fans, q: npt.NDArray[np.float64]) -> Sparse:
+    """Σ_a ∂(q_a T_a)/∂u; it isn't symmetric.
+
+    Args:
+        fans: Where the sides are.
+        q: ``(num_vertices1,)``.
+    """
+    given = fans.sigma, as_doubles(q)
+    return _entries(fans, True, lambda H: library().lib.slip_curvature(*given, H))
+
+
+def _entries(fans: Fans, square: bool, add: Callable) -> Sparse:
+    """A matrix to which C adds entries.
+
+    Args:
+        fans: Where the sides are.
+        square: Whether rows are those of dofs instead of Γ1's vertices.
+        add: Adds them.
+    """
+    ffi, sides = library().ffi, fans.sigma.sides
+    num_rows = sides[1].num_vertices
+    if square:
+        num_rows = 2 * sum(side.num_edges * side.num_dofs for side in sides)
+    room = ROOM * num_rows
+    while True:
+        ints = np.empty((3, room), np.int32)
+        values, first = np.empty(room), np.full(num_rows, -1, np.int32)
+        rows, columns, following = (as_ints(part) for part in ints)
+        fields = {"max": room, "rows": rows, "columns": columns, "values": as_doubles(values)}
+        entries = ffi.new("Entries *", {**fields, "next": following, "first": as_ints(first)})
+        add(entries)
+        if entries.num <= room:
+            i, j, _ = ints[:, : entries.num].astype(np.int64)
+            return Sparse(i, j, values[: entries.num])
+        room = entries.num

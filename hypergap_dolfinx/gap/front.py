@@ -211,13 +211,15 @@ def advance(
     vertices[:, 3:6] = y[order]
     vertices[:, :6] /= problem.size
     vertices[:, 6:9] = sign * problem.normals[order]
-    turn = [1, 0, 2] if reverse else [0, 1, 2]
-    start, end = (number[f[:, turn]] for f in problem.facets[::sign])
-    start = start[np.argsort(start.min(axis=1), kind="stable")]
+    turned = slice(None) if not reverse else [1, 0, 2]
+    start, end = (number[f][:, turned] for f in problem.facets[::sign])
+    lowest = np.minimum(np.minimum(start[:, 0], start[:, 1]), start[:, 2])
+    start = start[np.argsort(lowest, kind="stable")]
     if weighted:
-        inner = problem.edges[:, 3] >= 0
-        edges = np.where(problem.edges < 0, -1, number[problem.edges])
-        edges[inner] = edges[inner][:, [*turn[:2], 2, 3]]
+        edges = np.append(number, np.int32(-1))[problem.edges]  # −1 stays −1
+        if reverse:
+            inner = edges[:, 3] >= 0
+            edges[inner, :2] = edges[inner, 1::-1]
         edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
         visits = max(VISITS, VISITS_EACH * len(edges))
         lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), SWEEPS, visits)
@@ -241,7 +243,8 @@ def advance(
         swaps = ((1 - 1e-9) / EXTRAPOLATE, len(front), room, pointer(cells))
         along = vertices[:, :3] @ GENERIC
         rank = np.empty(n, dtype=np.int32)
-        rank[np.lexsort((along, np.arange(n) >= sides[0]))] = np.arange(n, dtype=np.int32)
+        for part in (slice(0, sides[0]), slice(sides[0], n)):
+            rank[part][np.argsort(along[part])] = np.arange(n, dtype=np.int32)[part]
         num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
         made, status = cells[:num], status if num > 0 else 2
         wrong = _check(sides[0], vertices, made, outer)

@@ -21,10 +21,17 @@ import numpy.typing as npt
 from dolfinx.jit import get_options
 
 NAMES = (
-    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c program.c columns.c".split()
-)
-SOURCES = [Path(__file__).parent / "c" / name for name in NAMES]
+    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c "
+    "program.c columns.c project.c plane.h rays.c fans.c by_dofs.c"
+).split()
+FOLDER = Path(__file__).parent / "c"
 DECLARATIONS = """
+typedef struct {
+  int num_terms, num_bends;
+  const int *powers;
+  const double *nodes, *corners, *bends, *normals;
+  int steps, further;
+} Curves;
 int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
                int num_end, const int *end, int max_cells, int *cells, int *left, int *counts);
 int front_weights(int n, double *vertices, int num, const int *edges, int sweeps, double visits);
@@ -34,19 +41,36 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
                int num, int max, int *cells);
 int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
                 int *found);
-int find_bases(int n, const int *on, int num_facets, const int *facets, int num_cells,
-               const int *cells, int *bases);
+int find_bases(int n0, int n1, int num0, const int *facets0, int num1, const int *facets1,
+               int num_cells, const int *cells, int *bases);
+void facets_beside(int first, int last, const int *seeds, int num, const int *cells, int *beside);
+void cell_normals(int num, const int *cells, const double *at_vertices, const int *bases,
+                  const double *normals0, const double *normals1, double *normals);
+void vertex_hosts(int num, const int64_t *which, const int *cells, int points, int num_local,
+                  const int *local, const int *at, const int *on, const double *X,
+                  const int *beside, int64_t *facets, double *places);
 int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
 int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                  int *faces, int *counts);
+int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
+               const double *normals, double limit, double noise, double corner,
+               double stands_out, int *kinks);
+int find_neighbours(int n, int num, int size, const int *facets, int *behind);
+int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
+int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
+                 double *s);
 int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
                    double *z);
+void project(int num, const double *points, const double *x, const int *triangles,
+             const int *behind, const Curves *curves, int *facet, double *X);
+void project_on_curved(int num, const double *points, const double *x, const int *triangles,
+                       const Curves *curves, const int *facet, double *X);
 void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
                        const double *bends, const double *T, double *blocks);
 void add_products(int num, int n, const int *block, const double *a, const double *b,
                   double *blocks);
 """
-FLAGS = ["-O2", "-g0"]
+FLAGS = ["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @cache
@@ -59,15 +83,16 @@ def library():
     Raises:
         RuntimeError: There is no C compiler that works.
     """
-    source = "".join(path.read_text() for path in SOURCES)
+    source = "".join((FOLDER / name).read_text() for name in NAMES)
+    declarations = DECLARATIONS + (FOLDER / "plane.h").read_text()
     version = f"{cffi.__version__} {sys.version} {FLAGS}"
-    digest = hashlib.sha256("\n".join((source, DECLARATIONS, version)).encode()).hexdigest()
+    digest = hashlib.sha256("\n".join((source, declarations, version)).encode()).hexdigest()
     name = f"hypergap_front_{digest[:16]}"
     folder = Path(get_options()["cache_dir"])
     path = folder / (name + importlib.machinery.EXTENSION_SUFFIXES[0])
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        _compile(name, source, path)
+        _compile(name, source, declarations, path)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -81,15 +106,21 @@ def as_ints(array: npt.NDArray):
     return library().ffi.from_buffer("int[]", array)
 
 
-def _compile(name: str, source: str, path: Path):
+def as_doubles(array: npt.NDArray):
+    """An array as C's ``double *``, likewise."""
+    return library().ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
+
+
+def _compile(name: str, source: str, declarations: str, path: Path):
     builder = cffi.FFI()
     builder.set_source(name, source, extra_compile_args=FLAGS)
-    builder.cdef(DECLARATIONS)
+    builder.cdef(declarations)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=name) as folder:
         try:
             built = builder.compile(tmpdir=folder)
         except Exception as error:  # setuptools' errors have no class in common
             raise RuntimeError(
-                f"3D interfaces need a C compiler, as DOLFINx does, and it failed: {error}"
+                "3D interfaces and contact need a C compiler, as DOLFINx does, and it failed: "
+                f"{error}"
             ) from error
         os.replace(built, path)

@@ -82,8 +82,10 @@ class Workshop:
         mesh = filling.mesh
 
         def upright(cells):  # so are their vertices' simplices: else no straight edges help
-            made = filling.with_cells(cells)
-            return np.where(made.mesh.flat(), -np.inf, margins(made))
+            flat = filling.with_cells(cells).mesh.flat()
+            values = np.full(len(cells), -np.inf)
+            values[~flat] = margins(filling.with_cells(cells[~flat]))
+            return values
 
         cells = swaps.improve(mesh.cells, mesh.alpha, upright)
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)

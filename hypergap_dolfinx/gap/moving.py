@@ -43,7 +43,7 @@ class MovingSurface:
         return dofs
 
     @cached_property
-    def _rest(self) -> Surface:
+    def rest(self) -> Surface:
         """The reference with geometry nodes that can follow any displacement."""
         surface = self.reference
         if surface.element.degree < surface.geometry.degree:
@@ -56,7 +56,7 @@ class MovingSurface:
     @cached_property
     def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
         """Derivatives of a displaced facet's geometry nodes by its dofs, ``(node, dof)``."""
-        return tabulate(self._rest.element, self._rest.geometry.points)
+        return tabulate(self.rest.element, self.rest.geometry.points)
 
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface where a displacement takes it.
@@ -64,7 +64,7 @@ class MovingSurface:
         Args:
             u: Displacement at :attr:`dofs`, ``(num_dofs, n)``.
         """
-        rest = self._rest
+        rest = self.rest
         nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
         x = np.empty_like(rest.x)
         at = [nodes_of[0] for nodes_of in rest.geometry.entity_dofs[0]]

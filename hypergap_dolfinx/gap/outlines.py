@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.gap.nearest import on_loop
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.search import FACING
 
@@ -58,25 +59,17 @@ class Rim:
             The nearest edge and the parameter on it, from 0 to 1; how far off it is; the nearest
             node and how far off that is; all ``(num_nodes,)``, distances in lengths of edges.
         """
-        found = []
-        for c in range(0, len(self.x), 256):
-            part = slice(c, c + 256)
-            y = self.x[part, None]
-            s = np.einsum("pei,ei->pe", y - other.x, other.t) / other.length**2
-            s = np.clip(s, 0, 1)
-            apart = y - (other.x + s[..., None] * other.t)
-            edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-            each = np.arange(len(apart))
-            height, distance = _along(apart[each, edge], other.normal[edge])
-            # A gap is fine; a facet's normal knows its direction as well as facets bend
-            explained = 2 * np.maximum(self.sag[part], other.sag[edge])
-            bend = np.minimum(other.bend[edge] + self.bend[part], STEEP)
-            explained += height * np.tan(bend)
-            length = np.maximum(self.length[part], other.length[edge])
-            near = np.linalg.norm(y - other.x, axis=2).argmin(axis=1)
-            to_node = _along(self.x[part] - other.x[near], other.normal[near])[1] / length
-            found.append((edge, s[each, edge], (distance - explained) / length, near, to_node))
-        return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+        there = on_loop(self.x, other.x)
+        edge = there.edge
+        height, distance = _along(there.apart, other.normal[edge])
+        # A gap is fine; a facet's normal knows its direction as well as facets bend
+        explained = 2 * np.maximum(self.sag, other.sag[edge])
+        bend = np.minimum(other.bend[edge] + self.bend, STEEP)
+        explained += height * np.tan(bend)
+        length = np.maximum(self.length, other.length[edge])
+        apart = self.x - other.x[there.node]
+        to_node = _along(apart, other.normal[there.node])[1] / length
+        return edge, there.s, (distance - explained) / length, there.node, to_node
 
     def is_on(self, other: "Rim") -> bool:
         """Whether its nodes lie on another one's edges, as far as straight edges can tell.

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 from hypergap_dolfinx.gap.outlines import NEARLY, OFF, Rim
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.surface import Surface
@@ -102,11 +103,12 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
 
 def _faces(surface: Surface, behind) -> npt.NDArray[np.int32]:
     """The face between corners that each facet is on."""
-    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
-    cosine = np.einsum("ei,ei->e", surface.normals[f], surface.normals[behind[f, k]])
-    sharp = cosine < np.cos(CORNER)
-    if not sharp.any():
+    data = *behind.shape, as_ints(behind), as_doubles(surface.normals), np.cos(CORNER)
+    if not library().lib.has_corner(*data):
         return np.zeros(len(behind), dtype=np.int32)
+    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    sharp = np.einsum("ei,ei->e", surface.normals[f], surface.normals[behind[f, k]])
+    sharp = sharp < np.cos(CORNER)
     corners = np.zeros(behind.shape, dtype=bool)
     corners[kinks(surface, behind)] = True
     joined = ~(sharp & corners[f, k])

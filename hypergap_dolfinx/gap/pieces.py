@@ -18,10 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.gap.projection import Curves, Triangles
 from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.gap.search import Tree
 from hypergap_dolfinx.gap.surface import Surface, lengths, unit_normals
-from hypergap_dolfinx.gap.triangulation import along_normals, loops, neighbours, project
+from hypergap_dolfinx.gap.triangulation import loops, neighbours
 
 Geometry = Callable[
     [npt.NDArray[np.float64]], tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -71,10 +72,12 @@ class Side:
         if corners.shape[1] == 3:
             X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
             side = cls(surface, x, corners, facets, X)
+            known = {"is_whole": True, "normals": surface.normals[facets]}
             if behind is not None:
                 own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
                 own[facets] = np.arange(len(facets))
-                side.__dict__["behind"] = own[behind[facets]]  # as its property would find them
+                known["behind"] = own[behind[facets]]
+            side.__dict__.update(known)  # as its properties would find them
             return side
         places, pieces = HALVES if halves else QUARTERS
         if not halves:
@@ -157,8 +160,21 @@ class Side:
         """Its triangles, to be searched."""
         return Tree(self.x[self.triangles], self.normals)
 
+    @cached_property
+    def _walks(self) -> Triangles:
+        return Triangles(self.x, self.triangles, self.behind)
+
+    @cached_property
+    def _curves(self) -> Curves:
+        nodes = self.surface.nodes[self.facets]
+        return Curves(self.surface.geometry, nodes, self.X, self.bends, self.vertex_normals)
+
     def loops(self) -> list[npt.NDArray[np.intp]]:
         """Boundary loops."""
+        return list(self._loops)
+
+    @cached_property
+    def _loops(self) -> list[npt.NDArray[np.intp]]:
         return loops(self.triangles, self.behind, self.surface.name, self.x)
 
     def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
@@ -168,17 +184,14 @@ class Side:
             points: ``(num_points, 3)``.
             seed: Triangle where the search starts, ``(num_points,)``.
         """
-        curved = self.surface.curved[self.facets].any()
-        refine = self.on_curved if curved else None
-        triangle, xi = project(self.x, self.triangles, self.behind, points, seed, refine)
+        curves = self._curves if self.surface.curved[self.facets].any() else None
+        triangle, xi = self._walks.project(points, seed, curves)
         out = np.flatnonzero(np.minimum(xi.min(axis=1), 1 - xi.sum(axis=1)) < -OUTSIDE)
         if len(out):  # the way may have ended where the outline has a notch
             below = self._below(points[out], triangle[out], xi[out])
             other = below != triangle[out]
             out, below = out[other], below[other]
-            triangle[out], xi[out] = project(
-                self.x, self.triangles, self.behind, points[out], below, refine
-            )
+            triangle[out], xi[out] = self._walks.project(points[out], below, curves)
         return triangle, xi
 
     def _below(self, points, triangle, xi) -> npt.NDArray[np.intp]:
@@ -199,8 +212,7 @@ class Side:
 
     def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
         """Where points project on the curved facets, not to jump from one to the next."""
-        normals = self.vertex_normals[self.triangles[triangle]]
-        return along_normals(self.geometry(triangle), normals, points, xi)
+        return self._walks.on_curved(triangle, points, xi, self._curves)
 
     def geometry(self, triangle: npt.NDArray[np.integer]) -> Geometry:
         """Places on the (curved) surface and their derivatives, of points of some triangles.

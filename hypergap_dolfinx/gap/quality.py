@@ -72,7 +72,9 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
         return None
     sags = []
     for surface in surfaces:
-        sag = np.linalg.norm(surface.nodes - surface.straight_nodes, axis=2).max(axis=1)
+        # Along the normals: a plane with a curved outline stays one
+        bend = surface.nodes - surface.straight_nodes
+        sag = np.abs(np.einsum("fmi,fi->fm", bend, surface.normals)).max(axis=1)
         sags.append(np.where(surface.curved, sag, 0))
     curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
     if all(curved) or not any(curved):

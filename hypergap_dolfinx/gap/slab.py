@@ -126,34 +126,38 @@ class _Margins:
         self.sides, self.points = sides, points
         self._num_vertices = sum(len(side.x) for side in sides)
         self._number: dict[bytes, int] = {}
-        self._num_cells = 0
         self._hosts: list[Hosts] = []
-        self._nodes = [np.empty((0, len(points), 3))]
-        self._lots: list[list] = []  # interior vertices of one lot have other numbers in the next
+        self._nodes = np.empty((0, len(points), 3))
+        self._values = np.empty(0)
+        self._inner: dict[int, tuple[int, tuple]] = {}  # interior vertices, by their hosts
 
     def __call__(self, filling: Filling) -> npt.NDArray[np.float64]:
         at = self._find(filling)
-        return curved_margins(_slab(self.sides, filling), np.concatenate(self._nodes)[at])
+        values = self._values[at]
+        moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
+        if len(moved):
+            slab = _slab(self.sides, filling.with_cells(filling.cells[moved]))
+            values[moved] = curved_margins(slab, self._nodes[at[moved]])
+        return values
 
     def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
         """The numbers of cells, which are those of their nodes and of these nodes' hosts."""
-        lots = [*self._lots, filling.hosts]
-        lot = next(i for i, hosts in enumerate(lots) if hosts is filling.hosts)
-        self._lots = lots if lot == len(self._lots) else self._lots
+        # Interior vertices have other numbers in another filling
+        lot = [self._inner.setdefault(id(h), (len(self._inner), h))[0] for h in filling.hosts]
+        number = np.append(np.arange(self._num_vertices), self._num_vertices + np.array(lot, int))
         cells = filling.cells
-        inner = (cells >= self._num_vertices).any(axis=1)
-        kind = 1024 * np.where(inner, lot + 1, 0) + kinds(cells, filling.walls)
-        data = np.column_stack((cells, kind)).astype(np.int64).tobytes()
+        each = np.column_stack((number[cells], kinds(cells, filling.walls)))
+        data = each.astype(np.int64).tobytes()
         keys = [data[i : i + 40] for i in range(0, len(data), 40)]
         at = np.array([self._number.get(key, -1) for key in keys], dtype=np.intp)
         new = np.flatnonzero(at < 0)
         if len(new):
             slab = _slab(self.sides, replace(filling.with_cells(cells[new]), straight=NONE))
             self._hosts.append(slab.hosts(self.points, np.arange(len(new))))
-            surfaces = [side.surface for side in self.sides]
-            self._nodes.append(interpolate_geometry(surfaces, self._hosts[-1]))
-            at[new] = self._num_cells + np.arange(len(new))
-            self._num_cells += len(new)  # a cell may be among them twice
+            nodes = interpolate_geometry([side.surface for side in self.sides], self._hosts[-1])
+            at[new] = len(self._nodes) + np.arange(len(new))  # a cell may be among them twice
+            self._nodes = np.concatenate((self._nodes, nodes))
+            self._values = np.concatenate((self._values, curved_margins(slab, nodes)))
             self._number.update((keys[i], at[i]) for i in new)
         return at
 
@@ -162,7 +166,7 @@ class _Margins:
         if self._hosts:
             each = self._find(filling)
             moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
-            each[moved] = self._num_cells + np.arange(len(moved))  # nodes of straight edges
+            each[moved] = len(self._nodes) + np.arange(len(moved))  # nodes of straight edges
             found = [*self._hosts, slab.hosts(self.points, moved)]
             slab.known[key_of(self.points)] = Hosts.concatenate(found)[each]
 

@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.cells import Hosts
-from hypergap_dolfinx.gap.jit import as_ints, library
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 from hypergap_dolfinx.gap.metric import find
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.rim import NO_WALLS, Outline, in_walls
 from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
-CHUNK = 8192  # cells at a time: what fits in a cache
 
 
 @dataclass(frozen=True)
@@ -73,36 +72,36 @@ class Slab:
         return found[0], found[1]
 
     @cached_property
-    def bases(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """The facet of each side that is a face of the cell, −1 where there is none."""
-        bases = np.empty((2, len(self.cells)), dtype=np.int32)
-        for i, side in enumerate(self.sides):
-            facets = side.triangles + self.offsets[i]
-            status = library().lib.find_bases(
-                len(self.alpha),
-                as_ints(self.alpha == i),
-                len(facets),
-                as_ints(facets),
-                len(self.cells),
-                as_ints(self.cells),
-                as_ints(bases[i]),
-            )
-            if status:
-                raise MemoryError("no memory for the cells of the gap domain")
-        return bases[0], bases[1]
+    def _cells(self) -> npt.NDArray[np.int32]:
+        """The cells as C has them."""
+        return np.ascontiguousarray(self.cells, dtype=np.int32)
 
     @cached_property
-    def beside(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """A facet of each side at each cell: at a vertex on it, else at an interior one."""
-        found = []
-        for i, seeds in enumerate(self.seeds):
-            beside = np.full(len(self.cells), -1)
-            for own in (np.where(self.alpha == i, seeds, -1), seeds):
-                for k in range(4):
-                    left = np.flatnonzero(beside < 0)
-                    beside[left] = own[self.cells[left, k]]
-            found.append(beside)
-        return found[0], found[1]
+    def bases(self) -> npt.NDArray[np.int32]:
+        """The facet of each side that is a face of the cell, −1 where there is none.
+
+        ``(2, num_cells)``."""
+        bases = np.empty((2, len(self.cells)), dtype=np.int32)
+        sides = [(len(side.triangles), as_ints(side.triangles)) for side in self.sides]
+        num = [len(side.x) for side in self.sides]
+        data = *num, *sides[0], *sides[1], len(self.cells), as_ints(self._cells), as_ints(bases)
+        if library().lib.find_bases(*data):
+            raise MemoryError("no memory for the cells of the gap domain")
+        return bases
+
+    @cached_property
+    def beside(self) -> npt.NDArray[np.int32]:
+        """A facet of each side at each cell: at a vertex on it, else at an interior one.
+
+        ``(2, num_cells)``."""
+        beside = np.empty((2, len(self.cells)), dtype=np.int32)
+        cells = len(self.cells), as_ints(self._cells)
+        for start, side, seeds, own in zip(
+            self.offsets, self.sides, self.seeds, beside, strict=True
+        ):
+            ends = start, start + len(side.x)
+            library().lib.facets_beside(*ends, as_ints(seeds), *cells, as_ints(own))
+        return beside
 
     @cached_property
     def vertex_normals(self) -> npt.NDArray[np.float64]:
@@ -118,13 +117,16 @@ class Slab:
     @cached_property
     def normal(self) -> npt.NDArray[np.float64]:
         """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.take(self.vertex_normals, self.cells[:, 0], axis=0)
-        for k in range(1, 4):
-            normal += np.take(self.vertex_normals, self.cells[:, k], axis=0)
-        for i, side in enumerate(self.sides):
-            base = np.flatnonzero(self.bases[i] >= 0)
-            normal[base] = (1 - 2 * i) * side.normals[self.bases[i][base]]
-        return normal / lengths(normal)[:, None]
+        normal = np.empty((len(self.cells), 3))
+        library().lib.cell_normals(
+            len(self.cells),
+            as_ints(self._cells),
+            as_doubles(self.vertex_normals),
+            as_ints(self.bases),
+            *(as_doubles(side.normals) for side in self.sides),
+            as_doubles(normal),
+        )
+        return normal
 
     @property
     def rank(self) -> npt.NDArray[np.int32]:
@@ -198,17 +200,22 @@ class Slab:
             some: Which points, ``(num_points,)``.
             found: The hosts of all points.
         """
-        own = slice(None) if some.all() else some
-        for start in range(0, len(cells), CHUNK):
-            part = slice(start, start + CHUNK)
-            vertices = self.cells[cells[part]][:, local[some]]
-            found.alpha[part, own] = self.alpha[vertices]
-            for i, side in enumerate(self.sides):
-                facets = self._vertices.facets[i][vertices]
-                other = np.nonzero(facets < 0)
-                facets[other] = side.facets[self.beside[i][cells[part]][other[0]]]
-                found.facets[i][part, own] = facets
-                found.X[i][part, own] = self._vertices.X[i].take(vertices, axis=0)
+        module = library()
+        at, cells = np.flatnonzero(some), np.ascontiguousarray(cells, dtype=np.int64)
+        found.alpha[:, some] = self.alpha[self.cells[cells][:, local[some]]]
+        points = some.size, at.size, as_ints(local[some]), as_ints(at)
+        for i, side in enumerate(self.sides):
+            module.lib.vertex_hosts(
+                len(cells),
+                module.ffi.from_buffer("int64_t[]", cells),
+                as_ints(self._cells),
+                *points,
+                as_ints(self._vertices.facets[i]),
+                as_doubles(self._vertices.X[i]),
+                as_ints(side.facets[self.beside[i]]),
+                module.ffi.from_buffer("int64_t[]", found.facets[i]),
+                as_doubles(found.X[i]),
+            )
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.

@@ -103,6 +103,8 @@ class Surface:
 
         A quadrilateral with nothing but vertices isn't curved, though it may be warped.
         """
+        if self.straight_nodes is self.nodes:
+            return np.zeros(len(self.facets), dtype=bool)
         return self._is_off(np.abs(self.nodes - self.straight_nodes).max(axis=(1, 2)))
 
     @cached_property

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Surfaces in three dimensions: neighbours, kinks, smooth pieces, and where points project."""
+"""Surfaces in three dimensions: neighbours, kinks and smooth pieces."""
 
 from itertools import pairwise
 
@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.nearest import nearest
 from hypergap_dolfinx.gap.surface import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 from hypergap_dolfinx.graph import components
 
@@ -21,8 +23,6 @@ CORNER = np.radians(
     80
 )  # a turn that is a corner whatever is beside it: five facets round a tube aren't
 CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
-FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
-NEWTON = 6  # steps to where a line along a surface's normals meets it
 
 
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -41,28 +41,28 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     Raises:
         InterfaceError: More than two facets meet in an edge, or two that are turned over.
     """
+    behind = np.empty(facets.shape, dtype=np.int32)
+    status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
+    if status == 0:
+        return behind.astype(np.intp)
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
     order = np.argsort(key)
     key = key[order]
-    same = key[1:] // 2 == key[:-1] // 2  # as the next one
     twice = np.flatnonzero(key[1:] == key[:-1])
-    if len(twice):
-        at = order[twice[0]]
-        place = spot(x[[a[at], b[at]]])
-        if (key // 2 == key[twice[0]] // 2).sum() == 2:
-            raise InterfaceError(
-                f"{name} is folded at {place}: the two facets at an edge there have their bodies "
-                "on opposite sides; are cells turned over?"
-            )
+    if not len(twice):
+        raise MemoryError("no memory for a surface's edges")
+    at = order[twice[0]]
+    place = spot(x[[a[at], b[at]]])
+    if (key // 2 == key[twice[0]] // 2).sum() == 2:
         raise InterfaceError(
-            f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
-            "for each branch)."
+            f"{name} is folded at {place}: the two facets at an edge there have their bodies "
+            "on opposite sides; are cells turned over?"
         )
-    behind = np.full(len(a), -1)
-    one, two = order[:-1][same], order[1:][same]
-    behind[one], behind[two] = two // facets.shape[1], one // facets.shape[1]
-    return behind.reshape(facets.shape)
+    raise InterfaceError(
+        f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
+        "for each branch)."
+    )
 
 
 def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -85,43 +85,36 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     Returns:
         Facet and local number of each such edge (one of its two facets).
     """
-    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    kink = np.empty(behind.shape, dtype=np.int32)
+    status = library().lib.find_kinks(
+        len(surface.x),
+        as_doubles(surface.x),
+        *behind.shape,
+        as_ints(surface.polygons),
+        as_ints(behind),
+        as_doubles(surface.normals),
+        TURN,
+        NOISE * np.abs(surface.x).max(),
+        CORNER,
+        STANDS_OUT,
+        as_ints(kink),
+    )
+    if status:
+        raise MemoryError("no memory for a surface's corners")
+    f, k = np.nonzero(kink)
     g = behind[f, k]
-    n0, n1 = surface.normals[f], surface.normals[g]
-    turn = np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
-    noise = NOISE * np.abs(surface.x).max() / surface.size.min()
-    limit = TURN + noise
-    if turn.max(initial=0) <= limit:  # it is a plane
-        return f[:0], k[:0]
-    a, b = edge_ends(surface, f, k)
-    # A vertex opposite in each facet, and the edges there that don't touch this one
-    m = np.argmax(behind[g] == f[:, None], axis=1)
-    opposite = np.column_stack([edge_ends(surface, *edge)[1] for edge in ((f, k + 1), (g, m + 1))])
-    t = surface.x[b] - surface.x[a]
-    t /= lengths(t)[:, None]
-    ends = np.concatenate((a, b))
-    order = np.argsort(ends, kind="stable")
-    offsets = np.searchsorted(ends[order], np.arange(len(surface.x) + 1))
-    beside = np.zeros(len(turn))
-    for side, few in ((0, True), (1, True), (0, False), (1, False)):
-        # On a smooth surface few edges are candidates any more after a look at the first ones
-        candidate = np.flatnonzero((turn > limit) & (turn <= CORNER) & (turn > STANDS_OUT * beside))
-        p = opposite[candidate, side]
-        count = offsets[p + 1] - offsets[p]
-        count = np.minimum(count, 2) if few else count
-        e = np.repeat(candidate, count)
-        start = np.repeat(offsets[p] - np.cumsum(count) + count, count)
-        other = order[start + np.arange(len(e))] % len(a)
-        apart = (a[other] != a[e]) & (a[other] != b[e]) & (b[other] != a[e]) & (b[other] != b[e])
-        e, other = e[apart], other[apart]
-        parallel = np.abs(np.einsum("ei,ei->e", t[e], t[other]))
-        np.maximum.at(beside, e, turn[other] * parallel)
-    kink = (turn > CORNER) | (turn > np.maximum(STANDS_OUT * beside, limit))
-    bent = np.flatnonzero(kink & (surface.curved[f] | surface.curved[g]))
-    here, there = (_normals_at_edges(surface, *e) for e in ((f[bent], k[bent]), (g[bent], m[bent])))
-    angle = np.arctan2(lengths(np.cross(here, there)), np.einsum("ei,ei->e", here, there))
-    kink[bent] = angle > CURVES * turn[bent]
-    return f[kink], k[kink]
+    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
+    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
+    turn = _angles(surface.normals[edges[0]], surface.normals[beyond[0]])
+    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
+    keep = np.ones(len(f), dtype=bool)
+    keep[bent] = left > CURVES * turn
+    return f[keep], k[keep]
+
+
+def _angles(n0, n1) -> npt.NDArray[np.float64]:
+    """Between normals, ``(num,)``."""
+    return np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
 
 
 def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
@@ -135,9 +128,13 @@ def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
-    """Which edges of a surface run along edges of the other one."""
+    """Which edges of a surface are on lines that run along edges of the other one.
+
+    Such a line parts what is beside it where the other surface has ended, too.
+    """
     (f, k), (g, m) = edges, other_edges
-    a, b = (surface.x[end] for end in edge_ends(surface, f, k))
+    first, last = edge_ends(surface, f, k)
+    a, b = surface.x[first], surface.x[last]
     start, end = (other.x[end] for end in edge_ends(other, g, m))
     t = end - start
     length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
@@ -150,7 +147,8 @@ def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArr
         distance = np.linalg.norm(start + s[..., None] * t - middle, axis=2)
         reach = 0.25 * np.maximum(length[part, None], np.sqrt(square))
         near[part] = (distance < reach).any(axis=1)
-    return near
+    line = components(len(surface.x), first, last)[first]
+    return np.isin(line, line[near])
 
 
 def facing_pieces(surfaces: tuple[Surface, Surface], behind):
@@ -215,15 +213,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
     ]
     samples = np.concatenate(picks)
     centres, middles = _centres(other), _centres(surface, samples)
-    found = np.empty(len(samples), dtype=np.intp)
-    origin = centres.mean(axis=0)
-    centre = (centres - origin).T.copy()
-    own = (centre**2).sum(axis=0)
-    chunk = max(1, 50_000 // len(centres))
-    for c in range(0, len(samples), chunk):
-        part = slice(c, c + chunk)
-        square = own - 2 * (middles[part] - origin) @ centre  # but for the samples' own
-        found[part] = square.argmin(axis=1)
+    found = nearest(middles, centres)
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
@@ -285,119 +275,12 @@ def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
             "there with ties of their own."
         )
     after = dict(zip(start.tolist(), end.tolist(), strict=True))
-    left, found = set(start.tolist()), []
+    found = []
     for first in start.tolist():
-        if first not in left:
-            continue
         loop, node = [], first
-        while node in left:
-            left.remove(node)
+        while node in after:
             loop.append(node)
-            node = after.get(node)
-        found.append(np.array(loop))
+            node = after.pop(node)
+        if loop:
+            found.append(np.array(loop))
     return found
-
-
-def project(x: npt.NDArray, facets: npt.NDArray, behind: npt.NDArray, points, seed, refine=None):
-    """Walk over a surface from a facet to the one that a point projects into.
-
-    Beyond a boundary the last facet is extrapolated.
-
-    Args:
-        x: Vertex coordinates.
-        facets: Vertices of each facet.
-        behind: The facets' neighbours.
-        points: Points, ``(num_points, 3)``.
-        seed: Where the walk starts, ``(num_points,)``.
-        refine: ``refine(facet, points, X)``: better coordinates than those on straight facets, with
-            which a second walk goes on.
-
-    Returns:
-        Facet and reference coordinates of each point, ``(num_points,)`` and ``(num_points, 2)``.
-    """
-
-    def frames(f):
-        v = x[facets[f]]
-        d, e = v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]
-        N = np.cross(d, e)
-        square = np.maximum(np.einsum("fi,fi->f", N, N), 1e-300)[:, None]
-        return v[:, 0], d, e, np.cross(e, N) / square, np.cross(N, d) / square
-
-    every = frames(slice(None)) if len(points) > len(facets) else None
-
-    def flat(f, p):
-        origin, d, e, grad0, grad1 = (part[f] for part in every) if every else frames(f)
-        y = p - origin
-        X = np.zeros((len(y), 2))
-        for _ in range(2):  # in narrow facets the first time leaves round-off over their width
-            X[:, 0] += np.einsum("pi,pi->p", y, grad0)
-            X[:, 1] += np.einsum("pi,pi->p", y, grad1)
-            y = p - (origin + X[:, :1] * d + X[:, 1:] * e)
-        return X
-
-    host, X = _walk(behind, points, np.array(seed, dtype=np.intp), flat, 100)
-    if refine is None:
-        return host, X
-    return _walk(behind, points, host, lambda f, p: refine(f, p, flat(f, p)), FURTHER)
-
-
-def _walk(behind: npt.NDArray, points, facet, coordinates, steps: int):
-    """The facets that points lie in, and coordinates(facet, point) there."""
-    best, facet = np.full(len(points), -np.inf), facet.copy()
-    host, X = facet.copy(), np.zeros((len(points), 2))
-    active = np.arange(len(points))
-    for step in range(steps):
-        if step & (step - 1) == 0:  # at 0, 1, 2, 4, 8 …: who comes back there goes in a circle
-            mark = facet.copy()
-        f = facet[active]
-        at = coordinates(f, points[active])
-        weights = np.column_stack((1 - at.sum(axis=1), at))  # of the vertices
-        inside = weights.min(axis=1)
-        better = inside > best[active]
-        best[active[better]], X[active[better]] = inside[better], at[better]
-        host[active[better]] = f[better]
-        # Go on over the edge that is farthest off and has a facet behind it
-        beyond = np.roll(behind[f], -1, axis=1)  # opposite to each vertex
-        weights[beyond < 0] = np.inf
-        k = weights.argmin(axis=1)
-        each = np.arange(len(f))
-        go = weights[each, k] < -1e-12
-        facet[active[go]] = beyond[each, k][go]
-        active = active[go]
-        active = active[facet[active] != mark[active]]
-        if not len(active):
-            break
-    return host, X
-
-
-def along_normals(surface, n, points, X) -> npt.NDArray[np.float64]:
-    """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
-
-    Other than the facets' normals these don't jump from one facet to the next, so points near each
-    other get to places near each other.
-
-    Args:
-        surface: Takes ``X`` to places, ``(num_points, 3)``, and their derivatives,
-            ``(num_points, 2, 3)``.
-        n: Normals at the vertices of each point's triangle, ``(num_points, 3, 3)``.
-        points: ``(num_points, 3)``.
-        X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
-    """
-    dn = n[:, 1:] - n[:, :1]
-    z = np.column_stack((X, np.zeros(len(X))))  # coordinates, and how far off
-    done = np.zeros(len(X), dtype=bool)
-    for _ in range(NEWTON):
-        x, dx = surface(z[:, :2])
-        normal = n[:, 0] + np.einsum("pj,pji->pi", z[:, :2], dn)
-        off = x + z[:, 2:] * normal - points
-        square = np.einsum("pji,pji->p", dx, dx)
-        J = np.concatenate((dx + z[:, 2, None, None] * dn, normal[:, None]), axis=1)  # (p, j, i)
-        J[np.abs(np.linalg.det(J)) < 1e-6 * square] = np.eye(3)
-        step = np.linalg.solve(J.transpose(0, 2, 1), off[:, :, None])[:, :, 0]
-        step[done] = 0  # whatever the others still need
-        z = z - step
-        z[:, :2] = np.clip(z[:, :2], X - 1, X + 1)
-        done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square  # before this step, the last one
-        if done.all():
-            break
-    return np.where(done[:, None], z[:, :2], X)

@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap.nearest import on_loop
 from hypergap_dolfinx.gap.outlines import is_along
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.strip import merge
-from hypergap_dolfinx.gap.surface import NOISE
+from hypergap_dolfinx.gap.surface import NOISE, lengths
 
 COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
 APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges, and of parameters
@@ -30,8 +31,7 @@ class Rim:
     s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
     """Their parameters from 0 to 1, equal where nodes coincide; the last closes the loop."""
     tangents: npt.NDArray[np.float64]
-    """At Γ1's nodes: how the parameter grows with the place, ``(num_nodes1, 3)``."""
-
+    """Of Γ1's edges: how the parameter grows with the place, ``(num_nodes1, 3)``."""
     length: float
     """Length of the loops."""
     shared: npt.NDArray[np.float64]
@@ -50,14 +50,17 @@ class Rim:
             Vertices, counterclockwise seen from outside, ``(num_triangles, 3)``.
         """
         c0, c1 = self.nodes
-        moved = np.einsum("vi,vi->v", self.tangents, shift[c1])
-        s0, s1 = self.s[0], self.s[1] + np.append(moved, moved[0])
-        middles = [_middles(s0, weights[c0] / self.length**2)]
-        middles.append(_middles(s1, weights[n0 + c1] / self.length**2))
-        for i, s in enumerate(self.s):  # edges shorter than the shift stay in their wall
+        w0, w1 = weights[c0] / self.length**2, weights[n0 + c1] / self.length**2
+        moved = [np.einsum("ei,ei->e", self.tangents, shift[c]) for c in (c1, np.roll(c1, -1))]
+        s0, s1 = self.s
+        middles = [
+            _middles(s0[:-1], s0[1:], w0),
+            _middles(s1[:-1] + moved[0], s1[1:] + moved[1], w1),
+        ]
+        for i, s in enumerate(self.s):  # all stay in their wall, in their order
             wall = np.searchsorted(self.shared, (s[1:] + s[:-1]) / 2) - 1
-            ends = self.shared[wall], self.shared[wall + 1]
-            middles[i] = wall + np.clip(middles[i], *ends)
+            middles[i] = wall + _squeezed(middles[i], self.shared[wall], self.shared[wall + 1])
+            middles[i] = np.maximum.accumulate(middles[i])
         side, edge, apex = merge(*middles)
         a, b = (np.where(side == i, edge, 0) for i in (0, 1))
         a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
@@ -66,12 +69,18 @@ class Rim:
         return np.where((side == 0)[:, None], on0, on1)
 
 
-def _middles(s, weights):
+def _middles(start, end, weights):
     """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
-    w = np.append(weights, weights[0])
-    ds = np.diff(s)
-    middles = (s[1:] + s[:-1]) / 2 + np.diff(w) / (2 * np.where(ds > 0, ds, 1))
-    return np.maximum.accumulate(middles)
+    ds, dw = end - start, np.roll(weights, -1) - weights
+    return (start + end) / 2 + dw / (2 * np.where(ds > 0, ds, 1))
+
+
+def _squeezed(s, start, end):
+    """Numbers between 0 and 1 in the order of parameters, which may lie before or behind a wall."""
+    if not np.isfinite(start).all():
+        return s
+    t = (2 * s - start - end) / (end - start)
+    return (1 + t / (1 + np.abs(t))) / 2
 
 
 def rims(side0: Side, side1: Side) -> list[Rim]:
@@ -92,10 +101,10 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
         loop0 = loops0.pop(distances.index(min(distances)))
         c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
         x = side1.x[c1]
-        chord = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
-        length = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum()
-        size = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-300)
-        found.append(Rim((c0, c1), (s0, s1), chord / size / length, length, shared))
+        edge = np.roll(x, -1, axis=0) - x
+        size = np.linalg.norm(edge, axis=1)
+        t = edge / np.maximum(size, 1e-300)[:, None] / size.sum()
+        found.append(Rim((c0, c1), (s0, s1), t, size.sum(), shared))
     return found
 
 
@@ -105,14 +114,9 @@ def _distance(x, y) -> tuple[bool, float]:
     Both rims of a narrow band are near each other, but the band is on the left of both.
     """
     some = np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))
-    t = np.roll(y, -1, axis=0) - y
-    apart = x[some, None] - y
-    s = np.einsum("pei,ei->pe", apart, t) / np.maximum(np.einsum("ei,ei->e", t, t), 1e-300)
-    s = np.clip(s, 0, 1)
-    distance = np.linalg.norm(apart - s[..., None] * t, axis=2)
-    edge = distance.argmin(axis=1)
-    same_way = is_along(x, y, edge, s[np.arange(len(some)), edge], some)
-    return not same_way, float(distance.min(axis=1).mean())
+    there = on_loop(x[some], y)
+    same_way = is_along(x, y, there.edge, there.s, some)
+    return not same_way, float(lengths(there.apart).mean())
 
 
 def _parametrise(side0: Side, loop0, side1: Side, loop1):
@@ -126,11 +130,8 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         InterfaceError: The loops are apart.
     """
     x0, x1 = side0.x[loop0], side1.x[loop1]
-    nearest = np.empty(len(x1), dtype=np.intp)
-    distance = np.empty(len(x1))
-    for c in range(0, len(x1), 256):
-        d = np.linalg.norm(x1[c : c + 256, None] - x0, axis=2)
-        nearest[c : c + 256], distance[c : c + 256] = d.argmin(axis=1), d.min(axis=1)
+    nearest = on_loop(x1, x0).node
+    distance = lengths(x1 - x0[nearest])
     size = np.ptp(x0, axis=0).max()
     shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
     curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
@@ -192,21 +193,14 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
     """Outlines that match, or were cut to match, are near each other."""
     x0, x1 = side0.x[loop0], side1.x[loop1]
     t = np.roll(x0, -1, axis=0) - x0
-    length = np.linalg.norm(t, axis=1)
-    size = max(length.max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
-    normal = side0.vertex_normals[loop0]
-    for c in range(0, len(x1), 256):
-        y = x1[c : c + 256, None]
-        s = np.clip(np.einsum("pei,ei->pe", y - x0, t) / length**2, 0, 1)
-        apart = y - (x0 + s[..., None] * t)
-        edge = np.linalg.norm(apart, axis=2).argmin(axis=1)
-        apart = apart[np.arange(len(apart)), edge]
-        n = normal[edge]
-        apart -= np.einsum("pi,pi->p", apart, n)[:, None] * n  # a gap between them is fine
-        distance = np.linalg.norm(apart, axis=1)
-        if distance.max() > REACH * size:
-            worst = distance.argmax()
-            raise InterfaceError(
-                f"the boundary of Γ1 at {spot(x1[c + worst])} lies {distance[worst]:.3g} off that "
-                "of Γ0: do the surfaces have the same shape there?"
-            )
+    size = max(lengths(t).max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
+    there = on_loop(x1, x0)
+    n = side0.vertex_normals[loop0[there.edge]]
+    apart = there.apart - np.einsum("pi,pi->p", there.apart, n)[:, None] * n  # a gap is fine
+    distance = lengths(apart)
+    if distance.max() > REACH * size:
+        worst = distance.argmax()
+        raise InterfaceError(
+            f"the boundary of Γ1 at {spot(x1[worst])} lies {distance[worst]:.3g} off that "
+            "of Γ0: do the surfaces have the same shape there?"
+        )

@@ -15,12 +15,16 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc
-from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError, spot
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
-from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values, share_ends
+from hypergap_dolfinx.solve.contacts import (
+    ContactRows,
+    Linear,
+    Touching,
+    owned_values,
+    share_ends,
+)
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
@@ -32,6 +36,7 @@ from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.options import Options
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
 from hypergap_dolfinx.solve.strays import Strays
+from hypergap_dolfinx.solve.tangent import UNFIT, Tangent
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -80,19 +85,23 @@ class ContactSystem(NonlinearSystem):
         """
         super().__init__(F, u, bcs, pieces, **compiling)
         self._rtol, self._names = rtol, names
-        self._prefix = petsc_options_prefix
         plane = self._u[0].function_space.mesh.topology.dim == 2
         defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-        self._options = Options(self._prefix, petsc_options or {}, defaults, DirectStep.UNFIT)
+        chosen = Options(petsc_options_prefix, petsc_options or {}, defaults, UNFIT)
         held = self._constraints.prescribed
         self._rows = [
             (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
             for one in touching
         ]
         share_ends(self._rows, pieces.interfaces)
+        self._tangent = Tangent(self._A, len(self._K), self._rows, petsc_options_prefix, chosen)
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = 0
+
+    def _release(self) -> list:
+        tangent = self.__dict__.pop("_tangent", None)
+        return [*filter(None, [tangent]), *super()._release()]
 
     def _prepare(self):
         """Once: what nothing but contact holds. Collective."""
@@ -129,6 +138,7 @@ class ContactSystem(NonlinearSystem):
             SolveError: It failed.
         """
         self._assign(self._x)
+        self._tangent.set_out()
         for rows in self._rows:
             rows.set_out()
         self._constraints.read_jumps()
@@ -200,14 +210,11 @@ class ContactSystem(NonlinearSystem):
 
     def _jump(self) -> list[npt.NDArray[np.float64]]:
         """What prescribed displacements still have to move, of each body's owned dofs."""
-        jumps = []
-        for u, bcs, held in zip(self._u, self._bcs, self._constraints.prescribed, strict=True):
-            lifted = compat.create_vector(u.function_space)
-            lifted.array[:] = owned_values(u)
-            petsc.set_bc(lifted, bcs)
-            jumps.append(np.where(held, lifted.array_r - owned_values(u), 0))
-            lifted.destroy()
-        return jumps
+        prescribed = self._constraints.prescribed
+        return [
+            np.where(held, wanted[: len(held)] - owned_values(u), 0)
+            for u, wanted, held in zip(self._u, self._lifted(), prescribed, strict=True)
+        ]
 
     def _choose(
         self, before: Sequence[npt.NDArray[np.bool_]], *, ahead: bool
@@ -219,8 +226,7 @@ class ContactSystem(NonlinearSystem):
             ahead: Whether zones that are too large may lose more than what pulls: mostly this
                 saves steps, but sets can cycle by it.
         """
-        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
-        none = self._no_pressure()
+        stiffness, none = self._stiffness(), self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
             gaps = rows.clearance, rows.m, rows.valid
@@ -337,24 +343,17 @@ class ContactSystem(NonlinearSystem):
     def _balances(self) -> bool:
         """Whether the residual is none and what is in contact is closed. Collective."""
         comm = self._u[0].function_space.mesh.comm
-        residual = self._b.copy()
-        parts = residual.getNestSubVecs()
+        parts = [part.copy() for part in self._b.getNestSubVecs()]
         self._add_contact(parts, all_dofs=False)
         num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
         self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
         saddle.destroy_parts(parts)
-        residual.destroy()
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if not all(rows.is_closed(rows.closed) for rows in self._rows):
-            return False  # forces needn't be assembled to see that
-        size, least = 0.0, 0.0
-        for u, F, K in zip(self._u, self._F, self._K, strict=True):
-            raw = compat.create_vector(u.function_space)
-            petsc.assemble_vector(raw, F)
-            raw.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            size += raw.norm() ** 2
-            raw.destroy()
+            return False  # forces needn't be known to see that
+        size, least = sum(force**2 for force in self._forces), 0.0
+        for u, K in zip(self._u, self._K, strict=True):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
@@ -427,21 +426,11 @@ class ContactSystem(NonlinearSystem):
 
         Gaps where a body was say nothing about where it goes.
         """
-        num = self._A.getNestSize()[0]
-        blocks = [[self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)]
         right = [part.copy() for part in self._b.getNestSubVecs()]
         self._add_contact(right, all_dofs=False)
-        try:
-            solution = self._linear_solve(blocks, right)
-        finally:
-            for part in right:
-                part.destroy()
-        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
-            x.axpy(-1.0, dx)
-            dx.destroy()
+        self._take(right, [rows.without_forces(self._stiffness()) for rows in self._rows], 0.0)
         for rows in self._rows:
             rows.forget()
-        self._assign(self._x)
 
     def _step(
         self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
@@ -456,97 +445,50 @@ class ContactSystem(NonlinearSystem):
         Returns:
             This rank's changes of displacements, of each body.
         """
-        num = self._A.getNestSize()[0]
-        blocks: list[list[PETSc.Mat | None]] = [
-            [self._A.getNestSubMatrix(i, j) or None for j in range(num)] for i in range(num)
-        ]
-        own: list[PETSc.Mat] = []
-        if settled:
-            self._subtract_curvature(blocks, own)
-        if viscous:
-            for i, K in enumerate(self._K):
-                self._add(blocks, own, (i, i), K, viscous)
-        stiffness = min(abs(mean_diagonal(K)) for K in self._K)
+        stiffness, equations = self._stiffness(), []
+        for rows in self._rows:
+            if rows.now.on.any():
+                parts = [
+                    np.zeros_like(owned_values(f)) if body is None else jump[body]
+                    for body, f in zip(rows.bodies, rows.fields, strict=True)
+                ]
+                equations.append(rows.linearised(stiffness, rows.displacements(parts)))
+            else:
+                equations.append(rows.without_forces(stiffness))
+            if settled:
+                equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
-        found = {}
-        for c, rows in enumerate(self._rows):
-            if not rows.now.on.any():
-                continue
-            parts = [
-                np.zeros_like(owned_values(f)) if body is None else jump[body]
-                for body, f in zip(rows.bodies, rows.fields, strict=True)
-            ]
-            found[c] = linear = rows.linearised(stiffness, rows.displacements(parts))
-            for i, line in enumerate(blocks):
-                line.append(linear.columns.get(i))
-            blocks.append([linear.rows.get(j) for j in range(len(blocks))] + [linear.corner])
-            right.append(linear.right.copy())
-        try:
-            solution = self._linear_solve(blocks, right)
-        finally:
-            for obj in (*own, *right, *found.values()):
-                obj.destroy()
-        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=False):
-            x.axpy(-1.0, dx)
-        moves = [part.array_r.copy() for part in solution[: len(self._u)]]
-        multipliers = dict(zip(found, solution[num:], strict=True))
-        for c, rows in enumerate(self._rows):
-            if c in found:
-                rows.take(found[c], multipliers[c].array_r.copy())
+        moves, unknowns = self._take(right, equations, viscous)
+        for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
+            if rows.now.on.any():
+                rows.take(linear, values)
             else:
                 rows.forget()
-        for part in solution:
-            part.destroy()
-        self._assign(self._x)
         return moves
 
-    def _subtract_curvature(self, blocks: list[list[PETSc.Mat | None]], own: list[PETSc.Mat]):
-        """Make blocks of K those of K − Σ p ∂²g. Collective."""
-        for rows in self._rows:
-            for at, H in rows.curvature_blocks().items():
-                self._add(blocks, own, at, H, -1.0)
-                H.destroy()
+    def _stiffness(self) -> float:
+        """Mean diagonal of the softest body. Collective."""
+        return min(abs(mean_diagonal(K)) for K in self._K)
 
-    def _add(self, blocks, own: list[PETSc.Mat], at, part: PETSc.Mat, share: float):
-        """Add a share of a matrix to a block, of which a copy is made first. Collective."""
-        i, j = at
-        before, different = blocks[i][j], PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        if before is None:
-            blocks[i][j] = part.copy()
-            blocks[i][j].scale(share)
-            own.append(blocks[i][j])
-            return
-        if any(before is mine for mine in own):
-            before.axpy(share, part, different)
-            return
-        # A small matrix takes in a large one in half the time that a copy of that takes the small
-        total = blocks[i][j] = part.copy()
-        total.scale(share)
-        total.axpy(1.0, before, different)
-        own.append(total)
+    def _take(
+        self, right: Sequence[PETSc.Vec], equations: Sequence[Linear], viscous: float
+    ) -> tuple[list[npt.NDArray], list[npt.NDArray]]:
+        """Solve, and subtract the solution. Collective.
 
-    def _linear_solve(self, blocks, right: list[PETSc.Vec]) -> list[PETSc.Vec]:
-        """The solution's parts. Collective."""
-        A = PETSc.Mat().createNest(blocks, comm=self._A.comm)
-        b = PETSc.Vec().createNest(right, comm=A.comm)
-        solution = [part.duplicate() for part in right]
-        x = PETSc.Vec().createNest(solution, comm=A.comm)
-        ksp = PETSc.KSP().create(A.comm)
-        ksp.setOperators(A)
-        ksp.setOptionsPrefix(self._prefix)
+        Args:
+            right: Right-hand side of bodies and ties; is destroyed.
+            equations: Those of contacts.
+            viscous: Share of the bodies' stiffness that is added.
+
+        Returns:
+            This rank's changes of displacements, of each body, and the contacts' unknowns.
+        """
         try:
-            with self._options.in_use():
-                ksp.setFromOptions()
-                saddle.solve(ksp, b, x)
-            saddle.check_solved(ksp)
-            total = x.norm()
-            if not np.isfinite(total):
-                raise SolveError("the linear solve gave no numbers.")
-        except SolveError:
-            for part in solution:
-                part.destroy()
-            raise
+            solution, unknowns = self._tangent.solve(right, equations, viscous)
         finally:
-            for obj in (ksp, x, b, A):
-                obj.destroy()
-        return solution
+            for part in right:
+                part.destroy()
+        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
+            x.array[:] -= dx
+        self._assign(self._x)
+        return solution[: len(self._u)], unknowns

@@ -7,20 +7,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-from petsc4py import PETSc
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
-from hypergap_dolfinx.gap.constraint import coo_matrix
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
-from hypergap_dolfinx.solve import active, saddle
+from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
+from hypergap_dolfinx.solve.pattern import Pattern, around, coupled, reached
 from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 CLOSED = 1e-9
@@ -58,22 +57,21 @@ class Pressed:
 
 @dataclass(frozen=True)
 class Linear:
-    """Equations of what is in contact, to be solved with those of the bodies."""
+    """Equations of multipliers, to be solved with those of the bodies.
 
-    rows: dict[int, PETSc.Mat]
-    """By body."""
-    columns: dict[int, PETSc.Mat]
-    """What forces act on them, by body."""
-    corner: PETSc.Mat
-    """By the multipliers themselves."""
-    right: PETSc.Vec
+    Unknowns are those of both sides' dofs, then the multipliers.
+    """
+
+    matrix: Sparse
+    """What it adds to the bodies' matrix: forces, rows of gaps, and p = 0 of what isn't acting."""
+    right: npt.NDArray[np.float64]
+    """``(num_multipliers,)``."""
     scale: npt.NDArray[np.float64]
     """Multipliers over unknowns."""
 
-    def destroy(self):
-        """Collective."""
-        for obj in (*self.rows.values(), *self.columns.values(), self.corner, self.right):
-            obj.destroy()
+    def stiffened(self, H: Sparse) -> "Linear":
+        """With a matrix that is subtracted."""
+        return replace(self, matrix=joined(self.matrix, Sparse(H.i, H.j, -H.values)))
 
 
 class ContactRows:
@@ -282,32 +280,65 @@ class ContactRows:
         """Which multipliers there are an equation of."""
         return self.now.on
 
-    def _order(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """The acting multipliers in the order of the matrices' rows, and their ranks."""
-        on = np.flatnonzero(self._acting)
-        rank = self._rank[on % len(self._rank)]
-        order = np.argsort(rank, kind="stable")
-        return on[order], rank[order]
+    @cached_property
+    def _order(self) -> npt.NDArray[np.intp]:
+        """Multipliers, those of lower ranks first."""
+        return np.argsort(np.tile(self._rank, self._per_vertex), kind="stable")
 
-    def _side_of(self, j):
-        """Side, global dof (unrolled) and whether it is held, of columns of C."""
-        num0 = len(self.sides[0].dofs) * self._n
-        side = (j >= num0).astype(np.intp)
-        local = j - side * num0
-        node, component = np.divmod(local, self._n)
-        dof, held = np.empty_like(j), np.empty(len(j), dtype=bool)
-        for i in (0, 1):
-            on = side == i
-            dof[on] = self.sides[i].dofs[node[on]] * self._n + component[on]
-            held[on] = self._held[i][node[on], component[on]]
-        return side, dof, held
+    @property
+    def _per_vertex(self) -> int:
+        return len(self._acting) // len(self._rank)
 
-    def _size(self, body: int) -> int:
-        i = self.bodies.index(body)
-        return self.spaces[i].dofmap.index_map.size_local * self._n
+    @cached_property
+    def ranges(self) -> npt.NDArray[np.intp]:
+        """Where the multipliers of each rank begin in that order, and their number."""
+        num = np.bincount(self._rank, minlength=self._comm.size)
+        return np.append(0, np.cumsum(num)) * self._per_vertex
+
+    @property
+    def mine(self) -> npt.NDArray[np.intp]:
+        """This rank's multipliers."""
+        start, end = self.ranges[self._comm.rank : self._comm.rank + 2]
+        return self._order[start:end]
+
+    def gathered(self, values: npt.NDArray) -> npt.NDArray:
+        """Values of all multipliers from those of each rank's. Collective."""
+        result = np.empty(len(self._order))
+        result[self._order] = np.concatenate(self._comm.allgather(values))
+        return result
+
+    @cached_property
+    def unknowns(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int64]]:
+        """Body of each unknown, -1 of multipliers, and its number there; -2 if there is none."""
+        own = np.empty_like(self._order)
+        own[self._order] = np.arange(len(own))
+        bodies, numbers = [], []
+        for side, body, held in zip(self.sides, self.bodies, self._held, strict=True):
+            bodies.append(np.where(held.ravel(), -2, -2 if body is None else body))
+            numbers.append((side.dofs[:, None] * self._n + np.arange(self._n)).ravel())
+        return np.concatenate([*bodies, np.full(len(own), -1)]), np.concatenate([*numbers, own])
+
+    @property
+    def _num_dofs(self) -> int:
+        """Number of unknowns of both sides' dofs."""
+        return len(self.unknowns[0]) - len(self._order)
+
+    def pattern(self) -> Pattern:
+        """Where equations have entries, and where they may soon have some."""
+        at, num, n = self._support(), len(self.g), self._n
+        near = around(self.now.on, self.sides[1].reference.facets)
+        a, node = at.i % num, at.j // n
+        facets, num_nodes = self.sides[0].at_facets, self._num_dofs // n
+        a, node = reached(a[near[a]], node[near[a]], facets, num_nodes)
+        found = coupled(a, node, num_nodes, num, n, self._per_vertex)
+        return found.without(self.unknowns[0] == -2)
+
+    def _support(self) -> Sparse:
+        """Entries at all that multipliers act on."""
+        return self.C
 
     def linearised(self, stiffness: float, moves: Displacements) -> Linear:
-        """Equations of gaps. Collective.
+        """Equations of gaps.
 
         Args:
             stiffness: Of the bodies' nodes, which rows are scaled by.
@@ -316,70 +347,53 @@ class ContactRows:
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         right = scale * (self.g + self.times(moves))
-        return self._linear(rows, None, self._giving(stiffness * scale), right, scale)
+        give = self._giving(stiffness * scale)
+        return self._linear(stiffness, rows, rows, give, right, scale)
 
-    def _giving(self, scale: npt.NDArray[np.float64]) -> Sparse | None:
+    def _giving(self, scale: npt.NDArray[np.float64]) -> Sparse:
         """−c of what is in contact, times a scale, if it gives way anywhere."""
         on = np.flatnonzero(self.now.on)
-        return Sparse(on, on, -(scale * self._gives)[on]) if self._gives.any() else None
+        return Sparse(on, on, -(scale * self._gives)[on]) if self._gives.any() else Sparse.empty()
 
-    def _linear(self, rows: Sparse, columns: Sparse | None, corner: Sparse | None, right, scale):
-        """Matrices of the acting multipliers. Collective.
+    def _linear(
+        self, stiffness: float, rows: Sparse, forces: Sparse, corner: Sparse, right, scale
+    ) -> Linear:
+        """Equations of the acting multipliers, and those of the others.
 
         Args:
-            rows: Scaled.
-            columns: Transposed as rows, where they are others.
-            corner: By the multipliers themselves, if not zero.
+            stiffness: Of the bodies' nodes.
+            rows: By dofs, scaled.
+            forces: Transposed as rows.
+            corner: By the multipliers themselves.
             right: Right-hand side.
             scale: Factors that make multipliers of unknowns.
         """
-        order, rank = self._order()
-        mine = order[rank == self._comm.rank]
-        by_rows = self._blocks(rows)
-        turned = by_rows if columns is None else self._blocks(columns)
-        by_columns = {body: block.copy().transpose() for body, block in turned.items()}
-        if columns is not None:
-            for block in turned.values():
-                block.destroy()
-        size = len(mine), len(order)
-        if corner is None:
-            matrix = saddle.zero_matrix(size, self._comm)
-        else:
-            number = np.full(len(self._acting), -1)
-            number[order] = np.arange(len(order))
-            here = np.isin(corner.i, mine)
-            entries = number[corner.i[here]], number[corner.j[here]], corner.values[here]
-            matrix = coo_matrix(self._comm, (len(mine), len(mine)), *entries)
-        b = matrix.createVecLeft()
-        b.array[:] = right[mine]
-        return Linear(by_rows, by_columns, matrix, b, scale)
+        on, start = self._acting, self._num_dofs
+        there = self.unknowns[0] != -2
+        parts = []
+        for by_row, matrix in ((True, rows), (False, forces)):
+            use = on[matrix.i] & there[matrix.j]
+            i, j = start + matrix.i[use], matrix.j[use]
+            parts.append(Sparse(*((i, j) if by_row else (j, i)), matrix.values[use]))
+        parts.append(Sparse(start + corner.i, start + corner.j, corner.values))
+        off = start + np.flatnonzero(~on)
+        parts.append(Sparse(off, off, np.full(len(off), stiffness)))
+        return Linear(joined(*parts), np.where(on, right, 0), scale)
 
-    def _blocks(self, matrix: Sparse) -> dict[int, PETSc.Mat]:
-        """Rows of the acting multipliers at what can move, by body. Collective."""
-        order, rank = self._order()
-        number, of = np.full(len(self._acting), -1), np.full(len(self._acting), -1)
-        number[order], of[order] = np.arange(len(order)), rank
-        mine = of[matrix.i] == self._comm.rank
-        i, j, values = matrix.i[mine], matrix.j[mine], matrix.values[mine]
-        side, dof, held = self._side_of(j)
-        num = int((rank == self._comm.rank).sum())
-        blocks = {}
-        for body in sorted({b for b in self.bodies if b is not None}):
-            on = np.array([b == body for b in self.bodies])[side] & ~held
-            entries = number[i[on]], dof[on], values[on]
-            blocks[body] = coo_matrix(self._comm, (num, self._size(body)), *entries)
-        return blocks
+    def without_forces(self, stiffness: float) -> Linear:
+        """Equations of multipliers that are all zero."""
+        none = np.zeros(len(self._order))
+        every = self._num_dofs + np.arange(len(none))
+        return Linear(Sparse(every, every, none + stiffness), none, none)
 
     def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
-        """The solution's multipliers. Collective.
+        """The solution's multipliers.
 
         Args:
             linear: What was solved.
-            solution: This rank's unknowns.
+            solution: The unknowns, ``(num_multipliers,)``.
         """
-        values = np.zeros(len(self._acting))
-        values[self._order()[0]] = np.concatenate(self._comm.allgather(solution))
-        self._take(values * linear.scale)
+        self._take(solution * linear.scale)
 
     def _take(self, values: npt.NDArray[np.float64]):
         self.now.p = values
@@ -422,25 +436,13 @@ class ContactRows:
         """Whether what is closed needs no further step."""
         return True
 
-    def curvature_blocks(self) -> dict[tuple[int, int], PETSc.Mat]:
-        """How forces change where bodies move, by pairs of bodies. Collective."""
+    def curvature(self) -> Sparse:
+        """How forces change where bodies move, in the same unknowns as the equations."""
         if not self._follows or self.now.opening is None:
-            return {}
-        H = self._curvature()
-        row_side, row, row_held = self._side_of(H.i)
-        side, column, held = self._side_of(H.j)
-        use = ~(row_held | held)
-        blocks = {}
-        bodies = sorted({b for b in self.bodies if b is not None})
-        of = np.array([-1 if b is None else b for b in self.bodies])
-        for a in bodies:
-            i = self.bodies.index(a)
-            start, end = np.multiply(self.spaces[i].dofmap.index_map.local_range, self._n)
-            for b in bodies:
-                on = use & (of[row_side] == a) & (of[side] == b) & (row >= start) & (row < end)
-                sizes = self._size(a), self._size(b)
-                blocks[a, b] = coo_matrix(self._comm, sizes, row[on], column[on], H.values[on])
-        return blocks
+            return Sparse.empty()
+        H, there = self._curvature(), self.unknowns[0] != -2
+        use = there[H.i] & there[H.j]
+        return Sparse(H.i[use], H.j[use], H.values[use])
 
     def _curvature(self) -> Sparse:
         """How forces change where multipliers stay."""
@@ -481,3 +483,10 @@ def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
     """This rank's owned values, ``(num_dofs,)``."""
     dofmap = u.function_space.dofmap
     return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+
+
+def joined(*parts: Sparse) -> Sparse:
+    """The sum of sparse matrices."""
+    return Sparse(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
+    )

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.moving import Displacements, Sparse
 from hypergap_dolfinx.solve import active
-from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touching
+from hypergap_dolfinx.solve.contacts import ContactRows, Linear, Pressed, Touching, joined
 from hypergap_dolfinx.solve.leading import RigidMotion
 from hypergap_dolfinx.solve.modes import places
 
@@ -258,8 +258,11 @@ class FrictionRows(ContactRows):
         across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
         return [a + b for a, b in zip(super().acting(), across, strict=True)]
 
+    def _support(self) -> Sparse:
+        return joined(self.C, self.T)
+
     def linearised(self, stiffness: float, moves: Displacements) -> Linear:
-        """Equations of gaps and slips. Collective."""
+        """Equations of gaps and slips."""
         num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         by_slip, by_q, by_p, start, rest = self._law(scale)
@@ -283,11 +286,11 @@ class FrictionRows(ContactRows):
                 Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
                 for other in range(across)
             ]
-        gives = self._giving(stiffness * scale)
         return self._linear(
+            stiffness,
             joined(normal, *along),
             joined(normal, forces),
-            joined(*corner, *([gives] if gives else [])),
+            joined(*corner, self._giving(stiffness * scale)),
             right,
             np.tile(scale, self._n),
         )
@@ -388,10 +391,3 @@ def hold_by_sticking(
         across, num_free = rows.stick_where(holds, moves)
         holds = np.vstack((holds, across))
     return num_free
-
-
-def joined(*parts: Sparse) -> Sparse:
-    """The sum of sparse matrices."""
-    return Sparse(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
-    )

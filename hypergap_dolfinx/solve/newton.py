@@ -7,13 +7,17 @@
 
 from collections.abc import Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
+
+import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.solve import checks
+from hypergap_dolfinx.solve.dependence import Dependence
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.system import TiedSystem
 
@@ -82,6 +86,9 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
+        self._depends = [Dependence(form, a) for form, a in zip(J, self._a, strict=True)]
+        self._known: list[int | None] = [None] * len(self._a)  # state of K when it was assembled
+        self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
@@ -104,28 +111,39 @@ class NonlinearSystem(TiedSystem):
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
         num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
         multipliers = x_parts[len(x_parts) - num_ties :]
-        lifted = []
-        prescribed = self._constraints.prescribed
-        for u, now, b, F, J, bcs, held, scale in zip(
-            self._u, self._now, r_parts, self._F, self._a, self._bcs, prescribed, self._scales
+        lifted, tied = self._lifted(), bool(multipliers)
+        self._forces = []
+        for u, now, b, F, J, bcs, held, scale, wanted in zip(
+            self._u,
+            self._now,
+            r_parts,
+            self._F,
+            self._a,
+            self._bcs,
+            self._constraints.prescribed,
+            self._scales,
+            lifted,
         ):
+            moves = bool((wanted != u.x.array).any())
             with b.localForm() as local, now.localForm() as values:
                 local.set(0.0)
                 values.array[:] = u.x.array
             petsc.assemble_vector(b, F)
-            petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
+            if moves:
+                petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            petsc.set_bc(b, bcs, x0=now, alpha=-1.0)
-            b.array[held] *= scale
-            lifted.append(now.copy())
-            petsc.set_bc(lifted[-1], bcs)
+            self._forces.append(b.norm())
+            num = len(held)
+            b.array[held] = scale * (u.x.array[:num] - wanted[:num])[held]
+            if tied:
+                now.array[:] = wanted[:num]
         of_ties = r_parts[num_bodies : len(r_parts) - num_ties]
         for b in of_ties:
             b.set(0.0)
         openings = self._constraints.openings
         for opening, b in zip(openings, of_ties[len(of_ties) - len(openings) :], strict=True):
             opening.add_force(b)
-        fields = [*lifted, *x_parts[num_bodies : len(x_parts) - num_ties]]
+        fields = [*self._now, *x_parts[num_bodies : len(x_parts) - num_ties]]
         for t, multiplier in enumerate(multipliers):
             for b, B in zip(r_parts, self._constraints.free[t]):
                 if B is not None:
@@ -133,9 +151,26 @@ class NonlinearSystem(TiedSystem):
             gaps = r_parts[len(r_parts) - num_ties + t]
             self._constraints.apply(t, fields, gaps)
             self._constraints.compliances.apply(t, multipliers, gaps)
-        for vector in lifted:
-            vector.destroy()
         r.assemble()
+
+    def _lifted(self) -> list[npt.NDArray]:
+        """Each body's displacements with those that are prescribed, ghosts included."""
+        lifted = []
+        for u, bcs in zip(self._u, self._bcs, strict=True):
+            lifted.append(u.x.array.copy())
+            for bc in bcs:
+                bc.set(lifted[-1])
+        return lifted
+
+    def _assemble(self, i: int) -> bool:
+        """Not if it is what it was: that of a linear body doesn't change with its displacement."""
+        K = self._K[i]
+        changed = self._depends[i].changed() or K.stateGet() != self._known[i]
+        changed = K.comm.tompi4py().allreduce(changed, MPI.LOR)
+        if changed:
+            super()._assemble(i)
+            self._known[i] = K.stateGet()
+        return changed
 
     def _jacobian(self, x: PETSc.Vec):
         self._assign(x)

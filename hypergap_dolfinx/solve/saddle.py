@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve.matrices import row_length
@@ -151,7 +152,7 @@ def check_solved(ksp: PETSc.KSP):
         raise SolveError(message)
 
 
-def failure(ksp: PETSc.KSP, advice: str = "") -> str | None:
+def failure(ksp: PETSc.KSP, advice: str = "", units: npt.NDArray | None = None) -> str | None:
     """Why a solve did not converge, or None if it did. Collective.
 
     A singular matrix makes MUMPS return NaN without an exception; or, where round-off hides that a
@@ -160,6 +161,7 @@ def failure(ksp: PETSc.KSP, advice: str = "") -> str | None:
     Args:
         ksp: The solver.
         advice: What else the message says.
+        units: Of this rank's rows, if the matrix isn't nested and they differ.
 
     Returns:
         A line with the KSP's reason and MUMPS's INFOG.
@@ -170,7 +172,7 @@ def failure(ksp: PETSc.KSP, advice: str = "") -> str | None:
         # Solvers that look at their residual know themselves
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
             return None
-        residual, size = _residual(ksp)
+        residual, size = _residual(ksp, units)
         if residual <= RESIDUAL * size:
             return None
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
@@ -194,13 +196,16 @@ def failure(ksp: PETSc.KSP, advice: str = "") -> str | None:
     return message + advice + "."
 
 
-def _residual(ksp: PETSc.KSP) -> tuple[float, float]:
+def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
     """|b − Ax| and |b|; rows of ties count as the forces that K makes of their gaps."""
     A, b = ksp.getOperators()[0], ksp.getRhs()
     r = b.duplicate()
     A.mult(ksp.getSolution(), r)
     r.aypx(-1.0, b)
-    if A.getType() != PETSc.Mat.Type.NEST:
+    if units is not None:
+        own = np.array([np.linalg.norm(units * part.array_r) ** 2 for part in (r, b)])
+        lengths = tuple(np.sqrt(A.comm.tompi4py().allreduce(own)))
+    elif A.getType() != PETSc.Mat.Type.NEST:
         lengths = r.norm(), b.norm()
     else:
         squares = np.zeros(2)

@@ -137,16 +137,27 @@ class TiedSystem(disposal.Owner):
         A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
         must not see units.
         """
-        for K, form, bcs in zip(self._K, self._a, self._bcs, strict=True):
-            K.zeroEntries()
-            petsc.assemble_matrix(K, form, bcs=bcs)
-            K.assemble()
-        checks.check_finite(self._K, "the stiffness")
-        for i in range(len(self._K)):
-            self._scale_prescribed(i)
-        for part in (self._constraints.compliances, *self._constraints.openings):
+        changed = [self._assemble(i) for i in range(len(self._K))]
+        if any(changed):
+            checks.check_finite(self._K, "the stiffness")
+        soft = [
+            part for part in (self._constraints.compliances, *self._constraints.openings) if part
+        ]
+        for part in soft:
             part.update()
-        self._A.assemble()
+        if any(changed) or soft:  # else factors can be kept
+            self._A.assemble()
+
+    def _assemble(self, i: int) -> bool:
+        """Assemble a body's stiffness, and say whether it changed. Collective."""
+        K, bcs = self._K[i], self._bcs[i]
+        K.zeroEntries()
+        # The diagonal's keyword is another one in 0.9
+        petsc.assemble_matrix(K, self._a[i], bcs, self._scales[i])  # type: ignore[arg-type]
+        K.assemble()
+        if not self._scales_fixed:
+            self._scale_prescribed(i)
+        return True
 
     def _scale_prescribed(self, i: int):
         """Set the prescribed dofs' diagonal, and the right-hand side with it. Collective."""
@@ -156,7 +167,7 @@ class TiedSystem(disposal.Owner):
         local = np.array((values.sum(), len(values), held.sum()))
         total, num, num_held = K.comm.tompi4py().allreduce(local)
         if num_held:
-            scale = self._scales[i] if self._scales_fixed else (total / max(num, 1) or 1.0)
+            scale = total / max(num, 1) or 1.0
             diagonal.array[held] = scale
             K.setDiagonal(diagonal)
             self._b_bodies[i].array[held] *= scale / self._scales[i]

@@ -6,19 +6,25 @@
 
 // Whether cells are what they should be, whoever made them.
 
-// A face: its lowest vertex, and what tells it from others that have it as theirs: the other two
-// in rising order. The last bit is whether the three as given are an odd permutation.
-static unsigned long long face(int a, int b, int c, int *lowest)
+// A face of a, b and c in rising order, at the vertex a: the other two, and as the last bit whether
+// the face turns the other way.
+static unsigned long long face(int b, int c, int odd)
 {
-  int odd = 0, swap;
-  if (a > b)
-    swap = a, a = b, b = swap, odd ^= 1;
-  if (b > c)
-    swap = b, b = c, c = swap, odd ^= 1;
-  if (a > b)
-    swap = a, a = b, b = swap, odd ^= 1;
-  *lowest = a;
   return (unsigned long long)b << 32 | (unsigned)c << 1 | (unsigned)odd;
+}
+
+// Put vertices into rising order. Returns whether that is an odd permutation.
+static int sort_corners(int num, int *v)
+{
+  int odd = 0;
+  for (int last = num - 1; last > 0; --last)
+    for (int k = 0; k < last; ++k)
+    {
+      int low = v[k] < v[k + 1] ? v[k] : v[k + 1], high = v[k] ^ v[k + 1] ^ low;
+      odd ^= v[k] != low;
+      v[k] = low, v[k + 1] = high;
+    }
+  return odd;
 }
 
 static int compare(const void *a, const void *b)
@@ -46,14 +52,6 @@ static void sort_faces(unsigned long long *faces, int num)
   }
 }
 
-// The vertices of all faces: four of each cell, then the boundary's.
-static void vertices_of_face(const int *cells, int num_cells, const int *outer, int i, int *v)
-{
-  const int sides[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
-  for (int k = 0; k < 3; ++k)
-    v[k] = i < 4 * num_cells ? cells[i - i % 4 + sides[i % 4][k]] : outer[3 * (i - 4 * num_cells) + k];
-}
-
 // Number of faces that aren't there exactly once in each direction, −1: no memory. Faces are
 // gathered at their lowest vertices: what is near in the numbering stays near in memory.
 //
@@ -62,24 +60,40 @@ static void vertices_of_face(const int *cells, int num_cells, const int *outer, 
 static int num_unpaired(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                         int *single, int *num_single)
 {
-  int num = 4 * num_cells + num_outer, unpaired = 0, v[3], at;
+  int num = 4 * num_cells + num_outer, unpaired = 0, v[4];
   int *offset = calloc(n + 2, sizeof(int));
   unsigned long long *faces = malloc((num + 1) * sizeof(*faces));
   if (!offset || !faces)
     unpaired = -1;
-  for (int i = 0; i < num && !unpaired; ++i)
+  for (int i = 0; i < num_cells && !unpaired; ++i)
   {
-    vertices_of_face(cells, num_cells, outer, i, v);
-    face(v[0], v[1], v[2], &at);
-    ++offset[at + 2];
+    memcpy(v, cells + 4 * i, sizeof(v));
+    sort_corners(4, v);
+    offset[v[0] + 2] += 3;
+    ++offset[v[1] + 2];
+  }
+  for (int i = 0; i < num_outer && !unpaired; ++i)
+  {
+    memcpy(v, outer + 3 * i, 3 * sizeof(int));
+    sort_corners(3, v);
+    ++offset[v[0] + 2];
   }
   for (int i = 2; i < n + 2 && !unpaired; ++i)
     offset[i] += offset[i - 1];
-  for (int i = 0; i < num && !unpaired; ++i)
+  for (int i = 0; i < num_cells && !unpaired; ++i)
   {
-    vertices_of_face(cells, num_cells, outer, i, v);
-    unsigned long long own = face(v[0], v[1], v[2], &at);
-    faces[offset[at + 1]++] = own;
+    memcpy(v, cells + 4 * i, sizeof(v));
+    int odd = sort_corners(4, v), *at = offset + v[0] + 1;
+    faces[(*at)++] = face(v[2], v[3], !odd); // of an even cell (0, 3, 2), (0, 1, 3), (0, 2, 1), (1, 2, 3)
+    faces[(*at)++] = face(v[1], v[3], odd);
+    faces[(*at)++] = face(v[1], v[2], !odd);
+    faces[offset[v[1] + 1]++] = face(v[2], v[3], odd);
+  }
+  for (int i = 0; i < num_outer && !unpaired; ++i)
+  {
+    memcpy(v, outer + 3 * i, 3 * sizeof(int));
+    int odd = sort_corners(3, v);
+    faces[offset[v[0] + 1]++] = face(v[1], v[2], odd);
   }
   for (int i = 0; i < n && unpaired >= 0; ++i)
   {

@@ -213,7 +213,7 @@ static int walk(const Front *f, int t, int w, int steps)
     for (int k = 0; k < 3; ++k)
     {
       double area = A(&f->points, tri->v[k], tri->v[(k + 1) % 3], w, &scale);
-      inside = fmin(inside, area);
+      inside = smaller(inside, area);
       if (area < beyond && tri->behind[k] >= 0 && tri->behind[k] != previous)
       {
         beyond = area;

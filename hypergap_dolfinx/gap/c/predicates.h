@@ -7,6 +7,7 @@
 // Predicates: what four vertices of Σ make, seen along the mean of their normals.
 
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -15,8 +16,10 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define FLAT 1e-9      // D of a cell over the product of its two edges on the surfaces that is none
 #define COLLINEAR 1e-12 // the same for A of a triangle
 #define STEPS 64       // triangles that a waiting point may cross when the front has changed
-#define SWEEPS_OF_QUADRATICS 50
-#define SOME_EDGES 5000 // that quadratics are sought with
+#define STEPS_OF_QUADRATICS 5
+#define RIDGE 1e-3 // of their coefficients' squares, beside those of what edges lack
+#define SOME_EDGES 4000 // that quadratics are sought with
+#define FEW 0.01 // share of irregular ones below which none are
 #define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 
 typedef struct {
@@ -32,6 +35,10 @@ typedef struct {
   const Vertex *vertex;
   double flat; // D of a cell over that product up to which a front does without it
 } Points;
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
+
+static inline double smaller(double a, double b) { return a < b ? a : b; }
 
 static inline double dot(const double *a, const double *b)
 {
@@ -111,7 +118,7 @@ static double A(const Points *p, int a, int b, int c, double *scale)
     n[i] = u->n[i] + v->n[i] + w->n[i];
   minus(v->y, u->y, e);
   minus(w->y, u->y, g);
-  *scale = fmax(dot(e, e), dot(g, g));
+  *scale = larger(dot(e, e), dot(g, g));
   return triple(e, g, n);
 }
 

@@ -16,6 +16,7 @@
 typedef struct {
   Points points;
   int *cells, num, max; // cells that are gone have −1 as their first vertex
+  double *quality;      // of each cell
   int *first, *next;    // cells at each vertex: 4 c + k, and who comes next
   const int *rank;      // of each vertex
 } Cells;
@@ -48,15 +49,14 @@ static double quality(const Points *p, int a, int b, int c, int d)
     double e[3], g[3];
     minus(p->vertex[v[f[1]]].x, p->vertex[v[f[0]]].x, e);
     minus(p->vertex[v[f[2]]].x, p->vertex[v[f[0]]].x, g);
-    largest = fmax(largest, fabs(triple(e, g, n)));
+    largest = larger(largest, fabs(triple(e, g, n)));
   }
   return area / largest;
 }
 
-static double quality_of(const Cells *all, int c)
+static double quality_of(const Points *p, const int *v)
 {
-  const int *v = all->cells + 4 * c;
-  return quality(&all->points, v[0], v[1], v[2], v[3]);
+  return quality(p, v[0], v[1], v[2], v[3]);
 }
 
 // Edges inside of Σ go from one side to the other.
@@ -129,11 +129,11 @@ static void try_face(const Cells *all, int cell, int k, Swap *best)
   if (other < 0 || a == b || !may_be_edge(all, a, b))
     return;
   const int come[3][4] = {{a, b, c, d}, {a, b, d, e}, {a, b, e, c}};
-  double value = INFINITY;
-  for (int i = 0; i < 3 && value > MORE * best->value; ++i)
-    value = fmin(value, quality(&all->points, come[i][0], come[i][1], come[i][2], come[i][3]));
-  double before = fmin(quality_of(all, cell), quality_of(all, other));
-  if (!(value > MORE * fmax(best->value, before)))
+  double value = INFINITY, before = smaller(all->quality[cell], all->quality[other]);
+  double bound = MORE * larger(best->value, before);
+  for (int i = 0; i < 3 && value > bound; ++i)
+    value = smaller(value, quality_of(&all->points, come[i]));
+  if (!(value > bound))
     return;
   best->value = value;
   best->num_gone = 2, best->num_come = 3;
@@ -188,8 +188,11 @@ static void try_edge(const Cells *all, int a, int b, Swap *best)
 {
   int cells[RING], p[RING], cut[RING][RING], n = ring(all, a, b, cells, p);
   double value[RING][RING], before = INFINITY;
+  if (!n)
+    return;
   for (int i = 0; i < n; ++i)
-    before = fmin(before, quality_of(all, cells[i]));
+    before = smaller(before, all->quality[cells[i]]);
+  before = larger(best->value, before);
   for (int reach = 1; reach < n; ++reach)
     for (int i = 0; i + reach < n; ++i)
     {
@@ -198,11 +201,11 @@ static void try_edge(const Cells *all, int a, int b, Swap *best)
       if (reach > 1 && (reach == n - 1 || may_be_edge(all, p[i], p[j])))
         for (int k = i + 1; k < j; ++k)
         {
-          double least = fmin(value[i][k], value[k][j]);
-          if (least > MORE * fmax(best->value, value[i][j]))
-            least = fmin(least, quality(&all->points, p[i], p[k], p[j], b));
-          if (least > MORE * fmax(best->value, value[i][j]))
-            least = fmin(least, quality(&all->points, p[k], p[i], p[j], a));
+          double least = smaller(value[i][k], value[k][j]);
+          if (least > MORE * larger(before, value[i][j]))
+            least = smaller(least, quality(&all->points, p[i], p[k], p[j], b));
+          if (least > MORE * larger(before, value[i][j]))
+            least = smaller(least, quality(&all->points, p[k], p[i], p[j], a));
           if (least > MORE * value[i][j])
           {
             value[i][j] = least;
@@ -210,7 +213,7 @@ static void try_edge(const Cells *all, int a, int b, Swap *best)
           }
         }
     }
-  if (!n || !(value[0][n - 1] > MORE * fmax(best->value, before)))
+  if (!(value[0][n - 1] > MORE * before))
     return;
   best->value = value[0][n - 1];
   best->num_gone = n, best->num_come = 0;
@@ -247,6 +250,7 @@ static int swap(Cells *all, int cell)
   {
     memcpy(all->cells + 4 * all->num, best.come[i], 4 * sizeof(int));
     sort_vertices(all->rank, all->cells + 4 * all->num);
+    all->quality[all->num] = quality_of(&all->points, all->cells + 4 * all->num);
     link_cell(all, all->num++);
   }
   return 1;
@@ -266,30 +270,27 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
   all.rank = rank;
   all.first = malloc((n + 1) * sizeof(int));
   all.next = malloc((4 * (size_t)max + 1) * sizeof(int));
-  if (!all.first || !all.next)
-  {
-    free(all.first), free(all.next);
-    return -1;
-  }
-  int kept = 0, num_bad = 0;
+  all.quality = malloc(((size_t)max + 1) * sizeof(double));
+  Bad *bad = NULL;
+  int kept = -1, num_bad = 0;
+  if (!all.first || !all.next || !all.quality)
+    goto finish;
   for (int c = 0; c < num; ++c)
   {
     sort_vertices(rank, cells + 4 * c);
-    num_bad += quality_of(&all, c) < least;
+    all.quality[c] = quality_of(&all.points, cells + 4 * c);
+    num_bad += all.quality[c] < least;
   }
-  Bad *bad = malloc((num_bad + 1) * sizeof(Bad));
+  bad = malloc((num_bad + 1) * sizeof(Bad));
   if (!bad)
-  {
-    free(all.first), free(all.next);
-    return -1;
-  }
+    goto finish;
   if (num_bad) // most fronts have none
   {
     memset(all.first, -1, n * sizeof(int));
     for (int c = 0, i = 0; c < num; ++c)
     {
       link_cell(&all, c);
-      if (quality_of(&all, c) < least)
+      if (all.quality[c] < least)
       {
         for (int k = 0; k < 4; ++k)
           bad[i].ranks[k] = rank[cells[4 * c + k]];
@@ -302,12 +303,17 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
     if (cells[4 * bad[i].cell] >= 0)
       swap(&all, bad[i].cell);
   for (int c = num; c < all.num; ++c) // those that came
-    if (cells[4 * c] >= 0 && quality_of(&all, c) < least)
+    if (cells[4 * c] >= 0 && all.quality[c] < least)
       swap(&all, c);
-  free(bad);
+  kept = 0;
   for (int c = 0; c < all.num; ++c)
     if (cells[4 * c] >= 0)
-      memmove(cells + 4 * kept++, cells + 4 * c, 4 * sizeof(int));
-  free(all.first), free(all.next);
+    {
+      if (kept < c)
+        memcpy(cells + 4 * kept, cells + 4 * c, 4 * sizeof(int));
+      ++kept;
+    }
+finish:
+  free(bad), free(all.first), free(all.next), free(all.quality);
   return kept;
 }

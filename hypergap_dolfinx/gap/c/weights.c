@@ -23,7 +23,7 @@ static Constraint inner_edge(const Vertex *vertex, const int *edge)
   for (int k = 0; k < 3; ++k)
   {
     minus(v[k + 1]->y, v[0]->y, e[k]);
-    longest = fmax(longest, dot(e[k], e[k]));
+    longest = larger(longest, dot(e[k], e[k]));
   }
   for (int k = 0; k < 3; ++k)
   {
@@ -65,48 +65,103 @@ static void products(const double *y, double *q)
   q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
 }
 
+// A constraint on quadratic weights: the sum of c[j] times their coefficients is at least bound.
+typedef struct {
+  double c[6], bound, tolerance;
+} Quadratic;
+
+// Solve A x = b with a symmetric A, of which the upper part is given; both are lost.
+static void solve(double A[6][6], double *b, double *x)
+{
+  for (int j = 0; j < 6; ++j)
+    for (int k = j + 1; k < 6; ++k)
+    {
+      double factor = A[j][k] / A[j][j];
+      for (int l = k; l < 6; ++l)
+        A[k][l] -= factor * A[j][l];
+      b[k] -= factor * b[j];
+    }
+  for (int j = 5; j >= 0; --j)
+  {
+    x[j] = b[j];
+    for (int k = j + 1; k < 6; ++k)
+      x[j] -= A[j][k] * x[k];
+    x[j] /= A[j][j];
+  }
+}
+
+// One of Newton's steps to the coefficients Q with the least sum of squares of what constraints lack.
+// Returns how many lack more than their tolerance.
+static int least_squares_step(int num, const Quadratic *constraints, double *Q)
+{
+  double A[6][6] = {{0}}, b[6] = {0}, trace = 0;
+  int violated = 0;
+  for (int i = 0; i < num; ++i)
+  {
+    const Quadratic *g = constraints + i;
+    double lacks = g->bound;
+    for (int j = 0; j < 6; ++j)
+      lacks -= g->c[j] * Q[j];
+    violated += lacks > g->tolerance;
+    if (lacks <= 0)
+      continue;
+    for (int j = 0; j < 6; ++j)
+    {
+      for (int k = j; k < 6; ++k)
+        A[j][k] += g->c[j] * g->c[k];
+      b[j] += g->c[j] * g->bound;
+    }
+    ++trace;
+  }
+  for (int j = 0; j < 6; ++j)
+    A[j][j] += RIDGE * trace;
+  if (trace > 0)
+    solve(A, b, Q);
+  return violated;
+}
+
 // Quadratic weights, if they make at least half of the irregular edges regular, of some in large
-// surfaces: where a whole triangulation is sheared, that is all it takes, and what follows would take
-// long. Returns whether all edges are regular without any weights.
+// surfaces: where a whole triangulation is sheared, or was made in a projection, that is all it
+// takes, and what follows would take long. Returns whether all edges are regular without weights.
 static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
-                             const Constraint *constraints)
+                             const Constraint *constraints, Quadratic *some)
 {
   double Q[6] = {0}, best[6] = {0}, q[6];
-  int at_first = 0, least = num + 1, skip = num / SOME_EDGES * 64;
-  for (int sweep = 0; sweep <= SWEEPS_OF_QUADRATICS; ++sweep)
+  int at_first = 0, least = num + 1, skip = num / SOME_EDGES * 64, num_some = 0;
+  for (int i = 0; i < num; i += (i + 1) % 64 ? 1 : 1 + skip) // neighbours of some in each part
+  {
+    const Constraint *g = constraints + i;
+    Quadratic *own = some + num_some;
+    double square = 0;
+    memset(own, 0, sizeof(Quadratic));
+    for (int k = 0; k < num_terms(edges + 4 * i); ++k)
+    {
+      products(vertex[edges[4 * i + k]].y, q);
+      for (int j = 0; j < 6; ++j)
+        own->c[j] += g->c[k] * q[j];
+    }
+    for (int j = 0; j < 6; ++j)
+      square += own->c[j] * own->c[j];
+    double scale = square > 0 ? 1 / sqrt(square) : 0;
+    for (int j = 0; j < 6; ++j)
+      own->c[j] *= scale;
+    own->bound = g->bound * scale;
+    own->tolerance = g->tolerance * scale;
+    num_some += square > 0;
+  }
+  for (int step = 0; step <= STEPS_OF_QUADRATICS; ++step)
   {
     double before[6];
-    int violated = 0;
     memcpy(before, Q, sizeof(Q));
-    for (int i = 0; i < num; i += (i + 1) % 64 ? 1 : 1 + skip) // neighbours of some in each part
-    {
-      const Constraint *g = constraints + i;
-      double c[6] = {0}, value = 0, square = 0;
-      for (int k = 0; k < num_terms(edges + 4 * i); ++k)
-      {
-        products(vertex[edges[4 * i + k]].y, q);
-        for (int j = 0; j < 6; ++j)
-          c[j] += g->c[k] * q[j];
-      }
-      for (int j = 0; j < 6; ++j)
-      {
-        value += c[j] * Q[j];
-        square += c[j] * c[j];
-      }
-      if (g->bound - value <= g->tolerance || !(square > 0))
-        continue;
-      ++violated;
-      for (int j = 0; j < 6 && sweep > 0; ++j) // the first sweep only counts
-        Q[j] += (g->bound - value) / square * c[j];
-    }
-    if (sweep == 0)
+    int violated = least_squares_step(num_some, some, Q);
+    if (step == 0)
       at_first = violated;
     if (violated < least)
     {
       least = violated;
       memcpy(best, before, sizeof(Q));
     }
-    if (!violated || (sweep == 10 && 2 * least > at_first))
+    if (!violated || at_first < FEW * num_some)
       break;
   }
   for (int i = 0; i < n && 2 * least <= at_first; ++i)
@@ -165,14 +220,15 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
   Vertex *vertex = (Vertex *)vertices;
   Queue queue = {0};
   Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
+  Quadratic *some = malloc((num + 1) * sizeof(Quadratic));
   int sweep = 0, violated = -1;
-  if (!constraints || !sort_constraints(&queue, n, num, edges))
+  if (!constraints || !some || !sort_constraints(&queue, n, num, edges))
     goto finish;
   for (int i = 0; i < n; ++i)
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
     constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
-  violated = !quadratic_weights(n, vertex, num, edges, constraints);
+  violated = !quadratic_weights(n, vertex, num, edges, constraints, some);
   for (; violated && sweep <= sweeps && visits > 0; ++sweep)
   {
     violated = 0;
@@ -203,6 +259,6 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
       }
   }
 finish:
-  free(constraints), free(queue.offset), free(queue.at), free(queue.waits);
+  free(constraints), free(some), free(queue.offset), free(queue.at), free(queue.waits);
   return violated ? -1 : sweep;
 }

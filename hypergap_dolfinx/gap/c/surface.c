@@ -1,0 +1,279 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Which facets of a surface meet, where it turns, and what of an outline or of some points is nearest.
+
+// The facet behind each edge.
+//
+// n           number of vertices
+// num, size   facets, and corners of each
+// facets      (num, size), around the facets: edge k goes from corner k to the next one
+// behind      (num, size): −1 at the boundary
+// Returns BAD_INPUT where facets have an edge in the same direction.
+int find_neighbours(int n, int num, int size, const int *facets, int *behind)
+{
+  int *offset = calloc(n + 2, sizeof(int)), *at = malloc(((size_t)size * num + 1) * sizeof(int));
+  int status = offset && at ? DONE : NO_MEMORY;
+  if (status == DONE)
+    sort_at_vertices(n, size, num, facets, offset, at);
+  for (int f = 0; f < num && status == DONE; ++f)
+    for (int k = 0; k < size; ++k)
+    {
+      int a = facets[size * f + k], b = facets[size * f + (k + 1) % size], found = -1;
+      for (int i = offset[a]; i < offset[a + 1]; ++i)
+      {
+        const int *other = facets + size * at[i];
+        for (int m = 0; m < size && at[i] != f; ++m)
+        {
+          int next = other[m + 1 < size ? m + 1 : 0];
+          if (other[m] == a && next == b)
+            status = BAD_INPUT;
+          else if (other[m] == b && next == a)
+            found = at[i];
+        }
+      }
+      behind[size * f + k] = found;
+    }
+  free(offset), free(at);
+  return status;
+}
+
+// Whether a surface has an edge at which the cosine between normals is less than that.
+int has_corner(int num, int size, const int *behind, const double *normals, double cosine)
+{
+  for (int f = 0; f < num; ++f)
+    for (int k = 0; k < size; ++k)
+    {
+      int g = behind[size * f + k];
+      if (g > f && dot(normals + 3 * f, normals + 3 * g) < cosine)
+        return 1;
+    }
+  return 0;
+}
+
+typedef struct {
+  double t[3], turn; // unit vector along it, and by what normals turn there
+  int a, b;          // its ends
+} Turn;
+
+// The turns at inner edges, of facets with lower numbers than those behind them. Returns the largest.
+//
+// which       (num, size): number of the turn, −1 of other edges
+// shortest    of the longest edges of all facets
+static double find_turns(int num, int size, const int *facets, const int *behind, const double *x,
+                         const double *normals, Turn *turns, int *which, int *num_turns,
+                         double *shortest)
+{
+  double most = 0, least = INFINITY;
+  *num_turns = 0;
+  for (int f = 0; f < num; ++f)
+  {
+    double longest = 0;
+    for (int k = 0; k < size; ++k)
+    {
+      double e[3];
+      minus(x + 3 * facets[size * f + (k + 1) % size], x + 3 * facets[size * f + k], e);
+      longest = larger(longest, dot(e, e));
+    }
+    least = smaller(least, longest);
+    for (int k = 0; k < size; ++k)
+    {
+      int g = behind[size * f + k];
+      which[size * f + k] = g > f ? *num_turns : -1;
+      if (g <= f)
+        continue;
+      const double *m = normals + 3 * f, *n = normals + 3 * g;
+      const double cross[3] = {m[1] * n[2] - m[2] * n[1], m[2] * n[0] - m[0] * n[2],
+                               m[0] * n[1] - m[1] * n[0]};
+      Turn *own = turns + (*num_turns)++;
+      own->a = facets[size * f + k], own->b = facets[size * f + (k + 1) % size];
+      own->turn = atan2(sqrt(dot(cross, cross)), dot(m, n));
+      minus(x + 3 * own->b, x + 3 * own->a, own->t);
+      double length = sqrt(dot(own->t, own->t));
+      for (int i = 0; i < 3; ++i)
+        own->t[i] /= length;
+      most = larger(most, own->turn);
+    }
+  }
+  *shortest = sqrt(least);
+  return most;
+}
+
+// Whether some edge at a vertex, which doesn't touch an edge, turns about as much and as it does.
+static int turns_beside(const Turn *turns, const int *offset, const int *at, int vertex,
+                        const Turn *own, double stands_out)
+{
+  for (int i = offset[vertex]; i < offset[vertex + 1]; ++i)
+  {
+    const Turn *other = turns + at[i];
+    if (other->a != own->a && other->a != own->b && other->b != own->a && other->b != own->b
+        && stands_out * other->turn * fabs(dot(own->t, other->t)) >= own->turn)
+      return 1;
+  }
+  return 0;
+}
+
+// Find the edges at which a surface turns by more than a corner does, or by much more than beside.
+//
+// n, x        vertices
+// num, size   facets, and corners of each
+// facets      (num, size), around the facets
+// behind      (num, size): the facet behind each edge, −1 at the boundary
+// normals     unit normals of the facets
+// limit       turn that is none
+// noise       error of coordinates' differences, which adds to that
+// corner      turn that is a corner whatever is beside it
+// stands_out  times the turns beside it from which a turn is one
+// kinks       (num, size): whether it is one, of each edge once
+int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
+               const double *normals, double limit, double noise, double corner,
+               double stands_out, int *kinks)
+{
+  int num_turns, status = NO_MEMORY;
+  Turn *turns = malloc((size_t)(num * size + 1) * sizeof(Turn));
+  int *ends = NULL, *at = NULL, *offset = calloc(n + 2, sizeof(int));
+  if (!turns || !offset)
+    goto finish;
+  // ``kinks`` has the turns' numbers first
+  double shortest;
+  double most = find_turns(num, size, facets, behind, x, normals, turns, kinks, &num_turns, &shortest);
+  limit += noise / shortest;
+  if (most <= limit)
+  {
+    memset(kinks, 0, (size_t)num * size * sizeof(int));
+    status = DONE;
+    goto finish;
+  }
+  ends = malloc((2 * (size_t)num_turns + 1) * sizeof(int));
+  at = malloc((2 * (size_t)num_turns + 1) * sizeof(int));
+  if (!ends || !at)
+    goto finish;
+  for (int i = 0; i < num_turns; ++i)
+    ends[2 * i] = turns[i].a, ends[2 * i + 1] = turns[i].b;
+  sort_at_vertices(n, 2, num_turns, ends, offset, at);
+  for (int f = 0; f < num; ++f)
+    for (int k = 0; k < size; ++k)
+    {
+      int i = kinks[size * f + k], g = behind[size * f + k], m = 0;
+      kinks[size * f + k] = 0;
+      if (i < 0 || turns[i].turn <= limit)
+        continue;
+      while (m < size - 1 && behind[size * g + m] != f)
+        ++m;
+      int p = facets[size * f + (k + 2) % size], s = facets[size * g + (m + 2) % size];
+      kinks[size * f + k] = turns[i].turn > corner
+                            || !(turns_beside(turns, offset, at, p, turns + i, stands_out)
+                                 || turns_beside(turns, offset, at, s, turns + i, stands_out));
+    }
+  status = DONE;
+finish:
+  free(turns), free(ends), free(at), free(offset);
+  return status;
+}
+
+// ---------------------------------------------------------------------------------------------
+
+#define LOT 16 // points that have a ball around them
+
+typedef struct {
+  double middle[3], radius;
+} Ball;
+
+// Balls around points and the edges from them to the next ones.
+static Ball *make_balls(int n, const double *x)
+{
+  int num = (n + LOT - 1) / LOT;
+  Ball *balls = malloc((num + 1) * sizeof(Ball));
+  for (int lot = 0; balls && lot < num; ++lot)
+  {
+    Ball *own = balls + lot;
+    int first = LOT * lot, last = first + LOT < n ? first + LOT : n; // the next lot's first too
+    double square = 0, e[3];
+    for (int k = 0; k < 3; ++k)
+    {
+      double low = INFINITY, high = -INFINITY;
+      for (int i = first; i <= last; ++i)
+      {
+        low = smaller(low, x[3 * (i % n) + k]);
+        high = larger(high, x[3 * (i % n) + k]);
+      }
+      own->middle[k] = (low + high) / 2;
+    }
+    for (int i = first; i <= last; ++i)
+    {
+      minus(x + 3 * (i % n), own->middle, e);
+      square = larger(square, dot(e, e));
+    }
+    own->radius = (1 + 1e-12) * sqrt(square);
+  }
+  return balls;
+}
+
+// The square of how far a point is off an edge, and the parameter s on it, from 0 to 1.
+static double off_edge(const double *point, const double *a, const double *b, double *s)
+{
+  double t[3], e[3];
+  minus(b, a, t);
+  minus(point, a, e);
+  double square = dot(t, t);
+  *s = square > 0 ? dot(e, t) / square : 0;
+  *s = smaller(larger(*s, 0), 1);
+  for (int k = 0; k < 3; ++k)
+    e[k] -= *s * t[k];
+  return dot(e, e);
+}
+
+// Find what is nearest to points: of other points, or of a loop, where edge i goes from its node i to
+// the next one, or from the last one to the first. Of several that are as near it is the first.
+//
+// num, points
+// n, x        the others
+// node        (num)
+// edge, s     (num): the edge and the parameter on it, from 0 to 1; NULL if nobody asks
+int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
+                 double *s)
+{
+  Ball *balls = make_balls(n, x);
+  if (!balls)
+    return NO_MEMORY;
+  for (int p = 0, last = 0; p < num; ++p)
+  {
+    double e[3], at, to_node = INFINITY, to_edge = INFINITY;
+    const double *point = points + 3 * p;
+    minus(point, x + 3 * last, e);
+    double reach = (1 + 1e-12) * sqrt(dot(e, e)); // the nearest one is not farther than the last
+    for (int lot = 0; LOT * lot < n; ++lot)
+    {
+      minus(point, balls[lot].middle, e);
+      double beyond = reach + balls[lot].radius;
+      if (dot(e, e) > beyond * beyond)
+        continue;
+      for (int i = LOT * lot; i < n && i < LOT * (lot + 1); ++i)
+      {
+        minus(point, x + 3 * i, e);
+        double square = dot(e, e);
+        if (square < to_node)
+        {
+          to_node = square;
+          node[p] = i;
+        }
+        if (!edge)
+          continue;
+        square = off_edge(point, x + 3 * i, x + 3 * ((i + 1) % n), &at);
+        if (square < to_edge)
+        {
+          to_edge = square;
+          edge[p] = i;
+          s[p] = at;
+        }
+      }
+      reach = smaller(reach, (1 + 1e-12) * sqrt(to_node));
+    }
+    last = node[p];
+  }
+  free(balls);
+  return DONE;
+}

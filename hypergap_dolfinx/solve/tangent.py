@@ -1,0 +1,273 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The matrix of Newton's steps for bodies in contact: one whose pattern, once analysed, is kept.
+
+Sets change from step to step, and what faces each other. So there is an equation of each
+multiplier, of what isn't in contact p = 0, and room for the entries of what may come next.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx import compat
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solve import saddle
+from hypergap_dolfinx.solve.contacts import ContactRows, Linear
+from hypergap_dolfinx.solve.options import Options
+from hypergap_dolfinx.solve.pattern import Pattern
+
+UNFIT = (
+    " The matrix has zeros on its diagonal, those of what is in contact; "
+    'pc_type "lu" (MUMPS) takes them.'
+)
+
+
+class Numbering:
+    """Unknowns of several parts in one numbering, rank by rank and on each part by part."""
+
+    def __init__(self, ranges: Sequence[npt.NDArray]):
+        """Number them.
+
+        Args:
+            ranges: Of each part the first number on each rank, and the end, ``(num_ranks + 1,)``.
+        """
+        self._ranges = np.array(ranges, dtype=np.int64)
+        sizes = np.diff(self._ranges, axis=1)  # (part, rank)
+        before = np.append(0, np.cumsum(sizes.sum(axis=0)))[:-1]
+        self._start = before + np.cumsum(sizes, axis=0) - sizes
+        self.sizes = sizes
+        """By part and rank."""
+
+    def of(self, part: int, index: npt.NDArray) -> npt.NDArray[np.int64]:
+        """Numbers among all, of numbers in a part."""
+        ranges = self._ranges[part]
+        rank = np.searchsorted(ranges[1:], index, side="right")
+        return self._start[part, rank] + index - ranges[rank]
+
+    def of_rank(self, rank: int) -> tuple[int, int]:
+        """The first of a rank, and the end."""
+        sizes = self.sizes.sum(axis=0)
+        return int(sizes[:rank].sum()), int(sizes[: rank + 1].sum())
+
+
+@dataclass
+class _Kept:
+    """A matrix with a pattern, and what MUMPS knows of it."""
+
+    patterns: list[Pattern]
+    mine: list[npt.NDArray[np.intp]]
+    """This rank's entries of each."""
+    num_base: int
+    """Number of this rank's entries of bodies and ties."""
+    A: PETSc.Mat
+    entries: compat.Triplets
+    ksp: PETSc.KSP
+    units: npt.NDArray[np.float64] | None
+    load_step: int
+    _values: npt.NDArray | None = None
+
+    def fill(self, values: npt.NDArray):
+        """Set this rank's entries; if they are what they were, factors hold. Collective."""
+        same = self._values is not None and np.array_equal(values, self._values)
+        if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
+            self.entries.set(values)
+            self._values = values
+
+    def destroy(self):
+        """Collective."""
+        self.ksp.destroy()
+        self.A.destroy()
+
+
+class Tangent:
+    """[K Bᵀ; B −C] of bodies and ties with the equations of contacts. All is collective."""
+
+    def __init__(
+        self,
+        A: PETSc.Mat,
+        num_bodies: int,
+        rows: Sequence[ContactRows],
+        prefix: str,
+        options: Options,
+    ):
+        """Keep what it is made of.
+
+        Args:
+            A: The nested matrix of bodies and ties.
+            num_bodies: How many of its rows of blocks are bodies'.
+            rows: The contacts.
+            prefix: Of the KSP's options.
+            options: Those.
+        """
+        self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
+        self._prefix, self._options = prefix, options
+        self._kept: _Kept | None = None
+        self._load_step = 0
+
+    def destroy(self):
+        """Destroy the PETSc objects."""
+        if self._kept is not None:
+            self._kept.destroy()
+            self._kept = None
+
+    def set_out(self):
+        """A load step begins: what faced each other in the last one need not be kept."""
+        self._load_step += 1
+
+    def solve(
+        self, right: Sequence[PETSc.Vec], equations: Sequence[Linear], viscous: float
+    ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
+        """Solve with the values that the nested matrix has now.
+
+        Args:
+            right: Right-hand side of bodies and ties.
+            equations: Those of each contact.
+            viscous: Share of the bodies' stiffness that is added.
+
+        Returns:
+            This rank's displacements of each body and multipliers of ties, and the unknowns of each
+            contact, the same on every rank.
+
+        Raises:
+            SolveError: The solver failed.
+        """
+        base = self._base(viscous)
+        values = self._values(equations, len(base))
+        fresh = values is None
+        if values is None:
+            values = self._renew(equations)
+        try:
+            return self._solve(right, equations, [base, *values])
+        except SolveError:
+            self.destroy()
+            if fresh:
+                raise
+        # What was analysed with other values may lead to poor pivots
+        return self._solve(right, equations, [base, *self._renew(equations)])
+
+    def _base(self, viscous: float) -> npt.NDArray:
+        """This rank's entries of the nested matrix."""
+        return np.concatenate(
+            [
+                block.getValuesCSR()[2] * (1 + viscous * (i == j < self._num_bodies))
+                for i, j, block in self._blocks()
+            ]
+        )
+
+    def _values(
+        self, equations: Sequence[Linear], num_base: int
+    ) -> list[npt.NDArray[np.float64]] | None:
+        """This rank's entries of equations, by contact; None if there is no place for all."""
+        kept, found = self._kept, []
+        fits = kept is not None and kept.num_base == num_base
+        if kept is not None:
+            for pattern, mine, linear in zip(kept.patterns, kept.mine, equations, strict=True):
+                values = pattern.values(linear.matrix)
+                fits &= values is not None
+                found.append(np.empty(0) if values is None else values[mine])
+        return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
+
+    def _solve(self, right, equations, values):
+        kept = self._kept
+        assert kept is not None
+        kept.fill(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
+        b, x = kept.A.createVecs()
+        own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
+        b.array[:] = np.concatenate([part.array_r for part in right] + own)
+        try:
+            with self._options.in_use():
+                saddle.solve(kept.ksp, b, x)
+            message = saddle.failure(kept.ksp, units=kept.units)
+            if message:
+                raise SolveError(message)
+            if not np.isfinite(x.norm()):
+                raise SolveError("the linear solve gave no numbers.")
+            ends = np.cumsum([part.getLocalSize() for part in right] + [len(part) for part in own])
+            found = np.split(x.array_r.copy(), ends[:-1])
+        finally:
+            for obj in (b, x):
+                obj.destroy()
+        contacts = found[len(right) :]
+        return found[: len(right)], [
+            rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
+        ]
+
+    def _renew(self, equations: Sequence[Linear]) -> list[npt.NDArray[np.float64]]:
+        """Make a matrix with room for equations; their values."""
+        patterns = [rows.pattern() for rows in self._rows]
+        for c, linear in enumerate(equations):
+            patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
+            if self._kept is not None and self._kept.load_step == self._load_step:
+                patterns[c] = patterns[c].joined(self._kept.patterns[c])
+        self.destroy()
+        self._kept = self._made(patterns)
+        values = self._values(equations, self._kept.num_base)
+        assert values is not None
+        return values
+
+    def _made(self, patterns: list[Pattern]) -> _Kept:
+        nest = self._nest
+        comm = nest.comm.tompi4py()
+        num = nest.getNestSize()[0]
+        ranges = [nest.getNestSubMatrix(i, i).getOwnershipRanges() for i in range(num)]
+        numbering = Numbering([*ranges, *(rows.ranges for rows in self._rows)])
+        first, end = numbering.of_rank(comm.rank)
+        i, j, mine = [], [], []
+        for k, of, block in self._blocks():
+            indptr, columns, _ = block.getValuesCSR()
+            rows_of = np.arange(*block.getOwnershipRange())
+            i.append(np.repeat(numbering.of(k, rows_of), np.diff(indptr)))
+            j.append(numbering.of(of, columns))
+        num_base = sum(map(len, i))
+        for c, (rows, pattern) in enumerate(zip(self._rows, patterns, strict=True)):
+            part, number = rows.unknowns
+            among = np.full(len(part), -1)
+            for body in {*part[part >= -1].tolist()}:
+                among[part == body] = numbering.of(
+                    num + c if body == -1 else body, number[part == body]
+                )
+            row, column = (among[at] for at in pattern.places)
+            mine.append(np.flatnonzero((first <= row) & (row < end)))
+            i.append(row[mine[-1]])
+            j.append(column[mine[-1]])
+        size = end - first
+        A = PETSc.Mat().create(nest.comm)
+        A.setSizes(((size, None), (size, None)))
+        A.setType(PETSc.Mat.Type.AIJ)
+        entries = compat.Triplets(A, np.concatenate(i), np.concatenate(j))
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        ksp.setOptionsPrefix(self._prefix)
+        try:
+            with self._options.in_use():
+                ksp.setFromOptions()
+        except SolveError:
+            ksp.destroy()
+            A.destroy()
+            raise
+        units = None
+        if num > self._num_bodies:
+            units = np.ones(size)
+            parts = [
+                np.full(n, scale)
+                for n, scale in zip(numbering.sizes[:, comm.rank], saddle.scales(nest))
+            ]
+            units[: sum(map(len, parts))] = np.concatenate(parts)
+        return _Kept(patterns, mine, num_base, A, entries, ksp, units, self._load_step)
+
+    def _blocks(self) -> Iterator[tuple[int, int, PETSc.Mat]]:
+        num = self._nest.getNestSize()[0]
+        for i in range(num):
+            for j in range(num):
+                block = self._nest.getNestSubMatrix(i, j)
+                if block:
+                    yield i, j, block
