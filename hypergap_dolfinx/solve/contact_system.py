@@ -145,7 +145,7 @@ class ContactSystem(NonlinearSystem):
         self._lead()
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
-        polished, self._largest = False, 0.0
+        polished, returned, self._largest = False, 0, 0.0
         relaxation = Relaxation(self._u[0].function_space.mesh.comm)
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
@@ -156,8 +156,11 @@ class ContactSystem(NonlinearSystem):
                 self.assemble_matrix()
             last = [rows.now.copy() for rows in self._rows]
             held = self._choose(before, ahead=step < AHEAD)
-            same = [all(map(np.array_equal, sets, held)) for sets in (earlier, before)]
-            if earlier and same[0] and not same[1]:
+            as_before, as_earlier = (
+                bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
+            )
+            returned = returned + 1 if as_earlier and not as_before else 0
+            if returned > 1:
                 # To and fro: once more as it was, for then the tangent is exact
                 held = [rows.keep(now) for rows, now in zip(self._rows, last, strict=True)]
             earlier = before
