@@ -175,6 +175,19 @@ DEMOS = {
         pictures=("ironing",),
         needs=("matplotlib",),
     ),
+    "ironing_quadratic": Demo(
+        "--flat --degree 2 --friction 0.2 --steps 8",
+        {"rows.11.fy": -0.29311},
+        {"rows.*.halvings": 0, "rows.*.iterations": 14},
+        slow=True,
+        script="ironing",
+    ),
+    "ironing_sticking": Demo(
+        "--flat --degree 2 --friction 0.5 --steps 4",
+        below={"rows.*.halvings": 0, "rows.*.iterations": 14},
+        slow=True,
+        script="ironing",
+    ),
     "ironing_solids": Demo(
         "--dim 3 --steps 6",
         {"rows.9.fy": -0.122},

@@ -21,12 +21,13 @@ from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.contacts import (
     ContactRows,
     Linear,
+    Pressed,
     Touching,
     owned_values,
     share_ends,
 )
 from hypergap_dolfinx.solve.direct import PLANE, DirectStep
-from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
+from hypergap_dolfinx.solve.friction import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.leading import leading, turns_together
@@ -160,12 +161,11 @@ class ContactSystem(NonlinearSystem):
                 bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
             )
             returned = returned + 1 if as_earlier and not as_before else 0
-            if returned > 1:
-                # To and fro: once more as it was, for then the tangent is exact
-                held = [rows.keep(now) for rows, now in zip(self._rows, last, strict=True)]
-            earlier = before
-            settled = bool(before) and all(map(np.array_equal, before, held))
-            if self._balances() and step and settled:
+            kept = returned > 1 and self._keep(last)
+            if kept:
+                held = before
+            earlier, settled = before, as_before or kept
+            if self._balances() and step and settled and not kept:
                 if polished or all(rows.is_exact for rows in self._rows):
                     self._check_pushing()
                     return step
@@ -186,6 +186,21 @@ class ContactSystem(NonlinearSystem):
                     self._restore(state)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _keep(self, last: Sequence[Pressed]) -> bool:
+        """Where sticking and slipping go to and fro, go on as before, with the exact tangent.
+
+        What that leads to is looked at anew: it is no solution yet.
+
+        Args:
+            last: The state before what sticks was chosen.
+        """
+        if not all(np.array_equal(rows.now.on, a.on) for rows, a in zip(self._rows, last)):
+            return False
+        for rows, now in zip(self._rows, last, strict=True):
+            if isinstance(rows, FrictionRows) and isinstance(now, Rubbed):
+                rows.keep(now)
+        return True
 
     def _check_pushing(self):
         """Raise if what is active only to hold a body would have to pull it."""

@@ -407,11 +407,6 @@ class ContactRows:
         """Where it is in contact; equal ones need no new tangent."""
         return self.now.on.copy()
 
-    def keep(self, last: Pressed) -> npt.NDArray:
-        """Go back to other sets, as far as there are multipliers, and give them."""
-        self.now.on = last.on & self.valid
-        return self.sets
-
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """What multipliers make of motions, over areas, ``(num_multipliers, num)``."""
         result = np.zeros((len(self.g), len(moves)))

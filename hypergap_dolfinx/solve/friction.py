@@ -216,11 +216,9 @@ class FrictionRows(ContactRows):
         way = np.sign(now.way[0]) * slips if self._n == 2 else slips
         return np.concatenate((now.on, self.stuck, way))
 
-    def keep(self, last: Pressed) -> npt.NDArray:
-        """Go back to what stuck and slipped too."""
-        assert isinstance(last, Rubbed)
+    def keep(self, last: Rubbed):
+        """Go back to what stuck and slipped."""
         self.now.sticks, self.now.way = last.sticks.copy(), last.way.copy()
-        return super().keep(last)
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
