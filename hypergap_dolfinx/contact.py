@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.coefficient import Coefficient, Value
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.friction import Friction, Value, friction_of
+from hypergap_dolfinx.friction import Friction, friction_of
 from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.gap.opened import on_sigma
 from hypergap_dolfinx.gap.opening import Opening
@@ -49,6 +50,9 @@ class Contact:
     With friction there are tractions q_a too, against the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
 
+    Surfaces that give way (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a
+    then, m_a being the area that goes with it.
+
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
 
@@ -80,6 +84,7 @@ class Contact:
         friction: Value | None = None,
         elastic_slip: float = 0.0,
         shear_limit: float = np.inf,
+        compliance: Value | None = None,
     ):
         """Find the two surfaces. Collective.
 
@@ -96,10 +101,13 @@ class Contact:
                 when it is released. With 0 nothing slips before that.
             shear_limit: Traction τ beyond which friction doesn't grow with pressure: min(μ p, τ).
                 With a large μ it is nearly Tresca's friction, the same at any pressure.
+            compliance: c, a length over a pressure, where surfaces overlap by c p: given as
+                ``friction``. A layer of thickness t and modulus E that is thin has t / E or, if it
+                can't give way sideways, t (1 + ν) (1 − 2ν) / (E (1 − ν)). None for none.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
-                unknown; a coefficient of friction that is negative, no number, or elsewhere; an
+                unknown; a friction or compliance that is negative, no number, or elsewhere; an
                 elastic slip or a limit of shear without friction.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
@@ -133,6 +141,11 @@ class Contact:
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
+        self._compliance = (
+            None
+            if compliance is None
+            else Coefficient(compliance, "compliance", "the compliance", *side1)
+        )
         self.rows: ContactRows | None = None
         """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
@@ -223,6 +236,11 @@ class Contact:
     def friction(self) -> Friction | None:
         """Coulomb's friction, if there is any."""
         return self._friction
+
+    @property
+    def compliance(self) -> Coefficient | None:
+        """By how much surfaces overlap under a pressure of 1, if they do."""
+        return self._compliance
 
     @property
     def finer(self) -> float:

@@ -163,6 +163,7 @@ class ContactProblem(ContactSystem):
             bcs,
             Joined(ties),
             touching,
+            names=[f"body {i}" for i in elastic],
             rtol=rtol,
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,
@@ -176,7 +177,8 @@ class ContactProblem(ContactSystem):
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
         arrays = [array for law in laws for array in law.arrays]
-        arrays += [contact.friction.array for contact in contacts if contact.friction]
+        told = [part for one in contacts for part in (one.friction, one.compliance) if part]
+        arrays += [part.array for part in told]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
 
@@ -257,14 +259,15 @@ class ContactProblem(ContactSystem):
             try:
                 steps = self._newton()
             except (SolveError, InterfaceError, InvertedCellError) as error:
+                lost = self._lost(before, error)
                 self._restore(before)
                 if not isinstance(error, SolveError) and not self._iterations:
                     self._path.stop(done)
                     raise  # surfaces without a Σ where the bodies were
                 if not changes:
                     raise SolveError(
-                        f"contact: {error} The load step can't be halved: no value has changed "
-                        "since the last one, or since the problem was made (set loads after that)."
+                        f"contact: {error}{lost} The load step can't be halved: no value has "
+                        "changed since the last one, or since the problem was made (load it then)."
                     ) from error
                 size /= 2
                 self._halvings += 1
@@ -274,7 +277,7 @@ class ContactProblem(ContactSystem):
                         for rows in self._rows:
                             rows.look()
                     raise SolveError(
-                        f"contact: no solution beyond {done:.3g} of the load step; {error}"
+                        f"contact: no solution beyond {done:.3g} of the load step; {error}{lost}"
                     ) from error
                 progress.show(comm, f"load {s:.3g}: {error}")
             else:

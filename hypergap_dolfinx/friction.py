@@ -3,21 +3,16 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The coefficient of friction of a contact, as a user gives it."""
+"""The friction of a contact, as a user gives it."""
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import raise_on_all
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.surface import create_surface, lagrange_element
-from hypergap_dolfinx.solve.every import look_up
-
-Value = float | fem.Constant | fem.Function
+from hypergap_dolfinx.coefficient import Coefficient, Value, is_number
 
 
-class Friction:
+class Friction(Coefficient):
     """Coulomb's coefficient μ: one number, or one for each place on Γ1."""
 
     def __init__(
@@ -31,8 +26,7 @@ class Friction:
         """Check what is given. Collective.
 
         Args:
-            value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
-                which values at vertices are taken.
+            value: As for :class:`Coefficient`.
             elastic_slip: Slip up to which friction grows to μ p; 0 if nothing slips before.
             shear_limit: Traction beyond which friction doesn't grow with pressure.
             V: The space of Γ1's body.
@@ -41,64 +35,15 @@ class Friction:
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
         """
-        if not (_is_number(elastic_slip) and np.isfinite(elastic_slip) and elastic_slip >= 0):
+        if not (is_number(elastic_slip) and np.isfinite(elastic_slip) and elastic_slip >= 0):
             raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip!r}.")
         self.elastic_slip = float(elastic_slip)
         """Slip up to which friction grows to μ p."""
-        if not (_is_number(shear_limit) and shear_limit > 0):
+        if not (is_number(shear_limit) and shear_limit > 0):
             raise ValueError(f"shear_limit is a traction above 0, not {shear_limit!r}.")
         self.shear_limit = float(shear_limit)
         """Traction beyond which friction doesn't grow with pressure."""
-        self._comm = V.mesh.comm
-        self._at: MovingSurface | None = None
-        self._value: npt.NDArray | fem.Constant | fem.Function
-        if isinstance(value, fem.Function):
-            raise_on_all(self._comm, _unfit(value, V), ValueError)
-            self._at = MovingSurface(create_surface(value.function_space, facets, "Γ1"))
-            self._value = value
-        elif isinstance(value, fem.Constant):
-            if value.value.shape:
-                raise ValueError(
-                    f"the coefficient of friction is a scalar, not of shape {value.value.shape}."
-                )
-            self._value = value
-        elif _is_number(value):
-            self._value = np.array(float(value))
-        else:
-            raise ValueError(
-                "friction is a number, a fem.Constant or a fem.Function on Γ1's mesh, not "
-                f"{type(value).__name__}."
-            )
-        self._num = len(create_surface(V, facets, "Γ1").x)
-        self.at_vertices()
-
-    @property
-    def array(self) -> npt.NDArray:
-        """The values that a user can change."""
-        if isinstance(self._value, fem.Function):
-            return self._value.x.array
-        return self._value.value if isinstance(self._value, fem.Constant) else self._value
-
-    def at_vertices(self) -> npt.NDArray[np.float64]:
-        """At Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
-
-        Raises:
-            ValueError: A value that is negative or no number.
-        """
-        if not isinstance(self._value, fem.Function):
-            mu = np.full(self._num, float(self.array))
-        else:
-            assert self._at is not None
-            dofmap = self._value.function_space.dofmap
-            owned = self.array[: dofmap.index_map.size_local, None]
-            offset = dofmap.index_map.local_range[0]
-            mu = look_up(self._comm, owned, offset, self._at.vertex_dofs)[:, 0]
-        wrong = mu[~(np.isfinite(mu) & (mu >= 0))]
-        bad = None
-        if len(wrong):
-            bad = f"the coefficient of friction is {wrong[0]:.6g} on Γ1; it is a number from 0 on."
-        raise_on_all(self._comm, bad, ValueError)
-        return mu
+        super().__init__(value, "friction", "the coefficient of friction", V, facets)
 
 
 def friction_of(
@@ -127,24 +72,3 @@ def friction_of(
         if one != none:
             raise ValueError(f"{name} is for contact with friction: give friction too.")
     return None
-
-
-def _is_number(value) -> bool:
-    """Whether it is a real number, or an array of no dimensions with one."""
-    kinds = int | float | np.number | np.ndarray
-    return (
-        isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
-    )
-
-
-def _unfit(f: fem.Function, V: fem.FunctionSpace) -> str | None:
-    """What is wrong with a function as a coefficient."""
-    if f.function_space.mesh is not V.mesh:
-        return (
-            "friction is a function on another mesh than Γ1's; make it on that of "
-            "contact.spaces[1] (Contact.between chooses which side that is)."
-        )
-    if f.function_space.value_shape:
-        return f"friction is a scalar, not of shape {f.function_space.value_shape}."
-    _, why = lagrange_element(f.function_space)
-    return why and f"the space of the friction coefficient {why}; interpolate it to one."

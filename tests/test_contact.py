@@ -122,11 +122,41 @@ def test_gap_and_pressure(degree, sliding):
 
 
 @pytest.mark.ranks(2)
+@two_ranks(sliding=["finite"])
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+def test_gives_way(sliding):
+    """A layer that is as springs between blocks, of a stiffness that changes and that varies."""
+    scene = Blocks(gap=0.02, walls=True)
+    c = fem.Function(fem.functionspace(scene.contact.spaces[1].mesh, ("Lagrange", 1)))
+    sides = zip(scene.contact.spaces, scene.contact.facets, strict=True)
+    contact = Contact(*sides, sliding=sliding, compliance=c)
+    problem = ContactProblem(scene.F, scene.u, bcs=scene.bcs, contacts=[contact])
+    for top, given in ((-0.05, 0.0), (-0.05, 0.2), (0.0, 0.2), (-0.1, 1e6), (-0.2, 0.1)):
+        scene.top.value, c.x.array[:] = top, given
+        problem.solve()
+        exact = max(-top - 0.02, 0) / (2 / 3 + given)
+        np.testing.assert_allclose(contact.pressures(problem), exact, rtol=1e-10)
+        assert problem.halvings == 0 and problem.iterations <= 4
+        g, m = contact.rows.g, contact.rows.m
+        np.testing.assert_allclose(g / m, max(top + 0.02, -given * exact), atol=1e-12)
+    stiff = Blocks(walls=True, E=1e9)
+    V = fem.functionspace(stiff.contact.spaces[1].mesh, ("Lagrange", 2))
+    c = fem.Function(V)
+    c.interpolate(lambda x: 1 + x[0] ** 2)
+    sides = zip(stiff.contact.spaces, stiff.contact.facets, strict=True)
+    contact = Contact(*sides, sliding=sliding, compliance=c)
+    problem = ContactProblem(stiff.F, stiff.u, bcs=stiff.bcs, contacts=[contact])
+    stiff.top.value = -0.01
+    problem.solve()
+    x = contact.surfaces[1].x[:, 0]
+    np.testing.assert_allclose(contact.rows.now.p, 0.01 / (1 + x**2), rtol=1e-6)
+
+
 def test_nothing_holds():
     """A motion that contact can't hold is told, not solved; so is one that it is pulled from."""
     scene = Blocks(held=False)
     scene.load.value = -0.05
-    with raises(SolveError, "no solution beyond 0 of the load step.*would have to pull"):
+    with raises(SolveError, "no solution beyond 0 of the .*would have to pull at .*: body 1, that"):
         scene.problem.solve()
 
 

@@ -175,6 +175,19 @@ DEMOS = {
         pictures=("ironing",),
         needs=("matplotlib",),
     ),
+    "ironing_quadratic": Demo(
+        "--flat --degree 2 --friction 0.2 --steps 8",
+        {"rows.11.fy": -0.29311},
+        {"rows.*.halvings": 0, "rows.*.iterations": 14},
+        slow=True,
+        script="ironing",
+    ),
+    "ironing_sticking": Demo(
+        "--flat --degree 2 --friction 0.5 --steps 4",
+        below={"rows.*.halvings": 0, "rows.*.iterations": 14},
+        slow=True,
+        script="ironing",
+    ),
     "ironing_solids": Demo(
         "--dim 3 --steps 6",
         {"rows.9.fy": -0.122},
@@ -270,6 +283,13 @@ DEMOS = {
         slow=True,
         status=1,  # the rows that test_stability.test_all names are not met
     ),
+    "contact_conductance": Demo(
+        "--cells 12",
+        {"crowned.2.heat": 0.24153, "crowned.2.rough": 0.038180, "crowned.7.heat": 0.33344},
+        {"even.*.error": 1e-11, "crowned.*.newton": 6},
+        accuracy=1e-3,
+        pictures=("contact_conductance",),
+    ),
     "peeling": Demo(
         "--steps 8",
         {"rows.5.moment": 1.0, "rows.7.moment": 1.0},
@@ -328,7 +348,7 @@ AS_OTHERS = (
     *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
     *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
-    *("contact_run_time", "peeling", "rolling"),
+    *("contact_conductance", "contact_run_time", "peeling", "rolling"),
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 

@@ -270,6 +270,21 @@ def test_shear_limit(dim):
     assert (mu * rows.now.p[slips] > 1.1 * limit).sum() >= 2 and contact.dissipation(problem) > 0
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_gives_way(dim):
+    """Where surfaces overlap by c p they rub as others do, and forces balance."""
+    contact, problem, go = rotating(dim, friction=0.1, compliance=0.5)
+    rows = contact.rows
+    go(0, *(0.04, 0.02)[: dim - 1], -0.1)
+    assert problem.iterations <= 12 and problem.halvings == 0
+    on, p, q = contact.active, rows.now.p, np.linalg.norm(rows.now.q, axis=0)
+    close(rows.g[on], -0.5 * (rows.m * p)[on], 1e-10)
+    close(q[contact.slipping], 0.1 * p[contact.slipping], 1e-9)
+    assert on.any() and contact.slipping.any() and (q <= 0.1 * p * (1 + 1e-9)).all()
+    below, above = (part.sum(axis=0) for part in rows.acting())
+    assert np.abs(below + above).max() <= 1e-14
+
+
 @pytest.mark.ranks(2)
 def test_input():
     """Each thing that is wrong with friction is told in one line, on every rank."""
@@ -295,6 +310,8 @@ def test_input():
         ({"elastic_slip": None, "friction": 0.3}, "a length from 0 on, not None"),
         ({"shear_limit": 0.1}, "shear_limit is for contact with friction"),
         ({"shear_limit": 0, "friction": 0.3}, "a traction above 0, not 0"),
+        ({"compliance": -1e-3}, "the compliance is -0.001 on Γ1; it is a number from 0 on"),
+        ({"compliance": (0.1, 0)}, "compliance is a number, a fem.Constant or a fem.Function"),
     ):
         with raises(ValueError, why):
             Contact(*sides, **options)

@@ -19,6 +19,7 @@ from PIL import Image
 FOLDER = Path(__file__).parent
 PICTURES = {
     "assembly": ("assembly",),
+    "contact_conductance": ("contact_conductance",),
     "contact_patch": ("contact_patch", "--quick"),
     "heat": ("heat",),
     "hyperelasticity": ("hyperelasticity",),

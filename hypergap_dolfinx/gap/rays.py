@@ -36,6 +36,8 @@ FARTHER = 8.0
 """Longest way on Γ0 between neighbouring rays, in lengths of their edges."""
 REACHED = 0.999
 """Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
+KEPT = 0.9
+"""The same of degree 2, if both had them: for degree 1 it is :data:`COVERED`."""
 ROOM = 3
 """Cells for each edge of both sides for which there is room at first."""
 
@@ -141,7 +143,8 @@ def cast(
     kinks0, kinks1 = (find_kinks(sigma, i) for i in (0, 1))
     order = Order.of(surfaces[0], kinks0, last.order if last else None)
     chains = ffi.new("Chains *", order.chains)
-    least = np.where(last.whole, COVERED, REACHED) if last else np.full(num, REACHED)
+    kept = COVERED if surfaces[1].element.degree == 1 else KEPT
+    least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     whole = np.empty(num, np.int32)
     given = as_ints(kinks1), as_doubles(least), len(walls), as_ints(np.array(walls)), END, FACES
     while True:

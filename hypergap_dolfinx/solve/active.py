@@ -31,7 +31,7 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
     return m > COVERED * area
 
 
-def pushing(p, g, m, valid, stiffness: float, on, none: float) -> npt.NDArray[np.bool_]:
+def pushing(p, g, m, valid, stiffness, on, none: float) -> npt.NDArray[np.bool_]:
     """P − c g/m > 0: closed or overlapping, and not pulling; what is at both limits stays.
 
     Args:
@@ -39,7 +39,7 @@ def pushing(p, g, m, valid, stiffness: float, on, none: float) -> npt.NDArray[np
         g: Weighted gaps, ``(num,)``.
         m: Areas of the weights, ``(num,)``.
         valid: Which multipliers there are, ``(num,)``.
-        stiffness: c, of the size of a modulus over the size of a cell.
+        stiffness: c, of the size of a modulus over the size of a cell; a number or ``(num,)``.
         on: The set so far, ``(num,)``.
         none: Pressure that is none.
     """

@@ -15,17 +15,18 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.errors import SolveError, spot
 from hypergap_dolfinx.gap.moving import Displacements
 from hypergap_dolfinx.solve import active, saddle
 from hypergap_dolfinx.solve.contacts import (
     ContactRows,
     Linear,
+    Pressed,
     Touching,
     owned_values,
     share_ends,
 )
-from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
+from hypergap_dolfinx.solve.friction import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.leading import leading, turns_together
@@ -33,6 +34,7 @@ from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
+from hypergap_dolfinx.solve.strays import Strays
 from hypergap_dolfinx.solve.tangent import Tangent, ways
 
 STEPS = 25
@@ -60,6 +62,7 @@ class ContactSystem(NonlinearSystem):
         pieces: Pieces,
         touching: Sequence[Touching],
         *,
+        names: Sequence[str],
         rtol: float,
         petsc_options_prefix: str,
         petsc_options: dict | None,
@@ -73,13 +76,14 @@ class ContactSystem(NonlinearSystem):
             bcs: Dirichlet conditions of any of the bodies.
             pieces: The ties, and what they are pieces of.
             touching: The contacts.
+            names: Of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, that is none.
             petsc_options_prefix: Prefix of the KSP's options.
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
         super().__init__(F, u, bcs, pieces, **compiling)
-        self._rtol = rtol
+        self._rtol, self._names = rtol, names
         held = self._constraints.prescribed
         self._rows = [
             (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
@@ -116,6 +120,7 @@ class ContactSystem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
+            self._strays = Strays(self._system.spaces, self._free, self._names)
 
     def _state(self):
         """What a failed load step gives back."""
@@ -146,7 +151,8 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._lead()
         before: list[npt.NDArray] = []
-        polished = False
+        earlier: list[npt.NDArray] = []
+        polished, returned, self._largest = False, 0, 0.0
         relaxation = Relaxation(self._u[0].function_space.mesh.comm)
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
@@ -155,9 +161,17 @@ class ContactSystem(NonlinearSystem):
             jump = self._jump()
             if step == 0:
                 self.assemble_matrix()
+            last = [rows.now.copy() for rows in self._rows]
             held = self._choose(before, ahead=step < AHEAD)
-            settled = bool(before) and all(map(np.array_equal, before, held))
-            if self._balances() and step and settled:
+            as_before, as_earlier = (
+                bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
+            )
+            returned = returned + 1 if as_earlier and not as_before else 0
+            kept = returned > 1 and self._keep(last)
+            if kept:
+                held = before
+            earlier, settled = before, as_before or kept
+            if self._balances() and step and settled and not kept:
                 if polished or all(rows.is_exact for rows in self._rows):
                     self._check_pushing()
                     return step
@@ -179,20 +193,37 @@ class ContactSystem(NonlinearSystem):
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
 
+    def _keep(self, last: Sequence[Pressed]) -> bool:
+        """Where sticking and slipping go to and fro, go on as before, with the exact tangent.
+
+        What that leads to is looked at anew: it is no solution yet.
+
+        Args:
+            last: The state before what sticks was chosen.
+        """
+        if not all(np.array_equal(rows.now.on, a.on) for rows, a in zip(self._rows, last)):
+            return False
+        for rows, now in zip(self._rows, last, strict=True):
+            if isinstance(rows, FrictionRows) and isinstance(now, Rubbed):
+                rows.keep(now)
+        return True
+
     def _check_pushing(self):
         """Raise if what is active only to hold a body would have to pull it."""
         none = self._no_pressure()
         for rows in self._rows:
-            p = rows.now.p[rows.now.on]
+            p = rows.now.p * rows.now.on
             if p.min(initial=0) < -max(PULLS * np.abs(p).max(initial=0), none):
+                at = spot(rows.sides[1].displaced(rows.u[1]).x[[p.argmin()]])
                 raise SolveError(
-                    "contact would have to pull: a body that nothing else holds is drawn away, or "
-                    "tilts; hold it by boundary conditions."
+                    f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
+                    "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
                 )
             if isinstance(rows, FrictionRows) and rows.holds_too_much:
                 raise SolveError(
-                    "a body that nothing else holds slides: its load is more than friction can "
-                    "hold; hold it by boundary conditions, or move it by them."
+                    f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
+                    "more than friction can hold; hold it by boundary conditions, or move it by "
+                    "them."
                 )
 
     def _no_pressure(self) -> float:
@@ -222,7 +253,8 @@ class ContactSystem(NonlinearSystem):
         stiffness, none = self._stiffness(), self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
-            now.on = active.pushing(now.p, rows.g, rows.m, rows.valid, c, now.on, none)
+            gaps = rows.clearance, rows.m, rows.valid
+            now.on = active.pushing(now.p, *gaps, rows.in_series(c), now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -274,11 +306,29 @@ class ContactSystem(NonlinearSystem):
             num_free = hold_by_sticking(rubbing, np.vstack((holds[on], across)))
         if num_free:
             slid = ": it fell or slid away, its load may be more than friction can hold"
+            sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
+            across = np.vstack([part.reshape(-1, self._free.num) for part in (across, *sticking)])
+            who = self._strays.unheld(self._owned(), np.vstack((holds[on], across)))
             raise SolveError(
                 f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
                 f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact"
-                f"{slid if rubbing else ' without friction'}; hold them by boundary conditions."
+                f"{slid if rubbing else ' without friction'}: {who}; hold them by boundary "
+                "conditions."
             )
+
+    def _owned(self) -> list[npt.NDArray[np.float64]]:
+        """This rank's owned displacements of each body."""
+        return [owned_values(u) for u in self._u]
+
+    def _lost(self, state, error: Exception) -> str:
+        """Where a load step that failed led bodies that only contact holds. Collective.
+
+        Args:
+            state: Where it started.
+            error: Why it failed.
+        """
+        assert self._free is not None
+        return self._strays.lost(state[0], self._owned(), str(error)) if self._free.num else ""
 
     def _load(self) -> npt.NDArray[np.float64]:
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
@@ -331,7 +381,8 @@ class ContactSystem(NonlinearSystem):
             least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
-        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * np.sqrt(least)))
+        self._largest = max(self._largest, np.sqrt(least))  # what bodies come back from left digits
+        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * self._largest))
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""

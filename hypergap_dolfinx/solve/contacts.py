@@ -105,6 +105,7 @@ class ContactRows:
         ]
         surface = sides[1].reference
         size = lengths(normals_by_area(surface.x[surface.facets]))
+        self._gives = np.zeros(num)
         self._area = np.zeros(num)
         for corner in surface.facets.T:
             self._area += np.bincount(corner, size, num)
@@ -138,6 +139,8 @@ class ContactRows:
 
     def set_out(self):
         """Read what a user may have changed. Collective."""
+        if self._contact.compliance is not None:
+            self._gives = self._contact.compliance.at_vertices()
 
     def look(self):
         """Find the gaps where the bodies are. Collective.
@@ -230,9 +233,18 @@ class ContactRows:
             self._accepted = self._behind, self.m > 0
 
     @property
+    def clearance(self) -> npt.NDArray[np.float64]:
+        """What is 0 in contact: g + c m p, just g if nothing gives way; ``(num_multipliers,)``."""
+        return self.g + self._gives * self.m * self.now.p
+
+    @property
     def distance(self) -> npt.NDArray[np.float64]:
-        """Weighted gap over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
-        return np.divide(self.g, self.m, out=np.full_like(self.g, np.inf), where=self.valid)
+        """Clearance over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
+        return np.divide(self.clearance, self.m, np.full_like(self.g, np.inf), where=self.valid)
+
+    def in_series(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """A stiffness as what gives way lets feel of it, ``(num_multipliers,)``."""
+        return stiffness / (1 + stiffness * self._gives)
 
     @property
     def closed(self) -> float:
@@ -343,7 +355,13 @@ class ContactRows:
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         right = scale * (self.g if moves is None else self.g + self.times(moves))
-        return self._linear(stiffness, rows, rows, Sparse.empty(), right, scale)
+        give = self._giving(stiffness * scale)
+        return self._linear(stiffness, rows, rows, give, right, scale)
+
+    def _giving(self, scale: npt.NDArray[np.float64]) -> Sparse:
+        """−c of what is in contact, times a scale, if it gives way anywhere."""
+        on = np.flatnonzero(self.now.on)
+        return Sparse(on, on, -(scale * self._gives)[on]) if self._gives.any() else Sparse.empty()
 
     def _linear(
         self, stiffness: float, rows: Sparse, forces: Sparse, corner: Sparse, right, scale

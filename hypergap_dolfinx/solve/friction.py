@@ -72,7 +72,8 @@ class FrictionRows(ContactRows):
         self.slipped = np.zeros((len(self.now.p), self._n))
 
     def set_out(self):
-        """Read the coefficient of friction. Collective."""
+        """Read the coefficient of friction too. Collective."""
+        super().set_out()
         self.mu = self._friction.at_vertices()
         self._since = self.start
 
@@ -191,7 +192,7 @@ class FrictionRows(ContactRows):
             trial = now.q - c * self.slip
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
-            bound, _ = self._bounds(now.p - c * gap)
+            bound, _ = self._bounds(now.p - self.in_series(c) * gap)
             none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
             # What is at both limits stays what it is
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
@@ -214,6 +215,10 @@ class FrictionRows(ContactRows):
         slips = now.on & ~now.sticks
         way = np.sign(now.way[0]) * slips if self._n == 2 else slips
         return np.concatenate((now.on, self.stuck, way))
+
+    def keep(self, last: Rubbed):
+        """Go back to what stuck and slipped."""
+        self.now.sticks, self.now.way = last.sticks.copy(), last.way.copy()
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
@@ -283,7 +288,7 @@ class FrictionRows(ContactRows):
             stiffness,
             joined(normal, *along),
             joined(normal, forces),
-            joined(*corner),
+            joined(*corner, self._giving(stiffness * scale)),
             right,
             np.tile(scale, self._n),
         )

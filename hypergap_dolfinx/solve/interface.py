@@ -147,8 +147,15 @@ class Gaps(Protocol):
         """∂(Tᵀq)/∂u."""
 
 
-class Coulomb(Protocol):
-    """Friction of a contact."""
+class AtVertices(Protocol):
+    """What a contact has at each place of Γ1."""
+
+    def at_vertices(self) -> npt.NDArray[np.float64]:
+        """Numbers ≥ 0 at Γ1's vertices now, the same on every rank. Collective."""
+
+
+class Coulomb(AtVertices, Protocol):
+    """Friction of a contact: its coefficient."""
 
     @property
     def elastic_slip(self) -> float:
@@ -157,9 +164,6 @@ class Coulomb(Protocol):
     @property
     def shear_limit(self) -> float:
         """Traction beyond which friction doesn't grow with pressure."""
-
-    def at_vertices(self) -> npt.NDArray[np.float64]:
-        """The coefficient at Γ1's vertices, the same on every rank. Collective."""
 
 
 class ContactInterface(Protocol):
@@ -176,6 +180,10 @@ class ContactInterface(Protocol):
     @property
     def friction(self) -> Coulomb | None:
         """Friction, if there is any."""
+
+    @property
+    def compliance(self) -> AtVertices | None:
+        """By how much surfaces overlap under a pressure of 1, if they do."""
 
     @property
     def follows(self) -> bool:

@@ -1,0 +1,107 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What a contact has at each place of Γ1, as a user gives it: how it rubs, how it gives way."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import raise_on_all
+from hypergap_dolfinx.gap.moving import MovingSurface
+from hypergap_dolfinx.gap.surface import create_surface, lagrange_element
+from hypergap_dolfinx.solve.every import look_up
+
+Value = float | fem.Constant | fem.Function
+
+
+class Coefficient:
+    """Numbers from 0 on: one for all of Γ1, or one for each of its vertices."""
+
+    def __init__(
+        self, value: Value, name: str, what: str, V: fem.FunctionSpace, facets: npt.ArrayLike
+    ):
+        """Check what is given. Collective.
+
+        Args:
+            value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
+                which values at vertices are taken.
+            name: Of the argument, for messages.
+            what: Of the number, for messages.
+            V: The space of Γ1's body.
+            facets: This rank's facets of Γ1.
+
+        Raises:
+            ValueError: Something else, or values that are negative or no numbers.
+        """
+        self._comm, self._what = V.mesh.comm, what
+        self._at: MovingSurface | None = None
+        self._value: npt.NDArray | fem.Constant | fem.Function
+        if isinstance(value, fem.Function):
+            raise_on_all(self._comm, _unfit(value, name, what, V), ValueError)
+            self._at = MovingSurface(create_surface(value.function_space, facets, "Γ1"))
+            self._value = value
+        elif isinstance(value, fem.Constant):
+            if value.value.shape:
+                raise ValueError(f"{what} is a scalar, not of shape {value.value.shape}.")
+            self._value = value
+        elif is_number(value):
+            self._value = np.array(float(value))
+        else:
+            raise ValueError(
+                f"{name} is a number, a fem.Constant or a fem.Function on Γ1's mesh, not "
+                f"{type(value).__name__}."
+            )
+        self._num = len(create_surface(V, facets, "Γ1").x)
+        self.at_vertices()
+
+    @property
+    def array(self) -> npt.NDArray:
+        """The values that a user can change."""
+        if isinstance(self._value, fem.Function):
+            return self._value.x.array
+        return self._value.value if isinstance(self._value, fem.Constant) else self._value
+
+    def at_vertices(self) -> npt.NDArray[np.float64]:
+        """At Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
+
+        Raises:
+            ValueError: A value that is negative or no number.
+        """
+        if not isinstance(self._value, fem.Function):
+            found = np.full(self._num, float(self.array))
+        else:
+            assert self._at is not None
+            dofmap = self._value.function_space.dofmap
+            owned = self.array[: dofmap.index_map.size_local, None]
+            offset = dofmap.index_map.local_range[0]
+            found = look_up(self._comm, owned, offset, self._at.vertex_dofs)[:, 0]
+        wrong = found[~(np.isfinite(found) & (found >= 0))]
+        bad = None
+        if len(wrong):
+            bad = f"{self._what} is {wrong[0]:.6g} on Γ1; it is a number from 0 on."
+        raise_on_all(self._comm, bad, ValueError)
+        return found
+
+
+def is_number(value) -> bool:
+    """Whether it is a real number, or an array of no dimensions with one."""
+    kinds = int | float | np.number | np.ndarray
+    return (
+        isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
+    )
+
+
+def _unfit(f: fem.Function, name: str, what: str, V: fem.FunctionSpace) -> str | None:
+    """What is wrong with a function as a coefficient."""
+    if f.function_space.mesh is not V.mesh:
+        return (
+            f"{name} is a function on another mesh than Γ1's; make it on that of "
+            "contact.spaces[1] (Contact.between chooses which side that is)."
+        )
+    if f.function_space.value_shape:
+        return f"{what} is a scalar, not of shape {f.function_space.value_shape}."
+    _, why = lagrange_element(f.function_space)
+    return why and f"the space of {what} {why}; interpolate it to one."
