@@ -223,8 +223,8 @@ def _opposite(surface: Surface, pieces, other: Surface):
         found[j] = (distance * np.where(turned < FACES, 1, np.where(turned < 0, 4, 1e6))).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
-            "Γ0 and Γ1 don't face each other: their outward normals agree; is one of them the "
-            "wrong side of its body, or the same surface given twice?"
+            f"Γ0 and Γ1 don't face each other: their outward normals agree around {spot(middles)}; "
+            "is one of them the wrong side of its body, or the same surface given twice?"
         )
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     if (cosine > FACES).all():
