@@ -65,9 +65,10 @@ static void products(const double *y, double *q)
   q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
 }
 
-// A constraint on quadratic weights: the sum of c[j] times their coefficients is at least bound.
+// A constraint on quadratic weights: the sum of c[j] times their coefficients is at least bound, but
+// for a tolerance of one. Those of slivers, of which Σ may have some at a cut, count for little.
 typedef struct {
-  double c[6], bound, tolerance;
+  double c[6], bound;
 } Quadratic;
 
 // Solve A x = b with a symmetric A, of which the upper part is given; both are lost.
@@ -102,7 +103,7 @@ static int least_squares_step(int num, const Quadratic *constraints, double *Q)
     double lacks = g->bound;
     for (int j = 0; j < 6; ++j)
       lacks -= g->c[j] * Q[j];
-    violated += lacks > g->tolerance;
+    violated += lacks > 1;
     if (lacks <= 0)
       continue;
     for (int j = 0; j < 6; ++j)
@@ -110,11 +111,11 @@ static int least_squares_step(int num, const Quadratic *constraints, double *Q)
       for (int k = j; k < 6; ++k)
         A[j][k] += g->c[j] * g->c[k];
       b[j] += g->c[j] * g->bound;
+      trace += g->c[j] * g->c[j];
     }
-    ++trace;
   }
   for (int j = 0; j < 6; ++j)
-    A[j][j] += RIDGE * trace;
+    A[j][j] += RIDGE * trace / 6;
   if (trace > 0)
     solve(A, b, Q);
   return violated;
@@ -132,22 +133,17 @@ static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
   {
     const Constraint *g = constraints + i;
     Quadratic *own = some + num_some;
-    double square = 0;
     memset(own, 0, sizeof(Quadratic));
+    if (!(g->tolerance > 0))
+      continue;
     for (int k = 0; k < num_terms(edges + 4 * i); ++k)
     {
       products(vertex[edges[4 * i + k]].y, q);
       for (int j = 0; j < 6; ++j)
-        own->c[j] += g->c[k] * q[j];
+        own->c[j] += g->c[k] * q[j] / g->tolerance;
     }
-    for (int j = 0; j < 6; ++j)
-      square += own->c[j] * own->c[j];
-    double scale = square > 0 ? 1 / sqrt(square) : 0;
-    for (int j = 0; j < 6; ++j)
-      own->c[j] *= scale;
-    own->bound = g->bound * scale;
-    own->tolerance = g->tolerance * scale;
-    num_some += square > 0;
+    own->bound = g->bound / g->tolerance;
+    ++num_some;
   }
   for (int step = 0; step <= STEPS_OF_QUADRATICS; ++step)
   {
