@@ -65,10 +65,10 @@ static void products(const double *y, double *q)
   q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
 }
 
-// A constraint on quadratic weights: the sum of c[j] times their coefficients is at least bound, but
-// for a tolerance of one. Those of slivers, of which Σ may have some at a cut, count for little.
+// A constraint on quadratic weights: the sum of c[j] times their coefficients, a unit vector, is at
+// least bound.
 typedef struct {
-  double c[6], bound;
+  double c[6], bound, tolerance;
 } Quadratic;
 
 // Solve A x = b with a symmetric A, of which the upper part is given; both are lost.
@@ -103,7 +103,7 @@ static int least_squares_step(int num, const Quadratic *constraints, double *Q)
     double lacks = g->bound;
     for (int j = 0; j < 6; ++j)
       lacks -= g->c[j] * Q[j];
-    violated += lacks > 1;
+    violated += lacks > g->tolerance;
     if (lacks <= 0)
       continue;
     for (int j = 0; j < 6; ++j)
@@ -111,11 +111,11 @@ static int least_squares_step(int num, const Quadratic *constraints, double *Q)
       for (int k = j; k < 6; ++k)
         A[j][k] += g->c[j] * g->c[k];
       b[j] += g->c[j] * g->bound;
-      trace += g->c[j] * g->c[j];
     }
+    ++trace;
   }
   for (int j = 0; j < 6; ++j)
-    A[j][j] += RIDGE * trace / 6;
+    A[j][j] += RIDGE * trace;
   if (trace > 0)
     solve(A, b, Q);
   return violated;
@@ -133,16 +133,23 @@ static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
   {
     const Constraint *g = constraints + i;
     Quadratic *own = some + num_some;
+    double square = 0;
     memset(own, 0, sizeof(Quadratic));
-    if (!(g->tolerance > 0))
-      continue;
     for (int k = 0; k < num_terms(edges + 4 * i); ++k)
     {
       products(vertex[edges[4 * i + k]].y, q);
       for (int j = 0; j < 6; ++j)
-        own->c[j] += g->c[k] * q[j] / g->tolerance;
+        own->c[j] += g->c[k] * q[j];
     }
-    own->bound = g->bound / g->tolerance;
+    for (int j = 0; j < 6; ++j)
+      square += own->c[j] * own->c[j];
+    double size = sqrt(square);
+    if (!(SLIVER * size > g->tolerance)) // slivers at a cut would need any weights
+      continue;
+    for (int j = 0; j < 6; ++j)
+      own->c[j] /= size;
+    own->bound = g->bound / size;
+    own->tolerance = g->tolerance / size;
     ++num_some;
   }
   for (int step = 0; step <= STEPS_OF_QUADRATICS; ++step)
