@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
-from hypergap_dolfinx.gap import heights, slip_columns
+from hypergap_dolfinx.gap import curves, heights, slip_columns
 from hypergap_dolfinx.gap.columns import Blocks
 from hypergap_dolfinx.gap.heights import Rays, by_dofs
 from hypergap_dolfinx.gap.moments import rule
@@ -75,8 +75,9 @@ class _State:
         Returns:
             The rays, and ∂q/∂u, the piece and the weight of each.
         """
-        each = len(self.piece) // len(self.vertex)  # points follow each other as pieces do
-        points = (on[:, None] * each + np.arange(each)).ravel()
+        asked = np.zeros(len(self.vertex), dtype=bool)
+        asked[on] = True
+        points = np.flatnonzero(asked[self.piece])
         return (
             self.rays.some(points),
             self.by_dofs[points],
@@ -447,6 +448,13 @@ def _place(sides: Sides, u: Displacements) -> _State:
 def _cast(surfaces, frames: Frames, pieces: Pieces, degree: int):
     """Rays from the points of a rule on pieces, which piece each is on, and weights."""
     X, piece, weights = rule(pieces.X, degree)
+    on, k = pieces.curved
+    if len(on):  # what is between straight edges and curved ones
+        at, more = curves.bulges(*pieces.edges(on, k), 1 if degree == 2 else 3)
+        X, weights = np.vstack((X, at.reshape(-1, 2))), np.append(weights, more)
+        piece = np.append(piece, np.repeat(on, more.shape[1]))
+        order = np.argsort(piece, kind="stable")
+        X, piece, weights = X[order], piece[order], weights[order]
     facets = tuple(f[piece] for f in pieces.facets)
     return heights.cast(surfaces, frames, facets, X), piece, weights
 
@@ -466,16 +474,17 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
     if outline:
         there &= at_end
     piece, k = np.nonzero(there)
-    start, end = pieces.X[piece, k], pieces.X[piece, (k + 1) % pieces.num[piece]]
-    step = end - start
-    points, weights = basix.make_quadrature(basix.CellType.interval, 3)
-    X, num = start[:, None] + points * step[:, None], len(points)
+    curved = pieces.bend is not None
+    points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
+    at = curves.along(*pieces.edges(piece, k), points[:, 0])
+    X, step = (part.reshape(-1, 2) for part in at)
+    num = len(points)
     facets = tuple(np.repeat(f[piece], num) for f in pieces.facets)
     return _Edges(
-        heights.cast(state.surfaces, state.frames, facets, X.reshape(-1, 2)),
+        heights.cast(state.surfaces, state.frames, facets, X),
         np.repeat(piece, num),
         np.tile(weights, len(piece)),
-        np.repeat(np.column_stack((step[:, 1], -step[:, 0])), num, axis=0),
+        np.column_stack((step[:, 1], -step[:, 0])),
         np.repeat(at_end[piece, k], num),
     )
 

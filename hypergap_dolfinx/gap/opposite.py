@@ -11,22 +11,33 @@ polygon in the plane across the normal. No piece is ever made larger or smaller 
 the other side are: as these pass, what changes is how a part is divided.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.gap import curves
 from hypergap_dolfinx.gap.search import Tree
-from hypergap_dolfinx.gap.surface import Surface, around, lengths, tabulate
+from hypergap_dolfinx.gap.surface import (
+    Surface,
+    around,
+    edge_numbers,
+    is_outline,
+    lengths,
+    tabulate,
+)
 from hypergap_dolfinx.graph import components
 
 LEANS = 0.25
 """Cosine between normals from which facets face each other."""
 SLIVER = 1e-14
 """Area of a piece, over its facet's, that is none."""
+BENDS = 1e-14
+"""How far an edge bends, on Γ1's reference facet, that is straight."""
 
+NEWTON = 10  # steps to a point of a curved facet: round-off after 4
 LAST = 1e-8  # step of Newton's method on a reference facet: squared it is round-off
 
 
@@ -108,11 +119,58 @@ class Pieces:
     """Numbers of corners, ``(num_pieces,)``."""
     label: npt.NDArray[np.intp]
     """Number of Γ0's facet's edge from each corner to the next, or :data:`Label.INNER`."""
+    bend: npt.NDArray[np.float64] | None = None
+    """How far these edges are from straight ones at the start, in the middle and at the end,
+    ``(num_pieces, num, 3, 2)``; None where all are straight."""
 
     def some(self, some) -> "Pieces":
         """A part of them: numbers, or which."""
         facets = self.facets[0][some], self.facets[1][some]
-        return Pieces(facets, self.vertex[some], self.X[some], self.num[some], self.label[some])
+        vertex, X, num, label = (part[some] for part in (self.vertex, self.X, self.num, self.label))
+        bend = None if self.bend is None else self.bend[some]
+        return Pieces(facets, vertex, X, num, label, bend)
+
+    def edges(self, piece, k) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Ends of edges if they were straight, and how far they are away from that.
+
+        Args:
+            piece: ``(num,)``.
+            k: Their first corners', ``(num,)``.
+
+        Returns:
+            On the reference facet, ``(num, 2, 2)`` and ``(num, 3, 2)``.
+        """
+        ends = np.stack((self.X[piece, k], self.X[piece, (k + 1) % self.num[piece]]), axis=1)
+        bend = np.zeros((len(ends), 3, 2)) if self.bend is None else self.bend[piece, k]
+        return ends, bend
+
+    def bent(self, piece, k, X) -> "Pieces":
+        """The same, but that edges bend.
+
+        Args:
+            piece: ``(num,)``.
+            k: Their first corners', ``(num,)``.
+            X: Where they start, have their middle and end, or their middle alone,
+                ``(num, 3 or 1, 2)``.
+        """
+        start, end = self.edges(piece, k)[0].swapaxes(0, 1)
+        straight = np.stack((start, 0.5 * (start + end), end), axis=1)
+        which = slice(1, 2) if X.shape[1] == 1 else slice(3)
+        away = X - straight[:, which]
+        bends = np.abs(away).max(axis=(1, 2), initial=0) > BENDS
+        if not bends.any():
+            return self
+        bend = np.zeros((*self.X.shape[:2], 3, 2))
+        bend[piece[bends], k[bends], which] = away[bends]
+        return replace(self, bend=bend)
+
+    @property
+    def curved(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Piece and first corner of each edge that bends."""
+        if self.bend is None:
+            return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+        piece, k = self.bend.any(axis=(2, 3)).nonzero()
+        return piece, k
 
     @property
     def area(self) -> npt.NDArray[np.float64]:
@@ -138,31 +196,73 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
     f0, f1 = _candidates(surfaces, frames)
     corners = frames.project(f1, below.x[below.polygons[f0]])[:, ::-1]  # seen from the other side
     own = reference_corners(above)
-    following = np.roll(own, -1, axis=0)
-    middles = (own + following) / 2
+    middles = (own + np.roll(own, -1, axis=0)) / 2
     centre = np.broadcast_to(own.mean(axis=0), own.shape)
     # (part, corner, 2), from the vertex counterclockwise
     parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
-    points = tabulate(above.geometry, parts.reshape(-1, 2)) @ above.nodes  # (facet, point, 3)
-    flat = frames.project(np.arange(len(points)), points).reshape(len(points), *parts.shape)
+    flat = _seen(above, frames, parts)  # (facet, part, corner, 2)
     low, high = flat.min(axis=2), flat.max(axis=2)  # of each part
     first, last = corners.min(axis=1), corners.max(axis=1)
     meets = (last[:, None] > low[f1]) & (first[:, None] < high[f1])
     pair, part = np.nonzero(meets.all(axis=2))
-    y, count, label = clip(flat[f1[pair], part], corners[pair])
+    y, count, edge = clip(flat[f1[pair], part], corners[pair])
     whole = np.abs(polygon_areas(flat.reshape(-1, 4, 2))).reshape(-1, len(own)).sum(axis=1)
     real = (count > 2) & (polygon_areas(y) > SLIVER * whole[f1[pair]])
-    y, count, label, pair, part = (a[real] for a in (y, count, label, pair, part))
+    y, count, edge, pair, part = (a[real] for a in (y, count, edge, pair, part))
     f0, f1 = f0[pair], f1[pair]
     # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
-    sides = corners.shape[1]
-    label = np.where(label == Label.INNER, Label.INNER, (sides - 2 - label) % sides)
+    sides, num = corners.shape[1], parts.shape[1]
+    label = np.where(edge < num, Label.INNER, (sides - 2 - edge + num) % sides)
     if above.geometry.dim == 3:  # the map is affine
         X = reference_middle(above) + y
     else:
-        X = _in_reference(flat[f1, part], parts[part], y)
+        X = _in_quadrilaterals(flat[f1, part], parts[part], y)
     vertex = above.polygons[f1, part].astype(np.intp)
-    return _nearest_sheet(surfaces, frames, Pieces((f0, f1), vertex, X, count, label))
+    pieces = Pieces((f0, f1), vertex, X, count, label)
+    pieces = _bent(surfaces, frames, pieces, parts, part, y, edge)
+    return _nearest_sheet(surfaces, frames, pieces)
+
+
+def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pieces:
+    """Let edges of pieces bend that are Γ0's.
+
+    Args:
+        surfaces: Γ0 and Γ1 where they are.
+        frames: Of Γ1.
+        pieces: With straight ones.
+        parts: Of Γ1's reference facet, ``(num_parts, 4, 2)``.
+        part: The number of the one that each piece is in, ``(num_pieces,)``.
+        y: Corners in the facets' planes, as the pieces' ``X``.
+        edge: Which edge each is on, the part's first, as ``label``.
+    """
+    below, above = surfaces
+    degree = max(surface.geometry.degree for surface in surfaces)
+    (f0, f1), num = pieces.facets, parts.shape[1]
+    piece, k = np.nonzero((edge >= num) & (np.arange(y.shape[1]) < pieces.num[:, None]))
+    # Where one piece takes what another one leaves, or no other is there
+    at = f0[piece], pieces.label[piece, k]
+    key = (edge_numbers(below)[at] * len(above.facets) + f1[piece]) * len(parts) + part[piece]
+    _, where, pair = np.unique(key, return_inverse=True, return_counts=True)
+    some = (pair[where] == 2) | is_outline(below)[at]
+    piece, k = piece[some], k[some]
+    if not len(piece) or (degree == 1 and above.geometry.dim == 3):
+        return pieces
+    if degree == 1:  # what is straight in the plane isn't in the facet
+        y = 0.5 * (y[piece, k] + y[piece, (k + 1) % pieces.num[piece]])[:, None]
+        quads = _seen(above, frames, parts)[f1[piece], part[piece]]
+        return pieces.bent(piece, k, _in_quadrilaterals(quads, parts[part[piece]], y))
+    own = _seen(above, frames, curves.edge_points(parts, degree))[f1, part]
+    ring = curves.edge_points(reference_corners(below)[::-1], degree)  # from the other side
+    x = (tabulate(below.geometry, ring.reshape(-1, 2)) @ below.nodes)[f0]
+    nodes = np.concatenate((own, frames.project(f1, x).reshape(len(x), *ring.shape)), axis=1)
+    y = curves.bent(y, pieces.num, edge, nodes, num, (piece, k))
+    return pieces.bent(piece, k, _in_curved(above, frames, f1[piece], y))
+
+
+def _seen(surface: Surface, frames: Frames, X) -> npt.NDArray[np.float64]:
+    """Reference points, ``(..., 2)``, of each facet in its plane, ``(num_facets, ..., 2)``."""
+    x = tabulate(surface.geometry, X.reshape(-1, 2)) @ surface.nodes
+    return frames.project(np.arange(len(x)), x).reshape(len(x), *X.shape)
 
 
 def _candidates(surfaces, frames: Frames) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -183,12 +283,12 @@ def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         by: ``(num, num_others, 2)``, counterclockwise.
 
     Returns:
-        Corners, of which the last one is repeated; their numbers; which edge of the other one each
-        edge is on, or :data:`Label.INNER`.
+        Corners, of which the last one is repeated; their numbers; which edge each edge is on, the
+        other one's numbered behind its own.
     """
-    y, num = polygons, len(polygons)
-    count = np.full(num, y.shape[1])
-    label = np.full(y.shape[:2], Label.INNER)
+    y, (num, sides, _) = polygons, polygons.shape
+    count = np.full(num, sides)
+    label = np.tile(np.arange(sides), (num, 1))
     for k in range(by.shape[1]):
         start, end = by[:, k], by[:, (k + 1) % by.shape[1]]
         t = end - start
@@ -204,7 +304,7 @@ def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         cut = y + share[..., None] * (np.take_along_axis(y, after[..., None], axis=1) - y)
         keep = np.stack((there & inside, crosses), axis=2).reshape(num, 2 * y.shape[1])
         corners = np.stack((y, cut), axis=2).reshape(*keep.shape, 2)
-        labels = np.stack((label, np.where(inside, k, label)), axis=2).reshape(keep.shape)
+        labels = np.stack((label, np.where(inside, sides + k, label)), axis=2).reshape(keep.shape)
         count = keep.sum(axis=1)
         order = np.argsort(~keep, axis=1, kind="stable")[:, : max(int(count.max(initial=1)), 1)]
         order = np.take_along_axis(
@@ -215,7 +315,29 @@ def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     return y, count, label
 
 
-def _in_reference(quads, references, y) -> npt.NDArray[np.float64]:
+def _in_curved(surface: Surface, frames: Frames, facet, y) -> npt.NDArray[np.float64]:
+    """Reference coordinates of points of curved facets.
+
+    Args:
+        surface: Γ1.
+        frames: Its.
+        facet: ``(num,)``.
+        y: In the facets' planes, ``(num, num_points, 2)``.
+    """
+    nodes = frames.project(np.arange(len(surface.nodes)), surface.nodes)[facet]
+    X = reference_middle(surface) + y
+    for _ in range(NEWTON):
+        table = surface.geometry.tabulate(1, X.reshape(-1, 2))[..., 0]  # (value or slope, ...)
+        at, p, q = table.reshape(3, *y.shape[:2], -1) @ nodes
+        rest, det = y - at, curves.cross(p, q)
+        step = np.stack((curves.cross(rest, q) / det, curves.cross(p, rest) / det), axis=-1)
+        X += np.clip(step, -0.5, 0.5)
+        if np.abs(step).max(initial=0) < LAST:
+            break
+    return X
+
+
+def _in_quadrilaterals(quads, references, y) -> npt.NDArray[np.float64]:
     """Points of quadrilaterals, ``(num, 4, 2)``, in others, by the bilinear map between them.
 
     Args:
@@ -233,15 +355,8 @@ def _in_reference(quads, references, y) -> npt.NDArray[np.float64]:
         s0, s1 = s[..., :1], s[..., 1:]
         rest = y - (a + b * s0 + c * s1 + d * s0 * s1)
         p, q = b + d * s1, c + d * s0
-        det = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
-        step = np.stack(
-            (
-                rest[..., 0] * q[..., 1] - rest[..., 1] * q[..., 0],
-                p[..., 0] * rest[..., 1] - p[..., 1] * rest[..., 0],
-            ),
-            axis=-1,
-        )
-        step /= det[..., None]
+        step = np.stack((curves.cross(rest, q), curves.cross(p, rest)), axis=-1)
+        step /= curves.cross(p, q)[..., None]
         s = np.clip(s + step, -0.01, 1.01)  # in the quadrilateral, where the map has an inverse
         if np.abs(step).max(initial=0) < LAST:
             break

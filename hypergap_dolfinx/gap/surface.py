@@ -403,7 +403,7 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
 
 def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
     """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
-    key = _edge_keys(surface)
+    key = edge_numbers(surface)
     facet = np.repeat(np.arange(len(key)), key.shape[1])
     key = key.ravel()
     order = np.argsort(key, kind="stable")
@@ -414,15 +414,20 @@ def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
 
 def is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
     """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
-    key = _edge_keys(surface)
-    _, where, count = np.unique(key, return_inverse=True, return_counts=True)
-    return (count[where] == 1).reshape(key.shape)
+    number = edge_numbers(surface)
+    return np.bincount(number.ravel())[number] == 1
 
 
-def _edge_keys(surface: Surface) -> npt.NDArray[np.int64]:
-    """A number for each edge of facets (2D: each vertex), one for all that share it."""
+def edge_numbers(surface: Surface) -> npt.NDArray[np.intp]:
+    """A number for each edge of facets (2D: each vertex), one for all that share it.
+
+    Returns:
+        From 0, without gaps, ``(num_facets, num_edges)``.
+    """
     start = surface.polygons.astype(np.int64)
-    if surface.gdim == 2:
-        return start
-    end = np.roll(start, -1, axis=1)
-    return np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
+    key = start
+    if surface.gdim == 3:
+        end = np.roll(start, -1, axis=1)
+        key = np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
+    _, where = np.unique(key, return_inverse=True)
+    return where.reshape(key.shape)
