@@ -19,6 +19,7 @@ enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
 #define STEPS_OF_QUADRATICS 5
 #define RIDGE 1e-3 // of their coefficients' squares, beside those of what edges lack
 #define SOME_EDGES 4000 // that quadratics are sought with
+#define SLIVER 0.02 // what quadratics must change of an edge's height, over what they may leave
 #define FEW 0.01 // share of irregular ones below which none are
 #define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 

@@ -65,7 +65,8 @@ static void products(const double *y, double *q)
   q[3] = y[0] * y[1], q[4] = y[1] * y[2], q[5] = y[2] * y[0];
 }
 
-// A constraint on quadratic weights: the sum of c[j] times their coefficients is at least bound.
+// A constraint on quadratic weights: the sum of c[j] times their coefficients, a unit vector, is at
+// least bound.
 typedef struct {
   double c[6], bound, tolerance;
 } Quadratic;
@@ -142,12 +143,14 @@ static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
     }
     for (int j = 0; j < 6; ++j)
       square += own->c[j] * own->c[j];
-    double scale = square > 0 ? 1 / sqrt(square) : 0;
+    double size = sqrt(square);
+    if (!(SLIVER * size > g->tolerance)) // slivers at a cut would need any weights
+      continue;
     for (int j = 0; j < 6; ++j)
-      own->c[j] *= scale;
-    own->bound = g->bound * scale;
-    own->tolerance = g->tolerance * scale;
-    num_some += square > 0;
+      own->c[j] /= size;
+    own->bound = g->bound / size;
+    own->tolerance = g->tolerance / size;
+    ++num_some;
   }
   for (int step = 0; step <= STEPS_OF_QUADRATICS; ++step)
   {
