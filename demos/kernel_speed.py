@@ -15,12 +15,13 @@ import json
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, Delaunay
 
 import basix
 from dolfinx import fem
@@ -97,7 +98,8 @@ def tie_seconds(n, degree):
 
 # ## Σ in space
 #
-# between a ball and its shell, both triangulated at random: pieces that face each other, cells,
+# between a ball and its shell, both triangulated at random, and between plates: flat ones of halved
+# squares, and waved ones whose squares have lost their shape. Pieces that face each other, cells,
 # checks, and where all vertices of the cells lie. Facets are those of both sides.
 
 
@@ -113,14 +115,46 @@ def sphere(num, name, seed):
     t = ConvexHull(x).simplices
     outwards = np.linalg.det(x[t]) > 0
     t[outwards == (name == "Γ1")] = t[outwards == (name == "Γ1")][:, ::-1]
+    return surface(name, x, t)
+
+
+def plate(num, name, seed, jitter=0.0, wave=0.0):
+    """A triangulated square of about as many facets; Γ1 is seen from below."""
+    n = round(np.sqrt(num / 2))
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
+    p = np.column_stack((i, j)) / n
+    inner = (p > 0) & (p < 1)
+    p[inner] += jitter / n * np.random.default_rng(seed).uniform(-1, 1, inner.sum())
+    t = Delaunay(p).simplices.astype(np.int64)
+    if not jitter:
+        a = ((n + 1) * np.arange(n)[:, None] + np.arange(n)).ravel()
+        b, c, d = a + n + 1, a + n + 2, a + 1
+        t = np.vstack((np.column_stack((a, b, c)), np.column_stack((a, c, d))))
+    e, g = p[t[:, 1]] - p[t[:, 0]], p[t[:, 2]] - p[t[:, 0]]
+    area = e[:, 0] * g[:, 1] - e[:, 1] * g[:, 0]
+    t, up = t[abs(area) > 1e-9 / n**2], area[abs(area) > 1e-9 / n**2] > 0  # none in straight edges
+    t[up == (name == "Γ1")] = t[up == (name == "Γ1")][:, ::-1]
+    z = wave * np.sin(4 * np.pi * p[:, 0]) * np.sin(4 * np.pi * p[:, 1] + 0.3)
+    return surface(name, np.column_stack((p, z)), t)
+
+
+def surface(name, x, t):
+    """A surface from its arrays."""
     P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
     owner, dofs = np.zeros(len(t), dtype=np.int32), t.astype(np.int64)
-    return Surface(name, x, t, x[t], dofs, owner, P1, P1, np.array((0, len(x))))
+    return Surface(name, x, t.astype(np.int32), x[t], dofs, owner, P1, P1, np.array((0, len(x))))
 
 
-def slab_seconds(num):
-    """Filling the gap of two spheres; facets there are, and seconds."""
-    sides = sphere(9 * num // 20, "Γ0", 0), sphere(11 * num // 20, "Γ1", 1)
+SCENES = {
+    "spheres": sphere,
+    "flat plates": plate,
+    "rough plates": partial(plate, jitter=0.45, wave=0.1),
+}
+
+
+def slab_seconds(scene, num):
+    """Filling the gap of two surfaces; facets there are, and seconds."""
+    sides = SCENES[scene](9 * num // 20, "Γ0", 0), SCENES[scene](11 * num // 20, "Γ1", 1)
     vertices = basix.geometry(basix.CellType.tetrahedron)
 
     def run():
@@ -145,13 +179,13 @@ def main():
         "curved P2 tetrahedra, cells/s": cells_per_second(2, 2, 50000 // scale),
         f"strip of 2 × {100000 // scale} edges, s": strip_seconds(100000 // scale),
     }
-    slab_seconds(100)  # compiles what isn't
-    slabs = [slab_seconds(n // scale) for n in (10000, 200000)]
-    for num, seconds in slabs:
-        result[f"Σ between {num} facets in space, facets/s"] = num / seconds
-    result["Σ in space, exponent"] = np.diff(np.log([s for _, s in slabs]))[0] / np.log(
-        slabs[1][0] / slabs[0][0]
-    )
+    slab_seconds("spheres", 100)  # compiles what isn't
+    for scene in SCENES:
+        slabs = [slab_seconds(scene, n // scale) for n in (10000, 200000)]
+        for num, seconds in slabs:
+            result[f"Σ between {scene} of {num} facets, facets/s"] = num / seconds
+        (few, short), (many, long) = slabs
+        result[f"Σ between {scene}, exponent"] = np.log(long / short) / np.log(many / few)
     for degree in (1, 2):
         num = [n // scale for n in (4000, 8000, 16000, 32000)]
         seconds = [tie_seconds(n, degree) for n in num]
@@ -161,7 +195,7 @@ def main():
         result[f"tie of degree {degree}, exponent"] = np.polyfit(np.log(num), np.log(seconds), 1)[0]
     if MPI.COMM_WORLD.rank == 0:
         for name, value in result.items():
-            print(f"{name:45s} {value:12.4g}")
+            print(f"{name:52s} {value:12.4g}")
         if args.json:
             args.json.write_text(json.dumps({k: float(v) for k, v in result.items()}, indent=1))
 

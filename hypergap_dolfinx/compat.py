@@ -75,7 +75,7 @@ class Triplets:
         if self._at_once:
             self._A.setValuesCOO(values)
         else:
-            if self._A.isAssembled():
+            if self._A.assembled:
                 self._A.zeroEntries()
             add, values = PETSc.InsertMode.ADD, values[self._order]
             self._A.setValuesIJV(self._indptr, self._columns, values, add, self._rows)

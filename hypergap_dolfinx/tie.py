@@ -497,7 +497,8 @@ class Tie(disposal.Owner):
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
             component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
             of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
-            one); prescribed displacements are not taken into account. The tie owns them.
+            one); prescribed displacements are not taken into account. The tie owns them: keep it as
+            long as you use them.
         """
         if not self._blocks:
             B0, B1, *interior = self.constraint.B

@@ -22,6 +22,7 @@ from hypergap_dolfinx.gap.metric import FACES, areas, single_faces
 from hypergap_dolfinx.gap.pieces import Side
 from hypergap_dolfinx.gap.rim import in_walls
 from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.gap.walls import rims
 
 P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
 pytestmark = pytest.mark.serial
@@ -284,13 +285,24 @@ def test_cavities_are_filled_before_another_front_is_tried(monkeypatch, swept):
         return tried[-1]
 
     monkeypatch.setattr(front, "advance", one)
-    monkeypatch.setattr(front, "VARIANTS", front.VARIANTS[1:])
     monkeypatch.setattr(front, "SWEPT", 0 if swept else front.SWEPT)
     monkeypatch.setattr(front, "LEFT", 1e-2)
     waves = graph(lambda u, v: 0.05 * np.sin(13 * u) * np.sin(13 * v))
-    sides = [grid(n, waves, jitter=0.3, seed=n + 1) for n in (20, 23)]
+    sides = [grid(n, waves, jitter=0.3, seed=n + 1) for n in (30, 33)]
     made = filled(*sides)
     assert len(tried) == 1 and tried[0].left > 0 and made.inner.alpha.size > 0
+
+
+def test_walls_keep_their_order():
+    """Weights that are linear displace both sides alike, by more than edges are long."""
+    flat = graph(lambda u, v: 0 * u)
+    (x0, t0), (x1, t1) = (grid(n, flat) for n in (5, 7))
+    sides = side("Γ0", x0, t0), side("Γ1", x1, t1[:, ::-1])
+    (rim,) = rims(*sides)
+    shift, weights = np.zeros(x1.shape), np.vstack([side.x for side in sides]) @ (0.9, 0.6, 0)
+    walls = [rim.walls(len(x0), shift, w) for w in (0 * weights, weights, -weights)]
+    np.testing.assert_array_equal(walls[1], walls[0])
+    np.testing.assert_array_equal(walls[2], walls[0])
 
 
 def test_many_vertices():

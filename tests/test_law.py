@@ -24,7 +24,7 @@ from test_compliance import HELD, TIED, blocks, error
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import NonlinearTiedProblem, Tie
+from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie
 
 G, DELTA = 0.02, 0.1
 
@@ -218,6 +218,28 @@ def test_bad_input():
         problem(bodies, [t], TIED, HELD)
     with raises(ValueError, '"bodies" is not possible: a tie has a law; take "direct"'):
         held_outside(bodies, [t], TIED, lambda i, x: 0 * x[:2], solver="bodies")
+
+
+@two_ranks()
+def test_failed_step():
+    """With u set back, the jumps and λ are what they were before it."""
+    bodies = blocks()
+    g = fem.Constant(bodies[0].mesh, np.zeros(2, dtype=default_scalar_type))
+    jump = (0.03, 0.15)
+    t = tie(bodies, *TIED, law=adhesive, jump=g)
+    p = solved(bodies, [t], jump, adhesive_traction(jump))
+    before = [u.x.array.copy() for u in p.u]
+    steps = p.solver.getTolerances()[-1]
+    p.solver.setTolerances(max_it=1)
+    g.value[:] = 0.02, -0.05
+    with raises(SolveError, "failed after 1 steps"):
+        p.solve()
+    for u, values in zip(p.u, before, strict=True):
+        u.x.array[:] = values
+    p.solver.setTolerances(max_it=steps)
+    g.value[:] = 0.0
+    p.solve()
+    assert p.solver.getIterationNumber() <= 1  # 4 from the failed state
 
 
 @two_ranks()

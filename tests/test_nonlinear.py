@@ -95,6 +95,13 @@ def test_linear_forms(options):
         assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
     difference = problem.multipliers(tie) - reference.multipliers(tie)
     assert np.abs(difference).max(initial=0) <= 1e-10 * np.abs(reference.x.array).max()
+    before, states = [u.x.array.copy() for u in us], [K.stateGet() for K in problem._K]
+    for bc in bcs:
+        bc.function.x.array[:] *= 2
+    if not options:
+        for u, v in zip(problem.solve(), before, strict=True):
+            assert np.abs(u.x.array - 2 * v).max(initial=0) <= 1e-11
+        assert [K.stateGet() for K in problem._K] == states  # assembled once
 
 
 @pytest.mark.ranks(degree=[1])

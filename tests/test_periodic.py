@@ -224,33 +224,63 @@ def test_spinning_ring(degrees, n):
 def test_modes_of_a_ring():
     """A quarter has those of the full ring that look the same from all four quarters."""
 
-    def spectrum(body, ties=()):
-        u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
-        forms = fem.form([body.a, ufl.inner(u, v) * ufl.dx])
-        matrices = [petsc.assemble_matrix(form) for form in forms]
-        for matrix in matrices:
-            matrix.assemble()
-        K, M = map(dense, matrices)
-        if ties:
-            B = sum(dense(B) for tie in ties for B in tie.blocks())
+    def spectrum(bodies, B=None):
+        """Of B[row][body], or without constraints."""
+        found = []
+        for body in bodies:
+            u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
+            forms = fem.form([body.a, ufl.inner(u, v) * ufl.dx])
+            matrices = [petsc.assemble_matrix(form) for form in forms]
+            for matrix in matrices:
+                matrix.assemble()
+            found.append([dense(matrix) for matrix in matrices])
+            for matrix in matrices:
+                matrix.destroy()
+        num = range(len(found))
+        K, M = (
+            np.block([[parts[i] * (i == j) for j in num] for i in num])
+            for parts in zip(*found, strict=True)
+        )
+        if B is not None:
+            B = np.block(B)
             Z = np.linalg.svd(B)[2][len(B) :].T
             K, M = Z.T @ K @ Z, Z.T @ M @ Z
         L = np.linalg.inv(np.linalg.cholesky(M))
-        for matrix in matrices:
-            matrix.destroy()
         return np.sqrt(np.abs(np.linalg.eigvalsh(L @ K @ L.T)))
+
+    def check(found, whole):
+        nearest = whole[np.abs(whole - found[:, None]).argmin(axis=1)]
+        np.testing.assert_allclose(found, nearest, rtol=1e-9, atol=1e-6)
+        assert found[0] < 1e-6 < found[1]  # one rigid motion: it turns
 
     def ring(n, angle):
         mesh, ft = meshes.ring_sector(comm, n, 2, 0.5, 1, angle=angle)
         return Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", 2, (2,))))
 
+    def turned(body, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        body.mesh.geometry.x[:, :2] @= np.array(((c, s), (-s, c)))
+        return body
+
     quarter = ring(4, np.pi / 2)
     sides = (quarter.V, quarter.facets(START)), (quarter.V, quarter.facets(END))
-    found = spectrum(quarter, [Tie.periodic(*sides, rotation=np.pi / 2)])[:12]
-    whole = spectrum(ring(16, 2 * np.pi))
-    nearest = whole[np.abs(whole - found[:, None]).argmin(axis=1)]
-    np.testing.assert_allclose(found, nearest, rtol=1e-9, atol=1e-6)
-    assert found[0] < 1e-6 < found[1]  # one rigid motion: it turns
+    tie = Tie.periodic(*sides, rotation=np.pi / 2)
+    B = sum(map(dense, tie.blocks()))
+    check(spectrum([quarter], [[B]])[:12], spectrum([ring(16, 2 * np.pi)]))
+
+    # Sides that are meshed differently, and the same sides tied to each other all around
+    quarters = [turned(sector((2, 3), np.pi / 2), i * np.pi / 2) for i in range(4)]
+    tie = cyclic(quarters[0], np.pi / 2)
+    B = sum(map(dense, tie.blocks()))
+    found = spectrum(quarters[:1], [[B]])[:8]
+    B = []
+    for i, j in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        sides = (quarters[j], BOTTOM), (quarters[i], TOP)
+        tie = Tie(*((body.V, body.facets(tag)) for body, tag in sides))
+        blocks = dict(zip((j, i), map(dense, tie.blocks()), strict=True))
+        empty = np.zeros_like(blocks[i])
+        B.append([blocks.get(k, empty) for k in range(4)])
+    check(found, spectrum(quarters, B))
 
 
 def oblique(n, degree, shape=(3,)):

@@ -171,6 +171,8 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
 
 def _matched(parts0: list[Side], parts1: list[Side]) -> list[tuple[Side, Side]]:
     """Parts of both sides that lie opposite to each other."""
+    if len(parts0) == len(parts1) == 1:  # tubes of five facets: a place on one may miss the other
+        return [(parts0[0], parts1[0])]
     pairs = []
     left = list(range(len(parts1)))
     for part in parts0:

@@ -17,10 +17,15 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all, spot
 from hypergap_dolfinx.gap import given, kernel
-from hypergap_dolfinx.gap.constraint import Constraint
+from hypergap_dolfinx.gap.constraint import Constraint, triplets
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.gap.samples import Samples
-from hypergap_dolfinx.gap.surface import Surface, create_surface, lagrange_element
+from hypergap_dolfinx.gap.surface import (
+    LAST_DIGITS,
+    Surface,
+    create_surface,
+    lagrange_element,
+)
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 Given = Part | Sequence[Part]
@@ -149,10 +154,20 @@ class Compliance:
         raise_on_all(self._domain.mesh.comm, error, ValueError)
         return found
 
-    def gives_way(self) -> bool:
-        """Whether none is zero anywhere now. Collective."""
-        least = self.values().min(initial=np.inf)
-        return bool(self._domain.mesh.comm.allreduce(least, MPI.MIN) > 0)
+    def gives_way(self) -> npt.NDArray[np.bool_]:
+        """At which multipliers each part is more than 0 now, all around. Collective.
+
+        Returns:
+            ``(num_parts, num_multipliers)``, in the order of B's rows, on every rank.
+        """
+        point, multiplier, _ = triplets(self._samples.D)
+        point -= self._samples.D.getOwnershipRange()[0]
+        comm = self._domain.mesh.comm
+        none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
+        for part, values in zip(none, self.values(), strict=True):
+            most = comm.allreduce(values.max(initial=0), MPI.MAX)
+            part[multiplier[values[point] <= LAST_DIGITS * most]] = True
+        return ~comm.allreduce(none)  # of truth values the sum is "or"
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; of a function collective."""

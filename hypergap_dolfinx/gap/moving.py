@@ -58,6 +58,11 @@ class MovingSurface:
         """Derivatives of a displaced facet's geometry nodes by its dofs, ``(node, dof)``."""
         return tabulate(self.rest.element, self.rest.geometry.points)
 
+    @cached_property
+    def _corners(self) -> list[int]:
+        """Geometry nodes of a facet that are its vertices: Basix takes its time to tell."""
+        return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
+
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface where a displacement takes it.
 
@@ -67,8 +72,7 @@ class MovingSurface:
         rest = self.rest
         nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
         x = np.empty_like(rest.x)
-        at = [nodes_of[0] for nodes_of in rest.geometry.entity_dofs[0]]
-        x[rest.facets] = nodes[:, at]
+        x[rest.facets] = nodes[:, self._corners]
         return replace(rest, x=x, nodes=nodes)
 
 

@@ -22,10 +22,16 @@ NEARLY = 1e-5
 """The same if each node of one has a node of the other beside it: such meshes match."""
 STEEP = np.radians(80)
 """What a normal may be off by at most: it turns from one node to the next."""
+AWAY = 0.5
+"""Distance of outlines, in lengths of their edges, that nothing explains."""
 PAIRS = 1_000_000
 """Pairs that are looked at in one go."""
 ROUND_OFF = 1e-12
 """How negative the weight of a vertex may be at a point inside of its triangle."""
+FEET = 6
+"""Steps of Newton's method to where a point lies along a triangle's normals."""
+LEVEL = 0.2
+"""Cosine between such a normal and the triangle's that Newton's steps are no longer for."""
 CONVERGED = 1e-9
 """The same of a curved triangle, where the weights come from Newton's method."""
 BESIDE = 0.5
@@ -67,6 +73,7 @@ class Rim:
         bend = np.minimum(other.bend[edge] + self.bend, STEEP)
         explained += height * np.tan(bend)
         length = np.maximum(self.length, other.length[edge])
+        explained = np.minimum(explained, AWAY * length)
         apart = self.x - other.x[there.node]
         to_node = _along(apart, other.normal[there.node])[1] / length
         return edge, there.s, (distance - explained) / length, there.node, to_node
@@ -260,11 +267,12 @@ def _feet(side: Side, triangle, points):
     """Weights of the vertices, and heights, at which points lie along the vertices' normals."""
     x, n = side.x[side.triangles[triangle]], side.vertex_normals[side.triangles[triangle]]
     height = np.zeros(len(points))
-    for _ in range(4):
+    for _ in range(FEET):
         y = x + height[:, None, None] * n
         e, f, d = y[:, 1] - y[:, 0], y[:, 2] - y[:, 0], points - y[:, 0]
         N = np.cross(e, f)
         square = np.maximum(_dot(N, N), 1e-300)
         a, b = _dot(np.cross(d, f), N) / square, _dot(np.cross(e, d), N) / square
-        height = height + _dot(d, N) / np.sqrt(square)
+        lifts = _dot(np.einsum("pk,pki->pi", np.column_stack((1 - a - b, a, b)), n), N)
+        height = height + _dot(d, N) / np.maximum(lifts, LEVEL * np.sqrt(square))
     return np.column_stack((1 - a - b, a, b)), height

@@ -10,8 +10,8 @@ base of a fan of cells with Γ1's vertex as apex, which has their whole weight; 
 the base of a cell with the ray's end as apex, of which the foot is the edge's middle: ∂ψ/∂α is a
 half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
 
-It is found in C (``c/rays.c``): a Newton step of a small problem is no longer than a hundred calls
-of NumPy.
+It is found in C (``c/rays.c``): what Newton's step of a small problem takes is soon spent on calls
+of NumPy with short arrays.
 """
 
 from collections.abc import Sequence
@@ -53,8 +53,8 @@ class Fans:
     """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
 
     cells: npt.NDArray
-    """Of :data:`CELL`, ``(num_cells,)``: side of the base, edges of base and apex, vertices of Γ1
-    that share it, and parameters."""
+    """Of :data:`CELL`, ``(num_cells,)``: side of the base, edges of base and apex, parameters of
+    the base's start and end and of the apex, and vertices of Γ1 that share the cell, half each."""
     whole: npt.NDArray[np.bool_]
     """Edges of Γ1 of which both vertices have a weight, ``(num_edges1,)``."""
     order: Order

@@ -271,7 +271,7 @@ def summary(slabs: Sequence[Slab]) -> str:
 
 
 def _no_compiler() -> str | None:
-    """Why this rank has no C, if it hasn't: all look for facets in it, not only the first one."""
+    """Why this rank has no C, if it hasn't: all find facets' neighbours in it."""
     try:
         library()
     except RuntimeError as error:
@@ -295,6 +295,7 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
         RuntimeError: There is no C compiler.
     """
     start = time.perf_counter()
+    raise_on_all(comm, _no_compiler(), RuntimeError)
     surfaces = surface0, surface1
     groups, num, behind = pairs_of_pieces(*surfaces)
 
@@ -352,7 +353,6 @@ def share(
     raise_on_all(comm, str(error) if error else None, kind)
     if comm.size > 1:
         result = comm.bcast(result)
-        raise_on_all(comm, _no_compiler(), RuntimeError)
     if comm.rank > 0:
         slabs = [
             Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)

@@ -20,7 +20,6 @@ from hypergap_dolfinx.gap.straight import NONE, have
 from hypergap_dolfinx.gap.surface import lengths
 
 
-
 @dataclass(frozen=True)
 class Slab:
     """Tetrahedra between two facing pieces; vertices are Γ0's, Γ1's, then interior ones."""
@@ -80,7 +79,8 @@ class Slab:
     def bases(self) -> npt.NDArray[np.int32]:
         """The facet of each side that is a face of the cell, −1 where there is none.
 
-        ``(2, num_cells)``."""
+        ``(2, num_cells)``.
+        """
         bases = np.empty((2, len(self.cells)), dtype=np.int32)
         sides = [(len(side.triangles), as_ints(side.triangles)) for side in self.sides]
         num = [len(side.x) for side in self.sides]
@@ -93,7 +93,8 @@ class Slab:
     def beside(self) -> npt.NDArray[np.int32]:
         """A facet of each side at each cell: at a vertex on it, else at an interior one.
 
-        ``(2, num_cells)``."""
+        ``(2, num_cells)``.
+        """
         beside = np.empty((2, len(self.cells)), dtype=np.int32)
         cells = len(self.cells), as_ints(self._cells)
         for start, side, seeds, own in zip(

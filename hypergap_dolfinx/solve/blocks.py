@@ -83,8 +83,8 @@ class ConstraintBlocks:
         ]
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
         unknown = [
-            name if len(np.unique(row)) < len(tie.constraint.dofs) * tie.block_size else None
-            for name, tie, (row, *_) in zip(self._names, self._ties, choice.entries, strict=True)
+            name if unsaid else None
+            for name, unsaid in zip(self._names, choice.unsaid, strict=True)
         ]
         self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
         self.openings = openings(self._ties, self._rows)

@@ -33,12 +33,12 @@ class Compliances:
             rows: E of each tie by interface.
             num: Number of interfaces.
             unknown: What messages call ties whose λ is left out somewhere: both sides are
-                prescribed there, and they don't give way everywhere. None for others.
+                prescribed there, and they don't give way. None for others.
         """
         every = zip(ties, rows, unknown, strict=True)
         given = [(tie.compliance, *others) for tie, *others in every if tie.compliance is not None]
         self._soft = [(soft, row) for soft, row, _ in given]
-        self._unknown = [name for _, _, name in given]
+        self._unknown = [(name, soft.gives_way()) for soft, _, name in given]
         self._comm = ties[0].sigma.comm if ties else None
         self.blocks: list[list[PETSc.Mat | None]] = [[None] * num for _ in range(num)]
         """−C, ``[interface][interface]``; None is zero."""
@@ -67,11 +67,11 @@ class Compliances:
         same = bool(self._values) and all(map(np.array_equal, self._values, now))
         if all(self._comm.allgather(same)):
             return
-        for (soft, _), name in zip(self._soft, self._unknown, strict=True):
-            if name and soft.gives_way():
+        for (soft, _), (name, before) in zip(self._soft, self._unknown, strict=True):
+            if name and (soft.gives_way() & ~before).any():
                 raise ValueError(
-                    f"the compliance of {name} was 0 when the problem was made, and both sides are "
-                    "prescribed, so it has no λ there; make the problem anew with it as it is now."
+                    f"the compliance of {name} was 0 when the problem was made, where both sides "
+                    "are prescribed, so it has no λ there; make the problem anew as it is now."
                 )
         self._values = now
         for block in (block for row in self.blocks for block in row if block):

@@ -25,7 +25,6 @@ from hypergap_dolfinx.solve.contacts import (
     owned_values,
     share_ends,
 )
-from hypergap_dolfinx.solve.direct import PLANE, DirectStep
 from hypergap_dolfinx.solve.friction import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
@@ -33,9 +32,8 @@ from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
-from hypergap_dolfinx.solve.options import Options
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
-from hypergap_dolfinx.solve.tangent import UNFIT, Tangent
+from hypergap_dolfinx.solve.tangent import Tangent, ways
 
 STEPS = 25
 """Newton steps after which a load step is halved."""
@@ -82,16 +80,24 @@ class ContactSystem(NonlinearSystem):
         """
         super().__init__(F, u, bcs, pieces, **compiling)
         self._rtol = rtol
-        plane = self._u[0].function_space.mesh.topology.dim == 2
-        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-        chosen = Options(petsc_options_prefix, petsc_options or {}, defaults, UNFIT)
         held = self._constraints.prescribed
         self._rows = [
             (ContactRows if one.contact.friction is None else FrictionRows)(one, held)
             for one in touching
         ]
         share_ends(self._rows, pieces.interfaces)
-        self._tangent = Tangent(self._A, len(self._K), self._rows, petsc_options_prefix, chosen)
+        self._tangent = Tangent(
+            self._A,
+            len(self._K),
+            self._rows,
+            petsc_options_prefix,
+            ways(
+                petsc_options_prefix,
+                petsc_options,
+                plane=self._u[0].function_space.mesh.topology.dim == 2,
+                symmetric=all(one.contact.friction is None for one in touching),
+            ),
+        )
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = 0
@@ -311,10 +317,10 @@ class ContactSystem(NonlinearSystem):
     def _balances(self) -> bool:
         """Whether the residual is none and what is in contact is closed. Collective."""
         comm = self._u[0].function_space.mesh.comm
-        parts = [part.copy() for part in self._b.getNestSubVecs()]
+        num = len(self._b.getNestSubVecs()) - len(self._constraints.bodies)  # forces at jumps too
+        parts = [part.copy() for part in self._b.getNestSubVecs()[:num]]
         self._add_contact(parts, all_dofs=False)
-        num = len(parts) - len(self._constraints.bodies)  # with the forces at jumps
-        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts[:num]))
+        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts))
         saddle.destroy_parts(parts)
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
@@ -412,26 +418,31 @@ class ContactSystem(NonlinearSystem):
         Returns:
             This rank's changes of displacements, of each body.
         """
-        stiffness, equations = self._stiffness(), []
+        stiffness, equations, moves = self._stiffness(), [], None
+        comm = self._u[0].function_space.mesh.comm
+        goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         for rows in self._rows:
             if rows.now.on.any():
-                parts = [
-                    np.zeros_like(owned_values(f)) if body is None else jump[body]
-                    for body, f in zip(rows.bodies, rows.fields, strict=True)
-                ]
-                equations.append(rows.linearised(stiffness, rows.displacements(parts)))
+                if goes:
+                    moves = rows.displacements(
+                        [
+                            np.zeros_like(owned_values(f)) if body is None else jump[body]
+                            for body, f in zip(rows.bodies, rows.fields, strict=True)
+                        ]
+                    )
+                equations.append(rows.linearised(stiffness, moves))
             else:
                 equations.append(rows.without_forces(stiffness))
             if settled:
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
-        moves, unknowns = self._take(right, equations, viscous)
+        changes, unknowns = self._take(right, equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             if rows.now.on.any():
                 rows.take(linear, values)
             else:
                 rows.forget()
-        return moves
+        return changes
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body. Collective."""

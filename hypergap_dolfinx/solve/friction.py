@@ -254,14 +254,14 @@ class FrictionRows(ContactRows):
     def _support(self) -> Sparse:
         return joined(self.C, self.T)
 
-    def linearised(self, stiffness: float, moves: Displacements) -> Linear:
+    def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
         """Equations of gaps and slips."""
         num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         by_slip, by_q, by_p, start, rest = self._law(scale)
-        gaps = self.g + self.times(moves)
-        S = self._slopes()
-        slips = start + self._times(S, moves)
+        S, gaps, slips = self._slopes(), self.g, start
+        if moves is not None:
+            gaps, slips = gaps + self.times(moves), slips + self._times(S, moves)
         law = np.einsum("kla,la->ka", by_slip, slips) + self.m * rest
         right = np.concatenate((scale * gaps, law.ravel()))
         normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])

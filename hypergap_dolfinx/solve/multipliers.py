@@ -31,12 +31,13 @@ Three rules lead there:
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.errors import spot
 from hypergap_dolfinx.gap.constraint import triplets
 from hypergap_dolfinx.gap.multipliers import smooth_pieces
 from hypergap_dolfinx.graph import components
@@ -85,6 +86,8 @@ class Choice:
     """Whether all of a tie's multipliers exist, one by one."""
     lost: list[npt.NDArray[np.intp]]
     """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
+    unsaid: list[bool] = field(default_factory=list)
+    """Whether a tie has a compliance, and rows of which all is prescribed where it is 0."""
 
     def add(self, of: Sequence[int], other: "Choice"):
         """Take in what was chosen for some of the ties, which have these numbers here."""
@@ -93,8 +96,9 @@ class Choice:
         self.columns += other.columns
         for t, (row, group, column, value) in zip(of, other.entries, strict=True):
             self.entries[t] = row, group + start, column, value
-        for t, complete, lost in zip(of, other.complete, other.lost, strict=True):
-            self.complete[t], self.lost[t] = complete, lost
+        for k, t in enumerate(of):
+            self.complete[t], self.lost[t] = other.complete[k], other.lost[k]
+            self.unsaid[t] = other.unsaid[k]
 
 
 class _Smooth:
@@ -222,7 +226,8 @@ def choose(
     """
     sizes = [tie.block_size for tie in ties]
     none, num = np.empty(0, dtype=np.intp), len(ties)
-    chosen = Choice([], [], [(none, none, none, none)] * num, [True] * num, [none] * num)
+    entries = [(none, none, none, none)] * num
+    chosen = Choice([], [], entries, [True] * num, [none] * num, [False] * num)
     for size in dict.fromkeys(sizes):
         of = [t for t, other in enumerate(sizes) if other == size]
         chosen.add(of, _choose([ties[t] for t in of], [bodies[t] for t in of], prescribed))
@@ -246,28 +251,32 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
             for tie, pair, lists in zip(ties, bodies, every.lists, strict=True)
         ]
     )
-    held &= ~np.vstack([_from_compliance(every, t, prescribed) for t in range(len(ties))])
+    said = [_from_compliance(every, t, prescribed) for t in range(len(ties))]
+    held &= ~np.vstack([by_compliance for by_compliance, _ in said])
     gone = _at_cross_points(every, users, label, members) | ~_covered(every, label, members)
     drop = held | gone[:, None]
     for same in members.values():
         drop[same] = held[same].all(axis=0) | gone[same].any()
-    return _Assembly(every, groups, label, held, drop, prescribed).choice()
+    chosen = _Assembly(every, groups, label, held, drop, prescribed).choice()
+    chosen.unsaid = [unsaid for _, unsaid in said]
+    return chosen
 
 
-def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
+def _from_compliance(every: Every, t: int, prescribed) -> tuple[npt.NDArray[np.bool_], bool]:
     """Which multipliers of a tie its compliance or law alone says: the rest of a row is prescribed.
 
     Collective.
 
     Returns:
-        ``(num_multipliers, block_size)``.
+        ``(num_multipliers, block_size)``; and whether it is 0 at others of these.
+
+    Raises:
+        ValueError: A compliance that says one part of them, along or across the normal.
     """
     tie = every.ties[t]
     fixed = np.zeros((len(every.lists[t].dofs), tie.block_size), dtype=bool)
     if tie.free_interior or tie.gives_way is None:
-        return fixed
-    if tie.compliance is not None and not tie.compliance.gives_way():
-        return fixed
+        return fixed, False
     order = np.argsort(tie.constraint.rows)
     moves = fixed.copy()
     for side, body in enumerate(every.bodies[t]):
@@ -276,7 +285,21 @@ def _from_compliance(every: Every, t: int, prescribed) -> npt.NDArray[np.bool_]:
         i, j, _ = triplets(tie.constraint.B[side])
         m = order[np.searchsorted(tie.constraint.rows[order], i)]
         np.logical_or.at(moves, m, free[np.searchsorted(dofs, j)])
-    return ~tie.sigma.comm.allreduce(moves)  # of truth values the sum is "or"
+    fixed = ~tie.sigma.comm.allreduce(moves)  # of truth values the sum is "or"
+    if tie.compliance is None:
+        return fixed, False
+    parts = tie.compliance.gives_way()[:, tie.constraint.rows]
+    half = fixed.all(axis=1) & parts.any(axis=0) & ~parts.all(axis=0)
+    if half.any():
+        m = int(half.argmax())
+        where = "across" if parts[0, m] else "along"
+        raise ValueError(
+            f"the compliance is 0 {where} the normal at {spot(every.lists[t].x[m])}, where both "
+            "sides are prescribed, so λ is not determined there; give both parts or none, or "
+            "prescribe one side only."
+        )
+    says = parts.all(axis=0)[:, None]
+    return fixed & says, bool((fixed & ~says).any())
 
 
 class _Assembly:

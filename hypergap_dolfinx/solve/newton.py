@@ -87,7 +87,7 @@ class NonlinearSystem(TiedSystem):
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
         self._depends = [Dependence(form, a) for form, a in zip(J, self._a, strict=True)]
-        self._known: list[int | None] = [None] * len(self._a)  # state of K when it was assembled
+        self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
@@ -162,14 +162,17 @@ class NonlinearSystem(TiedSystem):
                 bc.set(lifted[-1])
         return lifted
 
+    def assemble_matrix(self):
+        """Assemble what has changed into A, the stiffness of a linear body once. Collective."""
+        super().assemble_matrix()
+        self._known = [K.stateGet() for K in self._K]
+
     def _assemble(self, i: int) -> bool:
-        """Not if it is what it was: that of a linear body doesn't change with its displacement."""
         K = self._K[i]
         changed = self._depends[i].changed() or K.stateGet() != self._known[i]
         changed = K.comm.tompi4py().allreduce(changed, MPI.LOR)
         if changed:
             super()._assemble(i)
-            self._known[i] = K.stateGet()
         return changed
 
     def _jacobian(self, x: PETSc.Vec):

@@ -152,7 +152,12 @@ def check_solved(ksp: PETSc.KSP):
         raise SolveError(message)
 
 
-def failure(ksp: PETSc.KSP, advice: str = "", units: npt.NDArray | None = None) -> str | None:
+def failure(
+    ksp: PETSc.KSP,
+    advice: str = "",
+    units: npt.NDArray | None = None,
+    bound: float = RESIDUAL,
+) -> str | None:
     """Why a solve did not converge, or None if it did. Collective.
 
     A singular matrix makes MUMPS return NaN without an exception; or, where round-off hides that a
@@ -162,6 +167,7 @@ def failure(ksp: PETSc.KSP, advice: str = "", units: npt.NDArray | None = None) 
         ksp: The solver.
         advice: What else the message says.
         units: Of this rank's rows, if the matrix isn't nested and they differ.
+        bound: Largest residual of a direct solve, relative to the right-hand side.
 
     Returns:
         A line with the KSP's reason and MUMPS's INFOG.
@@ -173,7 +179,7 @@ def failure(ksp: PETSc.KSP, advice: str = "", units: npt.NDArray | None = None) 
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
             return None
         residual, size = _residual(ksp, units)
-        if residual <= RESIDUAL * size:
+        if residual <= bound * size:
             return None
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
     message = f"the linear solve failed: KSP reason {reason} ({names.get(reason, 'unknown')})"

@@ -138,8 +138,7 @@ class TiedSystem(disposal.Owner):
         must not see units.
         """
         changed = [self._assemble(i) for i in range(len(self._K))]
-        if any(changed):
-            checks.check_finite(self._K, "the stiffness")
+        checks.check_finite(self._K, "the stiffness")
         soft = [
             part for part in (self._constraints.compliances, *self._constraints.openings) if part
         ]

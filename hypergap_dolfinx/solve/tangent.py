@@ -11,6 +11,7 @@ multiplier, of what isn't in contact p = 0, and room for the entries of what may
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -22,13 +23,47 @@ from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solve import saddle
 from hypergap_dolfinx.solve.contacts import ContactRows, Linear
-from hypergap_dolfinx.solve.options import Options
+from hypergap_dolfinx.solve.direct import PLANE, DirectStep
+from hypergap_dolfinx.solve.options import Options, names_types
 from hypergap_dolfinx.solve.pattern import Pattern
 
+RESIDUAL = 1e-8
+"""Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
+or needs LU's pivots; what is below is for Newton's next step."""
+SPACE = {"mat_mumps_icntl_7": 5}
+"""In space LDLᵀ is ordered by METIS, as LU is by MUMPS itself: a third less operations."""
 UNFIT = (
     " The matrix has zeros on its diagonal, those of what is in contact; "
     'pc_type "lu" (MUMPS) takes them.'
 )
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to solve, and what it is to reach."""
+
+    options: Options
+    residual: float = saddle.RESIDUAL
+    """Largest residual over the right-hand side."""
+
+
+def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
+    """How Newton's steps are solved, one way after the other where it fails.
+
+    Args:
+        prefix: Of the KSP's options.
+        given: The user's options.
+        plane: Whether the bodies are in the plane.
+        symmetric: Whether the matrix may be symmetric.
+    """
+    defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
+    found = [Way(Options(prefix, given or {}, defaults, UNFIT))]
+    named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
+    if symmetric and not named:
+        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else SPACE), "pc_type": "cholesky"}
+        options = Options(prefix, given or {}, defaults, UNFIT)
+        found.insert(0, Way(options, RESIDUAL))
+    return found
 
 
 class Numbering:
@@ -61,7 +96,7 @@ class Numbering:
 
 @dataclass
 class _Kept:
-    """A matrix with a pattern, and what MUMPS knows of it."""
+    """A matrix with a pattern, and a solver that knows it."""
 
     patterns: list[Pattern]
     mine: list[npt.NDArray[np.intp]]
@@ -70,9 +105,11 @@ class _Kept:
     """Number of this rank's entries of bodies and ties."""
     A: PETSc.Mat
     entries: compat.Triplets
-    ksp: PETSc.KSP
     units: npt.NDArray[np.float64] | None
+    """Of this rank's rows, if they differ."""
     load_step: int
+    """When it was made."""
+    ksp: PETSc.KSP | None = None
     _values: npt.NDArray | None = None
 
     def fill(self, values: npt.NDArray):
@@ -82,9 +119,15 @@ class _Kept:
             self.entries.set(values)
             self._values = values
 
+    def forget(self):
+        """Nothing is known of the matrix. Collective."""
+        if self.ksp is not None:
+            self.ksp.destroy()
+        self.ksp = None
+
     def destroy(self):
         """Collective."""
-        self.ksp.destroy()
+        self.forget()
         self.A.destroy()
 
 
@@ -97,7 +140,7 @@ class Tangent:
         num_bodies: int,
         rows: Sequence[ContactRows],
         prefix: str,
-        options: Options,
+        ways: Sequence[Way],
     ):
         """Keep what it is made of.
 
@@ -106,10 +149,10 @@ class Tangent:
             num_bodies: How many of its rows of blocks are bodies'.
             rows: The contacts.
             prefix: Of the KSP's options.
-            options: Those.
+            ways: How to solve; the next one is taken for good where only that can.
         """
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
-        self._prefix, self._options = prefix, options
+        self._prefix, self._ways = prefix, list(ways)
         self._kept: _Kept | None = None
         self._load_step = 0
 
@@ -145,14 +188,21 @@ class Tangent:
         fresh = values is None
         if values is None:
             values = self._renew(equations)
-        try:
-            return self._solve(right, equations, [base, *values])
-        except SolveError:
-            self.destroy()
-            if fresh:
-                raise
-        # What was analysed with other values may lead to poor pivots
-        return self._solve(right, equations, [base, *self._renew(equations)])
+        for number, way in enumerate(self._ways):
+            try:
+                solution = self._solve(right, equations, [base, *values], way)
+            except SolveError:
+                if not fresh or number == len(self._ways) - 1:
+                    self.destroy()
+                if not fresh:  # what was analysed with other values may lead to poor pivots
+                    break
+                if self._kept is None:
+                    raise
+                self._kept.forget()
+            else:
+                self._ways = self._ways[number:]
+                return solution
+        return self.solve(right, equations, viscous)
 
     def _base(self, viscous: float) -> npt.NDArray:
         """This rank's entries of the nested matrix."""
@@ -176,17 +226,19 @@ class Tangent:
                 found.append(np.empty(0) if values is None else values[mine])
         return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
 
-    def _solve(self, right, equations, values):
+    def _solve(self, right, equations, values, way: Way):
+        """Solve in one way, with values for all places."""
         kept = self._kept
         assert kept is not None
+        ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
         kept.fill(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
         b, x = kept.A.createVecs()
         own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
         b.array[:] = np.concatenate([part.array_r for part in right] + own)
         try:
-            with self._options.in_use():
-                saddle.solve(kept.ksp, b, x)
-            message = saddle.failure(kept.ksp, units=kept.units)
+            with way.options.in_use():
+                saddle.solve(ksp, b, x)
+            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
             if message:
                 raise SolveError(message)
             if not np.isfinite(x.norm()):
@@ -215,6 +267,7 @@ class Tangent:
         return values
 
     def _made(self, patterns: list[Pattern]) -> _Kept:
+        """A matrix with room for what the nested one has, and for patterns of contacts."""
         nest = self._nest
         comm = nest.comm.tompi4py()
         num = nest.getNestSize()[0]
@@ -244,25 +297,25 @@ class Tangent:
         A.setSizes(((size, None), (size, None)))
         A.setType(PETSc.Mat.Type.AIJ)
         entries = compat.Triplets(A, np.concatenate(i), np.concatenate(j))
+        units = None
+        if num > self._num_bodies:
+            units = np.ones(size)
+            of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
+            units[: len(of_nest)] = of_nest
+        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step)
+
+    def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
+        """A KSP for a matrix."""
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         ksp.setOptionsPrefix(self._prefix)
         try:
-            with self._options.in_use():
+            with way.options.in_use():
                 ksp.setFromOptions()
         except SolveError:
             ksp.destroy()
-            A.destroy()
             raise
-        units = None
-        if num > self._num_bodies:
-            units = np.ones(size)
-            parts = [
-                np.full(n, scale)
-                for n, scale in zip(numbering.sizes[:, comm.rank], saddle.scales(nest))
-            ]
-            units[: sum(map(len, parts))] = np.concatenate(parts)
-        return _Kept(patterns, mine, num_base, A, entries, ksp, units, self._load_step)
+        return ksp
 
     def _blocks(self) -> Iterator[tuple[int, int, PETSc.Mat]]:
         num = self._nest.getNestSize()[0]

@@ -144,7 +144,7 @@ static void advance(Front *f)
   while (!f->failed && f->num_cells > before && f->num_cells < f->max_cells && num_left(f))
   {
     before = f->num_cells;
-    f->num_events = 0;
+    forget_events(f);
     for (int t = 0; t < f->num_triangles; ++t)
       if (f->triangle[t].v[0] >= 0)
         offer_points(f, t);
@@ -153,7 +153,8 @@ static void advance(Front *f)
         for (int k = 0; k < 3; ++k)
           if (f->triangle[t].behind[k] > t)
             offer_edge(f, t, k);
-    while (f->num_events && !f->failed && f->num_cells < f->max_cells)
+    sort_events(f);
+    while (has_events(f) && !f->failed && f->num_cells < f->max_cells)
     {
       Event e = pop(f);
       if (!is_stale(f, &e))
@@ -223,6 +224,7 @@ int front_fill(int n0, int n1, const double *vertices, double flat, int num_star
     counts[2] = add_missing(&f, num_end, end, left + 3 * counts[1]);
 finish:
   free_edges(&f.end), free_edges(&first);
-  free(f.triangle), free(f.spare), free(f.home), free(f.next), free(f.heap);
+  free(f.triangle), free(f.spare), free(f.home), free(f.next);
+  forget_events(&f);
   return status;
 }

@@ -6,11 +6,12 @@
 
 // Weighted gaps and slips in the plane (gap/plane.py), and their derivatives by both sides' dofs.
 
-// The dofs (by components) with which a cell's variables move.
+// The dofs with which a cell's variables move: those of the base and of the apex, which are variables
+// themselves, then others on which s₁, s₂ and r hang.
 typedef struct {
-  int num, width; // of dofs, of motions
+  int num;
   int dofs[8 * MOST_DOFS];
-  double motions[(4 * MOST_DOFS + 3) * 16 * MOST_DOFS]; // ∂variables/∂u, (num_variables, width)
+  double motions[3][16 * MOST_DOFS]; // ∂(s₁, s₂, r)/∂u, by components
 } Local;
 
 static void add(Entries *entries, int row, int column, double value)
@@ -41,37 +42,38 @@ static int number_of(Local *local, int dof)
   return k;
 }
 
-// Let a cell's variable v move with the dofs of an edge; those from v on are the dofs without by.
-static void add_motions(Local *local, const Side *side, int edge, int v, const double *by)
+// Let a parameter move with the dofs of an edge.
+static void add_motions(Local *local, const Side *side, int edge, const double *by, double *motions)
 {
   for (int a = 0; a < side->num_dofs; ++a)
   {
-    int k = 2 * number_of(local, side->dofs[edge * side->num_dofs + a]);
+    int k = number_of(local, side->dofs[edge * side->num_dofs + a]);
     for (int i = 0; i < 2; ++i)
-      local->motions[local->width * (by ? v : v + 2 * a + i) + k + i] += by ? by[2 * a + i] : 1;
+      motions[2 * k + i] += by[2 * a + i];
   }
 }
 
-// A cell where it is, and its dofs: those of the base, of the apex, then others on which parameters
-// hang.
+// A cell where it is, and its dofs.
 static Shape gather_cell(const Sigma *sigma, const Cell *cell, Local *local)
 {
-  const Side *sides = sigma->sides;
+  const Side *sides = sigma->sides, *apex = sides + 1 - cell->side;
   Shape c = shape_of(sigma, cell);
   int num = c.num - 3;
-  local->num = 0, local->width = 4 * num;
-  memset(local->motions, 0, c.num * local->width * sizeof(double));
-  add_motions(local, c.base, cell->base, 0, NULL);
-  add_motions(local, sides + 1 - cell->side, cell->apex, 2 * c.num_base, NULL);
+  local->num = 0;
+  for (int a = 0; a < c.num_base; ++a)
+    number_of(local, c.base->dofs[cell->base * c.num_base + a]);
+  for (int b = 0; b < c.num_apex; ++b)
+    number_of(local, apex->dofs[cell->apex * c.num_apex + b]);
   for (int k = 0; k < 3; ++k)
   {
     int number = cell->parameters[k] - FIXED;
+    memset(local->motions[k], 0, 4 * num * sizeof(double));
     if (number < 0)
       continue;
     const int *edges = sigma->crossings[number].edges;
     const double *by = sigma->motions + num * number;
-    add_motions(local, sides, edges[0], num + k, by);
-    add_motions(local, sides + 1, edges[1], num + k, by + 2 * sides[0].num_dofs);
+    add_motions(local, sides, edges[0], by, local->motions[k]);
+    add_motions(local, sides + 1, edges[1], by + 2 * sides[0].num_dofs, local->motions[k]);
   }
   return c;
 }
@@ -82,37 +84,33 @@ static int component_of(const Local *local, int k)
   return 2 * local->dofs[k / 2] + k % 2;
 }
 
+// A derivative by component k of the dofs, of those by n variables.
+static double total(const Local *local, int n, const double *first, int k)
+{
+  double value = k < n - 3 ? first[k] : 0;
+  for (int i = 0; i < 3; ++i)
+    value += first[n - 3 + i] * local->motions[i][k];
+  return value;
+}
+
 // Add derivatives by a cell's variables to the rows of both its vertices, one half each.
 static void add_row(const Cell *cell, int n, const double *first, const Local *local, Entries *rows)
 {
   for (int k = 0; k < 2 * local->num; ++k)
-  {
-    double by = 0;
-    for (int v = 0; v < n; ++v)
-      by += first[v] * local->motions[local->width * v + k];
     for (int half = 0; half < 2; ++half)
-      add(rows, cell->vertices[half], component_of(local, k), 0.5 * by);
-  }
+      add(rows, cell->vertices[half], component_of(local, k), 0.5 * total(local, n, first, k));
 }
 
 // Add a matrix by a cell's variables, times a factor.
 static void add_block(int n, double H[n][n], double factor, const Local *local, Entries *entries)
 {
-  int num = 2 * local->num;
-  double right[n][num], row[num];
-  memset(right, 0, sizeof(right));
-  for (int v = 0; v < n; ++v)
-    for (int w = 0; w < n; ++w)
-      for (int k = 0; H[v][w] != 0 && k < num; ++k)
-        right[v][k] += factor * H[v][w] * local->motions[local->width * w + k];
-  for (int l = 0; l < num; ++l)
+  double column[n];
+  for (int k = 0; k < 2 * local->num; ++k)
   {
-    memset(row, 0, sizeof(row));
     for (int v = 0; v < n; ++v)
-      for (int k = 0; local->motions[local->width * v + l] != 0 && k < num; ++k)
-        row[k] += local->motions[local->width * v + l] * right[v][k];
-    for (int k = 0; k < num; ++k)
-      add(entries, component_of(local, l), component_of(local, k), row[k]);
+      column[v] = factor * total(local, n, H[v], k);
+    for (int l = 0; l < 2 * local->num; ++l)
+      add(entries, component_of(local, l), component_of(local, k), total(local, n, column, l));
   }
 }
 

@@ -293,7 +293,7 @@ static double in_chord(int dof)
 }
 
 // Derivatives of Φ by Γ0's dofs and Γ1's at the parameters (k = 0), or those of ∂Φ/∂s (k = 1).
-static void by_dofs(const Sigma *sigma, const Meeting *m, int k, double *by)
+static void phi_by_dofs(const Sigma *sigma, const Meeting *m, int k, double *by)
 {
   int num0 = sigma->sides[0].num_dofs, num1 = sigma->sides[1].num_dofs;
   const double *between = k ? m->moves : m->between;
@@ -324,7 +324,7 @@ void find_crossings(Sigma *sigma)
       crossing->s[crossing->unknown] -= step;
     }
     Meeting m = meeting_at(sigma, crossing);
-    by_dofs(sigma, &m, 0, motions);
+    phi_by_dofs(sigma, &m, 0, motions);
     for (int v = 0; v < n; ++v)
       motions[v] /= -m.slope;
   }
@@ -339,7 +339,7 @@ static void crossing_hessian(const Sigma *sigma, int k, int n, double H[n][n])
   const double *t = sigma->motions + n * k;
   Meeting m = meeting_at(sigma, sigma->crossings + k);
   double mixed[n];
-  by_dofs(sigma, &m, 1, mixed);
+  phi_by_dofs(sigma, &m, 1, mixed);
   for (int v = 0; v < n; ++v)
     for (int w = 0; w < n; ++w)
       H[v][w] = mixed[v] * t[w] + t[v] * mixed[w] + m.bend * t[v] * t[w];

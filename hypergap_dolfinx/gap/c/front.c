@@ -37,8 +37,8 @@ typedef struct {
   int *spare, num_spare; // triangles to use again
   int *home, *next;      // of each vertex: where it waits (−1: nowhere), and who waits next
   Edges end;             // edges of the surface where the front ends
-  Event *heap;
-  int num_events, max_events;
+  Event *heap, *sorted; // those to come, and of these the ones known at first
+  int num_events, max_events, num_sorted, next_sorted;
   int *cells, num_cells, max_cells;
   int failed; // no memory
 } Front;
@@ -71,9 +71,11 @@ static int is_final(const Front *f, int t)
 }
 
 // ---------------------------------------------------------------------------------------------
-// Events: a heap of four children a node
+// Events. Those that are known at first are sorted: what waits for long is out of the way. The others
+// are a heap of four children a node.
 
-static void push(Front *f, double t, int triangle, int move)
+// Add an event behind the others. Returns its number, −1: no memory.
+static int add_event(Front *f, double t, int triangle, int move)
 {
   if (f->num_events == f->max_events)
   {
@@ -82,7 +84,7 @@ static void push(Front *f, double t, int triangle, int move)
     if (!heap)
     {
       f->failed = 1;
-      return;
+      return -1;
     }
     f->heap = heap;
     f->max_events = size;
@@ -90,14 +92,59 @@ static void push(Front *f, double t, int triangle, int move)
   const Triangle *tri = f->triangle + triangle;
   int behind = move < 0 ? triangle : tri->behind[move];
   Event e = {t, triangle, move, tri->stamp, behind, f->triangle[behind].stamp};
-  int i = f->num_events++;
+  f->heap[f->num_events] = e;
+  return f->num_events++;
+}
+
+static void push(Front *f, double t, int triangle, int move)
+{
+  int i = add_event(f, t, triangle, move);
+  if (i < 0 || !f->sorted) // all are sorted once they are there
+    return;
+  Event e = f->heap[i];
   for (; i > 0 && f->heap[(i - 1) / 4].t > t; i = (i - 1) / 4)
     f->heap[i] = f->heap[(i - 1) / 4];
   f->heap[i] = e;
 }
 
+static int earlier(const void *a, const void *b)
+{
+  const Event *e = a, *g = b;
+  if (e->t != g->t)
+    return e->t < g->t ? -1 : 1;
+  return e->triangle != g->triangle ? e->triangle - g->triangle : e->move - g->move;
+}
+
+// Sort the events that there are: from now on others come into a heap.
+static void sort_events(Front *f)
+{
+  qsort(f->heap, f->num_events, sizeof(Event), earlier);
+  f->sorted = f->heap;
+  f->num_sorted = f->num_events;
+  f->heap = NULL;
+  f->num_events = f->max_events = f->next_sorted = 0;
+}
+
+static void forget_events(Front *f)
+{
+  free(f->heap), free(f->sorted);
+  f->heap = f->sorted = NULL;
+  f->num_events = f->max_events = f->num_sorted = f->next_sorted = 0;
+}
+
+static int has_events(const Front *f)
+{
+  return f->num_events || f->next_sorted < f->num_sorted;
+}
+
 static Event pop(Front *f)
 {
+  const Event *known = f->sorted + f->next_sorted;
+  if (f->next_sorted < f->num_sorted && (!f->num_events || known->t <= f->heap[0].t))
+  {
+    ++f->next_sorted;
+    return *known;
+  }
   Event first = f->heap[0], last = f->heap[--f->num_events];
   int i = 0, n = f->num_events;
   for (;;)
