@@ -450,7 +450,7 @@ def _cast(surfaces, frames: Frames, pieces: Pieces, degree: int):
     X, piece, weights = rule(pieces.X, degree)
     on, k = pieces.curved
     if len(on):  # what is between straight edges and curved ones
-        at, more = curves.bulges(*pieces.edges(on, k), 1 if degree == 2 else 3)
+        at, more = curves.bulges(*pieces.edges(on, k), 3)
         X, weights = np.vstack((X, at.reshape(-1, 2))), np.append(weights, more)
         piece = np.append(piece, np.repeat(on, more.shape[1]))
         order = np.argsort(piece, kind="stable")

@@ -150,18 +150,16 @@ class Pieces:
         Args:
             piece: ``(num,)``.
             k: Their first corners', ``(num,)``.
-            X: Where they start, have their middle and end, or their middle alone,
-                ``(num, 3 or 1, 2)``.
+            X: Where they start, have their middle and end, ``(num, 3, 2)``.
         """
         start, end = self.edges(piece, k)[0].swapaxes(0, 1)
         straight = np.stack((start, 0.5 * (start + end), end), axis=1)
-        which = slice(1, 2) if X.shape[1] == 1 else slice(3)
-        away = X - straight[:, which]
+        away = X - straight
         bends = np.abs(away).max(axis=(1, 2), initial=0) > BENDS
         if not bends.any():
             return self
         bend = np.zeros((*self.X.shape[:2], 3, 2))
-        bend[piece[bends], k[bends], which] = away[bends]
+        bend[piece[bends], k[bends]] = away[bends]
         return replace(self, bend=bend)
 
     @property
@@ -219,7 +217,8 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
         X = _in_quadrilaterals(flat[f1, part], parts[part], y)
     vertex = above.polygons[f1, part].astype(np.intp)
     pieces = Pieces((f0, f1), vertex, X, count, label)
-    pieces = _bent(surfaces, frames, pieces, parts, part, y, edge)
+    if max(surface.geometry.degree for surface in surfaces) > 1:
+        pieces = _bent(surfaces, frames, pieces, parts, part, y, edge)
     return _nearest_sheet(surfaces, frames, pieces)
 
 
@@ -245,12 +244,8 @@ def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pie
     _, where, pair = np.unique(key, return_inverse=True, return_counts=True)
     some = (pair[where] == 2) | is_outline(below)[at]
     piece, k = piece[some], k[some]
-    if not len(piece) or (degree == 1 and above.geometry.dim == 3):
+    if not len(piece):
         return pieces
-    if degree == 1:  # what is straight in the plane isn't in the facet
-        y = 0.5 * (y[piece, k] + y[piece, (k + 1) % pieces.num[piece]])[:, None]
-        quads = _seen(above, frames, parts)[f1[piece], part[piece]]
-        return pieces.bent(piece, k, _in_quadrilaterals(quads, parts[part[piece]], y))
     own = _seen(above, frames, curves.edge_points(parts, degree))[f1, part]
     ring = curves.edge_points(reference_corners(below)[::-1], degree)  # from the other side
     x = (tabulate(below.geometry, ring.reshape(-1, 2)) @ below.nodes)[f0]
