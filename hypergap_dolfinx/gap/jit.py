@@ -70,7 +70,7 @@ void column_curvatures(int num, int n, const int *block, const double *factor, c
 void add_products(int num, int n, const int *block, const double *a, const double *b,
                   double *blocks);
 """
-FLAGS = ["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math"]
+FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @cache
