@@ -460,7 +460,7 @@ class Tie(disposal.Owner):
         """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
 
         For a system of your own, C is a new PETSc matrix each time,
-        ``tie.compliance.matrix(tie.compliance.values())``.
+        ``tie.compliance.matrix(tie.compliance.values())``; keep the tie, which owns what it reads.
         """
         if self._compliance is None:
             return None
