@@ -7,6 +7,7 @@
 
 import logging
 from collections.abc import Hashable
+from copy import copy
 from functools import cached_property
 
 from mpi4py import MPI
@@ -215,6 +216,7 @@ class Tie(disposal.Owner):
         if adjust:
             move()
         self._blocks: tuple[PETSc.Mat, ...] = ()
+        self._own_blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
         if compliance is not None and law is not None:
@@ -347,8 +349,8 @@ class Tie(disposal.Owner):
         """The PETSc matrices, which the tie forgets."""
         names = ("_recovery", "compliance", "law", "constraint")
         own = [self.__dict__.pop(name, None) for name in names]
-        objects = [*getattr(self, "_blocks", ()), *own]
-        self._blocks = ()
+        objects = [*getattr(self, "_own_blocks", ()), *own]
+        self._blocks = self._own_blocks = ()
         return [obj for obj in objects if obj is not None]
 
     @property
@@ -458,7 +460,7 @@ class Tie(disposal.Owner):
         """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
 
         For a system of your own, C is a new PETSc matrix each time,
-        ``tie.compliance.matrix(tie.compliance.values())``.
+        ``tie.compliance.matrix(tie.compliance.values())``; keep the tie, which owns what it reads.
         """
         if self._compliance is None:
             return None
@@ -497,8 +499,7 @@ class Tie(disposal.Owner):
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
             component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
             of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
-            one); prescribed displacements are not taken into account. The tie owns them: keep it as
-            long as you use them.
+            one); prescribed displacements are not taken into account. They may outlive the tie.
         """
         if not self._blocks:
             B0, B1, *interior = self.constraint.B
@@ -506,7 +507,9 @@ class Tie(disposal.Owner):
                 part.columns_of_body(expand(B, self.block_size, turn))
                 for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
             )
-            self._blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
+            self._own_blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
+            # With references of their own, since these are destroyed with the tie
+            self._blocks = tuple(map(copy, self._own_blocks))
         return self._blocks
 
     def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:

@@ -241,5 +241,6 @@ def test_ranks_may_forget_problems_in_any_order():
     other = TiedProblem(a, L, bcs=bcs, ties=[tie])
     assert largest_error(other.solve()) <= 1e-12
     other.destroy()
+    B1 = tie.blocks()[1]
     tie.destroy()
-    tie.blocks()  # made anew
+    assert B1.norm() == tie.blocks()[1].norm() > 0  # its own; and made anew

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Polygons in a plane whose edges bend. NumPy alone.
+"""Polygons in a plane whose edges bend.
 
 Which polygons there are is found with straight edges. If it stayed at that, derivatives would be
 those of another domain: edges of curved facets move with nodes in their middles too, and what is
