@@ -244,7 +244,7 @@ def advance(
         along = vertices[:, :3] @ GENERIC
         rank = np.empty(n, dtype=np.int32)
         for part in (slice(0, sides[0]), slice(sides[0], n)):
-            rank[part][np.argsort(along[part])] = np.arange(n, dtype=np.int32)[part]
+            rank[part][np.argsort(along[part], kind="stable")] = np.arange(n, dtype=np.int32)[part]
         num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
         made, status = cells[:num], status if num > 0 else 2
         wrong = _check(sides[0], vertices, made, outer)

@@ -103,7 +103,7 @@ class Strays:
                 )
         if off:
             return f" Then {'; '.join(off)}."
-        known = not only or any(one.split(" at ")[0] in told for one in only)
+        known = not only or any(f"{one.split(' at ')[0]}," in told for one in only)
         return "" if known else f" Only contact holds {', '.join(only)}."
 
     def of(self, bodies: Sequence[int | None]) -> str:
