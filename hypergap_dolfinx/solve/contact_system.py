@@ -47,6 +47,8 @@ PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
 UNPRESSED = 1e-12
 """Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
+UNCLOSED = 1e-2
+"""Gap, over one that is none, of which the pressure is none for what holds free bodies."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -250,11 +252,15 @@ class ContactSystem(NonlinearSystem):
             ahead: Whether zones that are too large may lose more than what pulls: mostly this
                 saves steps, but sets can cycle by it.
         """
+        assert self._free is not None
         stiffness, none = self._stiffness(), self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
-            gaps = rows.clearance, rows.m, rows.valid
-            now.on = active.pushing(now.p, *gaps, rows.in_series(c), now.on, none)
+            g, least = rows.clearance, none
+            if self._free.num and before:  # what holds bodies may carry nothing, at no gap
+                g = np.where(now.on, np.minimum(g, 0), g)
+                least = max(none, UNCLOSED * c * rows.closed)
+            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, least)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -276,7 +282,6 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             if isinstance(rows, FrictionRows):
                 rows.choose(stiffness, none, anew=not before)
-        assert self._free is not None
         if self._free.num:
             self._hold()
         return [rows.sets for rows in self._rows]
@@ -469,7 +474,9 @@ class ContactSystem(NonlinearSystem):
         Returns:
             This rank's changes of displacements, of each body.
         """
+        assert self._free is not None
         stiffness, equations, moves = self._stiffness(), [], None
+        alone = self._free.num > 0  # pressures may be all that keeps such bodies from rolling
         comm = self._u[0].function_space.mesh.comm
         goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         for rows in self._rows:
@@ -484,7 +491,7 @@ class ContactSystem(NonlinearSystem):
                 equations.append(rows.linearised(stiffness, moves))
             else:
                 equations.append(rows.without_forces(stiffness))
-            if settled:
+            if settled or alone and not isinstance(rows, FrictionRows):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
         changes, unknowns = self._take(right, equations, viscous)
