@@ -47,8 +47,6 @@ PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
 UNPRESSED = 1e-12
 """Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
-UNCLOSED = 1e-2
-"""Gap, over one that is none, of which the pressure is none for what holds free bodies."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -256,11 +254,10 @@ class ContactSystem(NonlinearSystem):
         stiffness, none = self._stiffness(), self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
-            g, least = rows.clearance, none
-            if self._free.num and before:  # what holds bodies may carry nothing, at no gap
+            g = rows.clearance
+            if self._free.num and before:  # what holds a body leaves by its pull: p may be none
                 g = np.where(now.on, np.minimum(g, 0), g)
-                least = max(none, UNCLOSED * c * rows.closed)
-            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, least)
+            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -467,7 +464,8 @@ class ContactSystem(NonlinearSystem):
         """Solve for one step, and take it. Collective.
 
         Args:
-            settled: Whether the sets are those of the last step: then the tangent is exact.
+            settled: Whether the sets are those of the last step: then the tangent is exact, as it
+                always is without friction for bodies that only contact holds.
             jump: What prescribed displacements have to move.
             viscous: Share of the bodies' stiffness that is added.
 
@@ -476,7 +474,7 @@ class ContactSystem(NonlinearSystem):
         """
         assert self._free is not None
         stiffness, equations, moves = self._stiffness(), [], None
-        alone = self._free.num > 0  # pressures may be all that keeps such bodies from rolling
+        rolls = self._free.num > 0  # then pressures may be all that keeps bodies where they are
         comm = self._u[0].function_space.mesh.comm
         goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         for rows in self._rows:
@@ -491,7 +489,7 @@ class ContactSystem(NonlinearSystem):
                 equations.append(rows.linearised(stiffness, moves))
             else:
                 equations.append(rows.without_forces(stiffness))
-            if settled or alone and not isinstance(rows, FrictionRows):
+            if settled or (rolls and not isinstance(rows, FrictionRows)):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
         changes, unknowns = self._take(right, equations, viscous)
