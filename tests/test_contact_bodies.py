@@ -66,6 +66,9 @@ class Assembly:
         self._elastic[i] = self._loaded(self.bodies[i], self.bodies[i].facets(tag))
         return self._elastic[i].load
 
+    def weigh(self, i, value):
+        self._elastic[i].weight.value = value
+
     def side(self, i, tag):
         return self.bodies[i].V, self.bodies[i].facets(tag)
 
@@ -286,6 +289,34 @@ def test_tied_bodies_that_only_contact_holds():
         assert abs(contact.force(problem)[1] - 0.04) <= 1e-9
         found.append(contact.pressures(problem))
     np.testing.assert_allclose(*found, atol=1e-9)
+
+
+def test_egg_in_a_shell():
+    """Where two ellipses touch only the weight keeps the inner one from rolling."""
+
+    def ellipse(inside, width):
+        def mapping(x):
+            r, t = inside + width * x[:, 0], 2 * np.pi * x[:, 1]
+            return np.column_stack((r * np.cos(t), 0.6 * r * np.sin(t)))
+
+        return mapping
+
+    scene = Assembly(
+        [
+            rectangle((3, n), 0, 0, mapping=ellipse(*radii), periodic=True)
+            for n, radii in ((37, (1.0, 0.4)), (24, (0.4, 0.5)))
+        ]
+    )
+    for component in range(2):
+        scene.hold(0, component, meshes.RIGHT)
+    scene.weigh(1, 0.01)
+    contact = Contact(scene.side(0, meshes.LEFT), scene.side(1, meshes.RIGHT))
+    problem = scene.problem([contact])
+    problem.solve()
+    weight = 0.01 * 12 * np.sin(np.pi / 12) * 0.6 * (0.9**2 - 0.4**2)
+    assert contact.force(problem) == pytest.approx((0, weight), abs=1e-9 * weight)
+    assert problem.iterations <= 8
+    assert problem.halvings == 0
 
 
 @pytest.mark.parametrize("whole", (0, 1))

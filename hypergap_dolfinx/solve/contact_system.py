@@ -250,11 +250,14 @@ class ContactSystem(NonlinearSystem):
             ahead: Whether zones that are too large may lose more than what pulls: mostly this
                 saves steps, but sets can cycle by it.
         """
+        assert self._free is not None
         stiffness, none = self._stiffness(), self._no_pressure()
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
-            gaps = rows.clearance, rows.m, rows.valid
-            now.on = active.pushing(now.p, *gaps, rows.in_series(c), now.on, none)
+            g = rows.clearance
+            if self._free.num and before:  # what holds a body leaves by its pull: p may be none
+                g = np.where(now.on, np.minimum(g, 0), g)
+            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -276,7 +279,6 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             if isinstance(rows, FrictionRows):
                 rows.choose(stiffness, none, anew=not before)
-        assert self._free is not None
         if self._free.num:
             self._hold()
         return [rows.sets for rows in self._rows]
@@ -462,14 +464,17 @@ class ContactSystem(NonlinearSystem):
         """Solve for one step, and take it. Collective.
 
         Args:
-            settled: Whether the sets are those of the last step: then the tangent is exact.
+            settled: Whether the sets are those of the last step: then the tangent is exact, as it
+                always is without friction for bodies that only contact holds.
             jump: What prescribed displacements have to move.
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
             This rank's changes of displacements, of each body.
         """
+        assert self._free is not None
         stiffness, equations, moves = self._stiffness(), [], None
+        rolls = self._free.num > 0  # then pressures may be all that keeps bodies where they are
         comm = self._u[0].function_space.mesh.comm
         goes = comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         for rows in self._rows:
@@ -484,7 +489,7 @@ class ContactSystem(NonlinearSystem):
                 equations.append(rows.linearised(stiffness, moves))
             else:
                 equations.append(rows.without_forces(stiffness))
-            if settled:
+            if settled or (rolls and not isinstance(rows, FrictionRows)):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
         changes, unknowns = self._take(right, equations, viscous)
