@@ -11,6 +11,7 @@
 // the condition of G.
 
 #define RING 6 // cells around an edge at most
+#define BANDS 4 // of cells that are the worse by a factor of two each
 #define MORE (1 + 1e-9) // what is better by less is as good: round-off doesn't choose
 
 typedef struct {
@@ -299,12 +300,18 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
     }
     qsort(bad, num_bad, sizeof(Bad), by_ranks);
   }
-  for (int i = 0; i < num_bad; ++i)
-    if (cells[4 * bad[i].cell] >= 0)
-      swap(&all, bad[i].cell);
-  for (int c = num; c < all.num; ++c) // those that came
-    if (cells[4 * c] >= 0 && all.quality[c] < least)
-      swap(&all, c);
+  // the worst first; a swap may make way for one that failed before
+  for (int more = 0, band = num_bad > 0 ? BANDS - 1 : -1; band >= 0; band -= !more)
+  {
+    double limit = ldexp(least, -band);
+    more = 0;
+    for (int i = 0; i < num_bad; ++i)
+      if (cells[4 * bad[i].cell] >= 0 && all.quality[bad[i].cell] < limit)
+        more |= swap(&all, bad[i].cell);
+    for (int c = num; c < all.num; ++c) // those that came
+      if (cells[4 * c] >= 0 && all.quality[c] < limit)
+        more |= swap(&all, c);
+  }
   kept = 0;
   for (int c = 0; c < all.num; ++c)
     if (cells[4 * c] >= 0)
