@@ -300,17 +300,16 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
     }
     qsort(bad, num_bad, sizeof(Bad), by_ranks);
   }
-  // the worst first; a swap may make way for one that failed before
-  for (int more = 0, band = num_bad > 0 ? BANDS - 1 : -1; band >= 0; band -= !more)
+  // the worst first, which others may be in the way of; and again, when others have made way
+  for (int band = num_bad > 0 ? BANDS : 0; band--;)
   {
     double limit = ldexp(least, -band);
-    more = 0;
     for (int i = 0; i < num_bad; ++i)
       if (cells[4 * bad[i].cell] >= 0 && all.quality[bad[i].cell] < limit)
-        more |= swap(&all, bad[i].cell);
+        swap(&all, bad[i].cell);
     for (int c = num; c < all.num; ++c) // those that came
       if (cells[4 * c] >= 0 && all.quality[c] < limit)
-        more |= swap(&all, c);
+        swap(&all, c);
   }
   kept = 0;
   for (int c = 0; c < all.num; ++c)
