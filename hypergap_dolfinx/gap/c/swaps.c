@@ -11,7 +11,7 @@
 // the condition of G.
 
 #define RING 6 // cells around an edge at most
-#define BANDS 4 // of cells that are the worse by a factor of two each
+#define BANDS 4 // of qualities, each half of the last: derivatives above 16, 8, 4, 2
 #define MORE (1 + 1e-9) // what is better by less is as good: round-off doesn't choose
 
 typedef struct {
