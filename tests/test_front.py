@@ -253,6 +253,11 @@ def test_cells_that_extrapolate_are_swapped(monkeypatch):
     assert (swapped > 2).sum() < 0.2 * (before > 2).sum() and swapped.max() < 0.5 * before.max()
 
 
+def test_cells_that_extrapolate_most_are_swapped_first():
+    """Where others are swapped first, one with 12 can't be any more."""
+    assert derivatives(filled(ball(40), ball(1000, seed=2))).max() < 6
+
+
 def test_closed_surfaces_are_swept():
     """What comes after a cell is beside it: not somewhere on the surface, and in no cache."""
     made = filled(ball(1000), ball(800, seed=1))

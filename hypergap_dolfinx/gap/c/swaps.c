@@ -11,6 +11,7 @@
 // the condition of G.
 
 #define RING 6 // cells around an edge at most
+#define BANDS 4 // of qualities, each half of the last: derivatives above 16, 8, 4, 2
 #define MORE (1 + 1e-9) // what is better by less is as good: round-off doesn't choose
 
 typedef struct {
@@ -299,12 +300,17 @@ int front_swap(int n0, int n, const double *vertices, const int *rank, double fl
     }
     qsort(bad, num_bad, sizeof(Bad), by_ranks);
   }
-  for (int i = 0; i < num_bad; ++i)
-    if (cells[4 * bad[i].cell] >= 0)
-      swap(&all, bad[i].cell);
-  for (int c = num; c < all.num; ++c) // those that came
-    if (cells[4 * c] >= 0 && all.quality[c] < least)
-      swap(&all, c);
+  // the worst first, which others may be in the way of; and again, when others have made way
+  for (int band = num_bad > 0 ? BANDS : 0; band--;)
+  {
+    double limit = ldexp(least, -band);
+    for (int i = 0; i < num_bad; ++i)
+      if (cells[4 * bad[i].cell] >= 0 && all.quality[bad[i].cell] < limit)
+        swap(&all, bad[i].cell);
+    for (int c = num; c < all.num; ++c) // those that came
+      if (cells[4 * c] >= 0 && all.quality[c] < limit)
+        swap(&all, c);
+  }
   kept = 0;
   for (int c = 0; c < all.num; ++c)
     if (cells[4 * c] >= 0)
