@@ -96,7 +96,8 @@ class ContactProblem(ContactSystem):
             J: Jacobian form of each body that has a form; F's derivative if not given.
             rtol: Residual, over the forces in the bodies, that is none.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
-            petsc_options: Options of the KSP of Newton's steps; MUMPS if they name no type.
+            petsc_options: Options of the KSP of Newton's steps (its matrix is an AIJ); if they name
+                no type MUMPS's LDLᵀ or, with friction or where that doesn't solve, its LU.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 

@@ -102,7 +102,7 @@ def test_another_way(fails, monkeypatch):
 
 
 def test_dependence():
-    """Values of a form change with its constants and coordinates."""
+    """Values of a form change with its constants, coordinates and functions."""
     (V, _), _ = two_blocks()
     _, L = elasticity(V)
     depends = Dependence(L, fem.form(L))
@@ -110,4 +110,9 @@ def test_dependence():
     L.constants()[0].value[0] = 1
     assert depends.changed() and not depends.changed()
     V.mesh.geometry.x[:] *= 2
+    assert depends.changed() and not depends.changed()
+    scene = Blocks()
+    depends = Dependence(scene.F[0], scene.problem.F[0])
+    assert depends.changed() and not depends.changed()
+    scene.u[0].x.array[-1] += 1
     assert depends.changed() and not depends.changed()
