@@ -243,6 +243,7 @@ class ContactProblem(ContactSystem):
             InterfaceError: There is no Σ between the surfaces where the bodies start.
             ValueError: A coefficient of friction that is negative.
         """
+        self._check_usable()
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
         bad = "a load, a prescribed displacement or a friction is no number."

@@ -123,6 +123,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         Raises:
             SolveError: The Newton iteration or a linear solve failed; says how.
         """
+        self._check_usable()
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False

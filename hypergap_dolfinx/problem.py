@@ -168,6 +168,7 @@ class TiedProblem(TiedSystem):
         Raises:
             SolveError: The solver failed; says how.
         """
+        self._check_usable()
         self.assemble_matrix()
         self.assemble_vector()
         return self.solve_system()

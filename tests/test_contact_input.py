@@ -162,6 +162,8 @@ def test_problem(caplog):
     ):
         with raises(ValueError, f"the residual of body 0 is {kind}, not a form with one test"):
             ContactProblem([F, scene.F[1]], scene.u, contacts=[contact])
+    with raises(ValueError, "the Jacobian form of body 0 is a form of rank 1, not a UFL form"):
+        ContactProblem(scene.F, scene.u, contacts=[contact], J=scene.F)
     finer = two(n=(4, 9))
     with raises(ValueError, "Γ1 of contact 0 is rigid, with smaller facets"):
         ContactProblem([finer.F[0], None], finer.u, contacts=[Contact(*faces(finer))])

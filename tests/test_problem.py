@@ -241,6 +241,8 @@ def test_ranks_may_forget_problems_in_any_order():
     other = TiedProblem(a, L, bcs=bcs, ties=[tie])
     assert largest_error(other.solve()) <= 1e-12
     other.destroy()
+    with pytest.raises(ValueError, match="the problem was destroyed"):
+        other.solve()
     B1 = tie.blocks()[1]
     tie.destroy()
     assert B1.norm() == tie.blocks()[1].norm() > 0  # its own; and made anew

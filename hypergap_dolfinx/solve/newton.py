@@ -83,6 +83,14 @@ class NonlinearSystem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
+        for i, form in enumerate(J):
+            rank = len(form.arguments()) if isinstance(form, ufl.Form) else None
+            if rank != 2:
+                kind = type(form).__name__ if rank is None else f"a form of rank {rank}"
+                raise ValueError(
+                    f"the Jacobian form of body {i} is {kind}, not a UFL form with a trial and a "
+                    "test function; left out, it is the residual's derivative."
+                )
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)

@@ -179,6 +179,11 @@ class TiedSystem(disposal.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
+    def _check_usable(self):
+        """Raise if the problem was destroyed."""
+        if "_x" not in self.__dict__:
+            raise ValueError("the problem was destroyed.")
+
     def multipliers(self, tie: Interface) -> npt.NDArray:
         """The multipliers of a tie after a solve.
 
@@ -188,8 +193,7 @@ class TiedSystem(disposal.Owner):
         Returns:
             This rank's rows, ``(num_multipliers, block_size)``.
         """
-        if "_pieces" not in self.__dict__:
-            raise ValueError("the problem was destroyed.")
+        self._check_usable()
         t = self._pieces.find(tie)
         if not self._solved:
             raise ValueError("the problem is not solved yet: call solve() first.")
