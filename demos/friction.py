@@ -361,7 +361,7 @@ def roll(comm, cells=6, num=4):
     }
 
 
-def twist(comm, n=3):
+def twist(comm, n=4):
     """The torque of a cylinder that is turned on another one."""
     bodies = []
     for i in (0, 1):
