@@ -22,6 +22,15 @@ from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.system import TiedSystem
 
 
+def _check_ranks(forms: Sequence[ufl.Form], rank: int, name: str, wanted: str):
+    """Raise if one isn't a UFL form of a rank."""
+    for i, form in enumerate(forms):
+        found = len(form.arguments()) if isinstance(form, ufl.Form) else None
+        if found != rank:
+            kind = type(form).__name__ if found is None else f"a form of rank {found}"
+            raise ValueError(f"the {name} of body {i} is {kind}, {wanted}")
+
+
 class NonlinearSystem(TiedSystem):
     """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative.
 
@@ -56,14 +65,8 @@ class NonlinearSystem(TiedSystem):
                 on a space that belongs to no body.
             InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
         """
-        for i, form in enumerate(F):
-            rank = len(form.arguments()) if isinstance(form, ufl.Form) else None
-            if rank != 1:
-                kind = type(form).__name__ if rank is None else f"a form of rank {rank}"
-                raise ValueError(
-                    f"the residual of body {i} is {kind}, not a form with one test function; of "
-                    "an energy it is ufl.derivative(energy, u)."
-                )
+        wanted = "not a form with one test function; of an energy it is ufl.derivative(energy, u)."
+        _check_ranks(F, 1, "residual", wanted)
         if J is None:
             for i, (form, f) in enumerate(zip(F, u, strict=False)):
                 if f not in form.coefficients():
@@ -83,14 +86,11 @@ class NonlinearSystem(TiedSystem):
             "form_compiler_options": form_compiler_options,
             "jit_options": jit_options,
         }
-        for i, form in enumerate(J):
-            rank = len(form.arguments()) if isinstance(form, ufl.Form) else None
-            if rank != 2:
-                kind = type(form).__name__ if rank is None else f"a form of rank {rank}"
-                raise ValueError(
-                    f"the Jacobian form of body {i} is {kind}, not a UFL form with a trial and a "
-                    "test function; left out, it is the residual's derivative."
-                )
+        wanted = (
+            "not a UFL form with a trial and a test function; left out, it is the residual's "
+            "derivative."
+        )
+        _check_ranks(J, 2, "Jacobian form", wanted)
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
