@@ -83,6 +83,7 @@ class Tie(disposal.Owner):
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
         compliance: soft.Given | None = None,
+        conductance: soft.Given | None = None,
         law: laws.Given | laws.Law | None = None,
         discontinuous: bool = False,
     ):
@@ -219,10 +220,10 @@ class Tie(disposal.Owner):
         self._own_blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
-        if compliance is not None and law is not None:
-            raise ValueError("give a compliance or a law, not both.")
-        self._compliance = compliance
-        self._law = law if law is None or isinstance(law, laws.Law) else laws.Law(law)
+        given = {"compliance": compliance, "conductance": conductance, "law": law}
+        self._gives = {name: value for name, value in given.items() if value is not None}
+        if len(self._gives) > 1:
+            raise ValueError(f"give a {' or a '.join(self._gives)}, not both.")
         _ = self.compliance, self.law  # what is wrong with them is told here
 
     @classmethod
@@ -450,10 +451,9 @@ class Tie(disposal.Owner):
 
     @property
     def gives_way(self) -> Hashable:
-        """Equal for ties with the same compliance or law; None without."""
-        if self._law is not None:
-            return self._law.key
-        return None if self._compliance is None else soft.key(self._compliance)
+        """Equal for ties with the same compliance, conductance or law; None without."""
+        what = self.compliance or self.law
+        return what and what.key
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
@@ -462,17 +462,26 @@ class Tie(disposal.Owner):
         For a system of your own, C is a new PETSc matrix each time,
         ``tie.compliance.matrix(tie.compliance.values())``; keep the tie, which owns what it reads.
         """
-        if self._compliance is None:
-            return None
-        given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
-        return soft.Compliance(*given)
+        return self._weighting(soft.Compliance)
 
     @cached_property
-    def law(self) -> laws.Response | None:
-        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law."""
-        if self._law is None:
+    def law(self) -> laws.Response | soft.Conductance | None:
+        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.
+
+        A conductance is one, F(w) = H w.
+        """
+        law = self._gives.get("law")
+        if law is None:
+            return self._weighting(soft.Conductance)
+        law = law if isinstance(law, laws.Law) else laws.Law(law)
+        return laws.Response(law, self._domain, self.constraint, self._spaces[1])
+
+    def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
+        """The compliance or the conductance, if that is given."""
+        value = self._gives.get(kind.name)
+        if value is None:
             return None
-        return laws.Response(self._law, self._domain, self.constraint, self._spaces[1])
+        return kind(value, self._domain, self.constraint, self._spaces, self._facets[1])
 
     @cached_property
     def _gaping(self) -> npt.NDArray:

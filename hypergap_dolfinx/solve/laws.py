@@ -46,7 +46,6 @@ class Opening:
         for obj in (M, MP):
             obj.destroy()
         self._w.set(0.0)
-        self._force, self._slope = self._law.at(self._rows())
         self.K: PETSc.Mat = self._tangent()
         """∂F/∂w'."""
 
@@ -61,7 +60,8 @@ class Opening:
 
     def _tangent(self) -> PETSc.Mat:
         """Pᵀ ∂F/∂w P, a new matrix. Collective."""
-        whole = self._law.tangent(self._slope)
+        _, slope = self._law.at(self._rows())
+        whole = self._law.tangent(slope)
         left = self._P.rows_of(whole)
         K = self._P.columns_of(left)
         for obj in (whole, left):
@@ -72,10 +72,9 @@ class Opening:
         """Take w' as it is now. Collective."""
         self._w.set(0.0)
         self._P.add(opening, self._w)
-        self._force, self._slope = self._law.at(self._rows())
 
     def update(self):
-        """The tangent for what was taken. Collective."""
+        """The tangent of the law as it is now, for what was taken. Collective."""
         now = self._tangent()
         self.K.zeroEntries()
         self.K.axpy(1.0, now, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -84,7 +83,7 @@ class Opening:
     def add_force(self, b: PETSc.Vec):
         """Add PᵀF(w) to a vector. Collective."""
         force = self._w.duplicate()
-        force.array[:] = self._force.ravel()
+        force.array[:] = self._law.at(self._rows())[0].ravel()
         self._P.add_transposed(force, b)
         force.destroy()
 
