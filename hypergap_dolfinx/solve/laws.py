@@ -54,6 +54,11 @@ class Opening:
         for obj in (self._P, self._w, self.K):
             obj.destroy()
 
+    @property
+    def linear(self) -> bool:
+        """Whether F is."""
+        return self._law.linear
+
     def _rows(self) -> npt.NDArray:
         """w, ``(num_multipliers, block_size)`` of this rank."""
         return self._w.array_r.reshape(-1, self._block_size)
