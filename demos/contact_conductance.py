@@ -184,8 +184,8 @@ if comm.rank == 0:
     )
     for row in crowned:
         print(
-            f"{row['down']:7g}  {row['touches']:7.3f}  {row['conducts']:8.3f}  {row['heat']:21.4f} {row['known']:7.4f}"
-            f"  {row['rough']:12.4f}  {row['newton']:13d}"
+            f"{row['down']:7g}  {row['touches']:7.3f}  {row['conducts']:8.3f}  {row['heat']:21.4f}"
+            f" {row['known']:7.4f}  {row['rough']:12.4f}  {row['newton']:13d}"
         )
     if args.json:
         args.json.write_text(json.dumps({"even": even, "crowned": crowned}, indent=1))

@@ -56,7 +56,7 @@ class Slab:
             )
             loads.append(None)
             if i and flux:
-                loads[1] = v * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
+                loads[1] = ufl.conj(v) * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
             else:
                 bcs.append(fem.dirichletbc(default_scalar_type(i), ends, V))
             self.k.append(k)

@@ -40,6 +40,7 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
+from hypergap_dolfinx import disposal
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, triplets
 from hypergap_dolfinx.gap.domain import GapDomain
 from hypergap_dolfinx.gap.faces import Faces
@@ -65,7 +66,7 @@ GROWS = 1.25
 space 0.7, 0.4) with facets 2:3 to 3:2: 21, with 1 as many and larger errors, with 1.6 29."""
 
 
-class Recovery:
+class Recovery(disposal.Owner):
     """The system for the tractions on Γ0 and Γ1 of one tie."""
 
     def __init__(self, domain: GapDomain, constraint: Constraint):
@@ -75,6 +76,7 @@ class Recovery:
             domain: Σ.
             constraint: The constraint on it.
         """
+        self._ticket = disposal.enter(domain.mesh.comm)
         self._domain, self._constraint = domain, constraint
         self._faces = Faces.of(domain, 0), Faces.of(domain, 1)
         self._unknowns = Unknowns(domain, constraint)
@@ -87,10 +89,8 @@ class Recovery:
         self._solvers: list[PETSc.KSP] = []
         self._objects = [self._R, self._forces, self._mass, self._rough]
 
-    def destroy(self):
-        """Destroy the PETSc objects. Collective."""
-        for obj in [*self._objects, *self._solvers]:
-            obj.destroy()
+    def _release(self) -> list:
+        return [*self.__dict__.pop("_objects", ()), *self.__dict__.pop("_solvers", ())]
 
     def _matrices(self) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Σ_i ∫ t_i · v_i, and ∫∫ ∂t/∂α · ∂v/∂α + γ Σ (t − Πt) · (v − Πv). Collective."""
