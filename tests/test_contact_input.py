@@ -184,7 +184,7 @@ def test_loads():
     scene = two(gap=0.1)
     problem = scene.problem([Contact(*faces(scene))])
     scene.down.value = np.nan
-    with raises(SolveError, "a load, a prescribed displacement or a friction is no number"):
+    with raises(SolveError, "a prescribed displacement is no number"):
         problem.solve()
     scene.down.value = -0.2
     problem.solve()  # as if nothing had been
