@@ -310,16 +310,17 @@ class ContactProblem(ContactSystem):
         )
 
     def _warn_of_stiffness(self, comm):
-        """Say which Γ1 is far stiffer than Γ0, and finer. Collective."""
+        """Say which Γ1 is far stiffer than Γ0, and about as fine or finer. Collective."""
         size = [mean_diagonal(K) for K in self._K]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = rows.bodies
-            if i is None or j is None or contact.finer <= ALIKE:
+            if i is None or contact.finer * ALIKE < 1 or comm.rank > 0:
                 continue
-            if size[j] > STIFF * size[i] and comm.rank == 0:
+            if j is None or size[j] > STIFF * size[i]:
                 LOG.warning(
-                    f"contact {c}: Γ1's body is far stiffer than Γ0's, with smaller facets; "
-                    "pressures will scatter: swap its sides (Contact.between with stiffness does)."
+                    f"contact {c}: Γ1's body is {'rigid' if j is None else "far stiffer than Γ0's"}"
+                    ", with facets that are no longer; pressures will scatter: swap its sides "
+                    "(Contact.between with stiffness does)."
                 )
 
     def _warn_of_reach(self, comm):

@@ -177,6 +177,10 @@ def test_problem(caplog):
             stiff.hold(i, component, tag)
     stiff.problem([contact]).solve()
     assert comm.rank > 0 or "contact 0: Γ1's body is far stiffer than Γ0's" in caplog.text
+    alike = two(n=(4, 2))
+    one = Contact(*faces(alike))
+    ContactProblem([alike.F[0], None], alike.u, bcs=alike.bcs[:2], contacts=[one]).solve()
+    assert comm.rank > 0 or "contact 0: Γ1's body is rigid" in caplog.text
 
 
 @pytest.mark.ranks(2)

@@ -74,9 +74,10 @@ class Relaxation:
 
         Args:
             moves: This rank's changes of displacements, of each body.
-            exact: Whether it was made with the exact tangent: else that may be why it turned.
+            exact: Whether it was made with the exact tangent: else that may be why it turns, or why
+                the next one does.
         """
-        self._exact = exact
+        corrects, self._exact = not self._exact, exact
         last = moves if self._last is None else self._last
         pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
         here = [(a @ b, a @ a, b @ b) for a, b in pairs]
@@ -87,6 +88,7 @@ class Relaxation:
             self._turns, self._length = True, self._first
             return False
         least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
-        self._turns = product < TURNS * np.sqrt(square * before) and self._length > least
+        turned = product < TURNS * np.sqrt(square * before) and self._length > least
+        self._turns = turned and (self.acts or not corrects)
         self._last = moves
         return True
