@@ -19,7 +19,7 @@ from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
-from hypergap_dolfinx.solve.pattern import Pattern, around, beside, coupled, unique_pairs
+from hypergap_dolfinx.solve.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 CLOSED = 1e-9
@@ -305,8 +305,10 @@ class ContactRows:
 
     def gathered(self, values: npt.NDArray) -> npt.NDArray:
         """Values of all multipliers from those of each rank's. Collective."""
-        result = np.empty(len(self._order))
-        result[self._order] = np.concatenate(self._comm.allgather(values))
+        found = np.empty(len(self._order), dtype=values.dtype)
+        self._comm.Allgatherv(values, (found, np.diff(self.ranges)))
+        result = np.empty_like(found)
+        result[self._order] = found
         return result
 
     @cached_property
@@ -328,13 +330,12 @@ class ContactRows:
     def pattern(self) -> Pattern:
         """Where equations have entries; in the plane also where they may soon have some.
 
-        There room for what lies beside doesn't fill factors more; in space it takes half as many
-        operations again.
+        There room for all that is opposite, and what lies beside, hardly fills factors more; in
+        space it takes half as many operations again.
         """
         at, num, n = self._support(), len(self.g), self._n
-        a, node, near, num_nodes = at.i % num, at.j // n, self.now.on, self._num_dofs // n
-        if n == 2:
-            near = around(near, self.sides[1].reference.facets)
+        a, node, num_nodes = at.i % num, at.j // n, self._num_dofs // n
+        near = self.valid if n == 2 else self.now.on
         a, node = unique_pairs(a[near[a]], node[near[a]], num_nodes)
         if n == 2:
             a, node = beside(a, node, self.sides[0].at_facets, num_nodes)

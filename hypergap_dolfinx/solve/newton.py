@@ -114,8 +114,14 @@ class NonlinearSystem(TiedSystem):
             opening.take(part)
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
         self._assign(x)
+        self._evaluate(x, r)
+
+    def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
+        """The residual where the bodies are, as x says.
+
+        Prescribed values are lifted: r is F at displacements that hold them, to first order.
+        """
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
         num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
         multipliers = x_parts[len(x_parts) - num_ties :]

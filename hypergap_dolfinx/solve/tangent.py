@@ -30,6 +30,8 @@ from hypergap_dolfinx.solve.pattern import Pattern
 RESIDUAL = 1e-8
 """Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
 or needs LU's pivots; what is below is for Newton's next step."""
+ROOM = {"mat_mumps_icntl_14": 30}
+"""LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
 SPACE = {"mat_mumps_icntl_7": 5}
 """In space LDLᵀ is ordered by METIS, as LU is by MUMPS itself: a third less operations."""
 UNFIT = (
@@ -60,7 +62,8 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
     found = [Way(Options(prefix, given or {}, defaults, UNFIT))]
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
     if symmetric and not named:
-        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else SPACE), "pc_type": "cholesky"}
+        defaults = {**DirectStep.OPTIONS, **ROOM, **(PLANE if plane else SPACE)}
+        defaults["pc_type"] = "cholesky"
         options = Options(prefix, given or {}, defaults, UNFIT)
         found.insert(0, Way(options, RESIDUAL))
     return found
@@ -109,14 +112,16 @@ class _Kept:
     """Of this rank's rows, if they differ."""
     load_step: int
     """When it was made."""
+    vectors: tuple[PETSc.Vec, PETSc.Vec]
+    """Solution and right-hand side."""
     ksp: PETSc.KSP | None = None
-    _values: npt.NDArray | None = None
+    _values: list[npt.NDArray] | None = None
 
-    def fill(self, values: npt.NDArray):
+    def fill(self, values: list[npt.NDArray]):
         """Set this rank's entries; if they are what they were, factors hold. Collective."""
-        same = self._values is not None and np.array_equal(values, self._values)
+        same = self._values is not None and all(map(_is_same, values, self._values))
         if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
-            self.entries.set(values)
+            self.entries.set(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
             self._values = values
 
     def forget(self):
@@ -128,7 +133,12 @@ class _Kept:
     def destroy(self):
         """Collective."""
         self.forget()
-        self.A.destroy()
+        for obj in (*self.vectors, self.A):
+            obj.destroy()
+
+
+def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
+    return a is b or np.array_equal(a, b)
 
 
 class Tangent:
@@ -154,6 +164,7 @@ class Tangent:
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
         self._prefix, self._ways = prefix, list(ways)
         self._kept: _Kept | None = None
+        self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = 0
 
     def destroy(self):
@@ -167,12 +178,12 @@ class Tangent:
         self._load_step += 1
 
     def solve(
-        self, right: Sequence[PETSc.Vec], equations: Sequence[Linear], viscous: float
+        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
         """Solve with the values that the nested matrix has now.
 
         Args:
-            right: Right-hand side of bodies and ties.
+            right: This rank's right-hand side of bodies and ties.
             equations: Those of each contact.
             viscous: Share of the bodies' stiffness that is added.
 
@@ -205,13 +216,16 @@ class Tangent:
         return self.solve(right, equations, viscous)
 
     def _base(self, viscous: float) -> npt.NDArray:
-        """This rank's entries of the nested matrix."""
-        return np.concatenate(
-            [
-                block.getValuesCSR()[2] * (1 + viscous * (i == j < self._num_bodies))
-                for i, j, block in self._blocks()
-            ]
-        )
+        """This rank's entries of the nested matrix, the same array while they are the same."""
+        blocks = list(self._blocks())
+        state = [viscous, *(block.stateGet() for *_, block in blocks)]
+        if self._last_base is None or self._last_base[0] != state:
+            values = [block.getValuesCSR()[2] for *_, block in blocks]
+            if viscous:
+                for (i, j, _), part in zip(blocks, values, strict=True):
+                    part *= 1 + viscous * (i == j < self._num_bodies)
+            self._last_base = state, np.concatenate(values)
+        return self._last_base[1]
 
     def _values(
         self, equations: Sequence[Linear], num_base: int
@@ -231,23 +245,19 @@ class Tangent:
         kept = self._kept
         assert kept is not None
         ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
-        kept.fill(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
-        b, x = kept.A.createVecs()
+        kept.fill(values)
+        x, b = kept.vectors
         own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
-        b.array[:] = np.concatenate([part.array_r for part in right] + own)
-        try:
-            with way.options.in_use():
-                saddle.solve(ksp, b, x)
-            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
-            if message:
-                raise SolveError(message)
-            if not np.isfinite(x.norm()):
-                raise SolveError("the linear solve gave no numbers.")
-            ends = np.cumsum([part.getLocalSize() for part in right] + [len(part) for part in own])
-            found = np.split(x.array_r.copy(), ends[:-1])
-        finally:
-            for obj in (b, x):
-                obj.destroy()
+        b.array[:] = np.concatenate([*right, *own])
+        with way.options.in_use():
+            saddle.solve(ksp, b, x)
+        message = saddle.failure(ksp, units=kept.units, bound=way.residual)
+        if message:
+            raise SolveError(message)
+        if not np.isfinite(x.norm()):
+            raise SolveError("the linear solve gave no numbers.")
+        ends = np.cumsum([len(part) for part in (*right, *own)])
+        found = np.split(x.array_r.copy(), ends[:-1])
         contacts = found[len(right) :]
         return found[: len(right)], [
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
@@ -302,7 +312,9 @@ class Tangent:
             units = np.ones(size)
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
-        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step)
+        return _Kept(
+            patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs()
+        )
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
         """A KSP for a matrix."""
