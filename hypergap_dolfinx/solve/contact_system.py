@@ -8,7 +8,6 @@
 from collections.abc import Sequence
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +45,8 @@ PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
 UNPRESSED = 1e-12
 """Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
+SLACK = 1e-4
+"""Displacement, in sizes of facets, after which a stiffness is as good as anew for a first step."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -149,6 +150,7 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             rows.set_out()
         self._constraints.read_jumps()
+        self._goal = self._lifted()
         self._lead()
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
@@ -160,7 +162,7 @@ class ContactSystem(NonlinearSystem):
             self._evaluate(self._x, self._b)
             jump = self._jump()
             if step == 0:
-                self.assemble_matrix()
+                self._assemble_what_moved()
             last = [rows.now.copy() for rows in self._rows]
             held = self._choose(before, ahead=step < AHEAD)
             as_before, as_earlier = (
@@ -192,6 +194,14 @@ class ContactSystem(NonlinearSystem):
                     self._restore(state)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _assemble_what_moved(self):
+        """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
+        self._slack = SLACK * min(
+            float(side.reference.size.min()) for rows in self._rows for side in rows.sides
+        )
+        self.assemble_matrix()
+        self._slack = 0.0
 
     def _keep(self, last: Sequence[Pressed]) -> bool:
         """Where sticking and slipping go to and fro, go on as before, with the exact tangent.
@@ -237,7 +247,7 @@ class ContactSystem(NonlinearSystem):
         prescribed = self._constraints.prescribed
         return [
             np.where(held, wanted[: len(held)] - owned_values(u), 0)
-            for u, wanted, held in zip(self._u, self._lifted(), prescribed, strict=True)
+            for u, wanted, held in zip(self._u, self._goal, prescribed, strict=True)
         ]
 
     def _choose(
@@ -465,7 +475,11 @@ class ContactSystem(NonlinearSystem):
 
         Gaps where a body was say nothing about where it goes.
         """
-        self._take(self._forces_left(), [rows.without_forces(self._stiffness()) for rows in self._rows], 0.0)
+        self._take(
+            self._forces_left(),
+            [rows.without_forces(self._stiffness()) for rows in self._rows],
+            0.0,
+        )
         for rows in self._rows:
             rows.forget()
 

@@ -30,6 +30,13 @@ from hypergap_dolfinx.solve.pattern import Pattern
 RESIDUAL = 1e-8
 """Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
 or needs LU's pivots; what is below is for Newton's next step."""
+NEAR = 1e-4
+"""Change of a matrix, over its size, below which the factors that there are precondition it: two to
+five iterations take what a factorisation takes in the plane, and a tenth of it in space."""
+ITERATIONS = 8
+"""Iterations after which it is factorised even so."""
+REDUCED = 1e-10
+"""Residual that iterations leave, over the one that they start from."""
 ROOM = {"mat_mumps_icntl_14": 30}
 """LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
 SPACE = {"mat_mumps_icntl_7": 5}
@@ -47,6 +54,8 @@ class Way:
     options: Options
     residual: float = saddle.RESIDUAL
     """Largest residual over the right-hand side."""
+    keeps: bool = False
+    """Whether factors are kept while the matrix hardly changes."""
 
 
 def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
@@ -59,13 +68,13 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
         symmetric: Whether the matrix may be symmetric.
     """
     defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-    found = [Way(Options(prefix, given or {}, defaults, UNFIT))]
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
+    found = [Way(Options(prefix, given or {}, defaults, UNFIT), keeps=not named)]
     if symmetric and not named:
         defaults = {**DirectStep.OPTIONS, **ROOM, **(PLANE if plane else SPACE)}
         defaults["pc_type"] = "cholesky"
         options = Options(prefix, given or {}, defaults, UNFIT)
-        found.insert(0, Way(options, RESIDUAL))
+        found.insert(0, Way(options, RESIDUAL, keeps=True))
     return found
 
 
@@ -116,6 +125,8 @@ class _Kept:
     """Solution and right-hand side."""
     ksp: PETSc.KSP | None = None
     _values: list[npt.NDArray] | None = None
+    _factorised: list[npt.NDArray] | None = None
+    _iterating: PETSc.KSP | None = None
 
     def fill(self, values: list[npt.NDArray]):
         """Set this rank's entries; if they are what they were, factors hold. Collective."""
@@ -124,11 +135,54 @@ class _Kept:
             self.entries.set(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
             self._values = values
 
+    def factorised(self):
+        """There are factors of the matrix as it is now."""
+        self._factorised = self._values
+
+    def has_factors_near(self, values: list[npt.NDArray]) -> bool:
+        """Whether there are factors of nearly, but not quite, these entries. Collective."""
+        if self._factorised is None:
+            return False
+        sums = np.zeros(2)
+        for part, before in zip(values, self._factorised, strict=True):
+            change = 0.0 if part is before else np.linalg.norm(part - before)
+            sums += change**2, np.linalg.norm(before) ** 2
+        self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
+        return bool(0 < sums[0] <= NEAR**2 * sums[1])
+
+    def iterate(self, start: npt.NDArray) -> bool:
+        """Solve with factors of a matrix that is near, and say whether that worked. Collective.
+
+        Args:
+            start: This rank's part of what is near the solution.
+        """
+        assert self.ksp is not None
+        x, b = self.vectors
+        pc, r, dx = self.ksp.getPC(), b.duplicate(), x.duplicate()
+        if self._iterating is None:
+            self._iterating = PETSc.KSP().create(self.A.comm)
+            self._iterating.setType(PETSc.KSP.Type.GMRES)
+            self._iterating.setPC(pc)
+            self._iterating.setOperators(self.A)
+            self._iterating.setPCSide(PETSc.PC.Side.RIGHT)
+            self._iterating.setTolerances(rtol=REDUCED, max_it=ITERATIONS)
+        x.array[:] = start
+        self.A.mult(x, r)
+        r.aypx(-1.0, b)
+        pc.setReusePreconditioner(True)
+        self._iterating.solve(r, dx)
+        pc.setReusePreconditioner(False)
+        x.axpy(1.0, dx)
+        for obj in (r, dx):
+            obj.destroy()
+        return self._iterating.getConvergedReason() > 0
+
     def forget(self):
         """Nothing is known of the matrix. Collective."""
-        if self.ksp is not None:
-            self.ksp.destroy()
-        self.ksp = None
+        for ksp in (self.ksp, self._iterating):
+            if ksp is not None:
+                ksp.destroy()
+        self.ksp = self._iterating = self._factorised = None
 
     def destroy(self):
         """Collective."""
@@ -245,18 +299,23 @@ class Tangent:
         kept = self._kept
         assert kept is not None
         ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
+        near = way.keeps and kept.units is None and kept.has_factors_near(values)
         kept.fill(values)
         x, b = kept.vectors
-        own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
+        pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
+        own = [linear.right[mine] for linear, mine in pairs]
         b.array[:] = np.concatenate([*right, *own])
-        with way.options.in_use():
-            saddle.solve(ksp, b, x)
-        message = saddle.failure(ksp, units=kept.units, bound=way.residual)
-        if message:
-            raise SolveError(message)
+        start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
+        if not (near and kept.iterate(np.concatenate(start))):
+            with way.options.in_use():
+                saddle.solve(ksp, b, x)
+            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
+            if message:
+                raise SolveError(message)
+            kept.factorised()
         if not np.isfinite(x.norm()):
             raise SolveError("the linear solve gave no numbers.")
-        ends = np.cumsum([len(part) for part in (*right, *own)])
+        ends = np.cumsum([len(part) for part in start])
         found = np.split(x.array_r.copy(), ends[:-1])
         contacts = found[len(right) :]
         return found[: len(right)], [
@@ -312,9 +371,7 @@ class Tangent:
             units = np.ones(size)
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
-        return _Kept(
-            patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs()
-        )
+        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs())
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
         """A KSP for a matrix."""
