@@ -7,6 +7,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,8 @@ from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints
+from hypergap_dolfinx.gap.polynomials import terms
 
 STRAIGHT = 1e-12
 """Distance of geometry nodes from where straight edges have them, in sizes of their facet or cell,
@@ -120,6 +123,26 @@ class Surface:
         """Whether a distance at each facet is more than round-off."""
         # Coordinates carry a rounding error of their own, which grows away from the origin
         return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
+
+    @cached_property
+    def polynomials(self) -> dict[str, Any]:
+        """Facets in space and their dofs' functions as C sees them: ``Facets`` in ``c/space.h``."""
+        corners = basix.geometry(self.geometry.cell_type)
+        middle, origins = corners.mean(axis=0), self.nodes[:, :1]
+        powers, to_terms = terms(self.geometry, middle)
+        return {
+            "num_facets": len(self.facets),
+            "num_corners": len(corners),
+            "vertices": as_ints(self.polygons),
+            "x": as_doubles(self.x),
+            "middle": middle.tolist(),
+            "num_terms": len(powers),
+            "powers": as_ints(powers),
+            "origins": as_doubles(origins),
+            "factors": as_doubles(to_terms @ (self.nodes - origins)),
+            "num_dofs": self.element.dim,
+            "functions": as_doubles(to_terms @ tabulate(self.element, self.geometry.points)),
+        }
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of reference points.
