@@ -91,42 +91,29 @@ static void half_hessian(const double *q, const double *bends, double A[SIZE][SI
   add_product(A, feet[1], right);
 }
 
-// ∂q/∂u at a ray, (VECTORS, n).
-static void find_by_dofs(const Rays *rays, int p, double *T)
+// Add Tᵀ A T to a block, with T as hang_on has it; those of dofs a and b ≤ a alone where it is
+// symmetric.
+static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], double A[SIZE][SIZE],
+                       int symmetric, double *block)
 {
-  int num0 = rays->num_dofs[0], num1 = rays->num_dofs[1], n = num0 + num1;
-  const double *values = rays->functions + (size_t)3 * n * p;
-  memset(T, 0, VECTORS * n * sizeof(double));
+  int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
   for (int a = 0; a < n; ++a)
   {
-    T[n * R + a] = a < num0 ? values[a] : -values[a];
-    for (int k = 0; k < 2; ++k)
-    {
-      T[n * ((a < num0 ? Z1 : T1) + k) + a] = values[n * (k + 1) + a];
-      if (a >= num0)
-        T[n * (C1 + k) + a] = rays->middle[num1 * k + a - num0];
-    }
-  }
-}
-
-// Add Tᵀ A T to a block; those of dofs a and b ≤ a alone where it is symmetric.
-static void add_matrix(int n, const double *T, double A[SIZE][SIZE], int symmetric, double *block)
-{
-  double row[3][SIZE];
-  for (int a = 0; a < n; ++a)
-  {
-    memset(row, 0, sizeof row);
-    for (int u = 0; u < VECTORS; ++u)
-      for (int i = 0; T[n * u + a] != 0 && i < 3; ++i)
-        for (int k = 0; k < SIZE; ++k)
-          row[i][k] += T[n * u + a] * A[3 * u + i][k];
-    for (int b = 0; b < (symmetric ? a + 1 : n); ++b)
+    int side = a >= num0, end = symmetric ? a + 1 : n;
+    int width = end > num0 ? SIZE : 3 * (Z2 + 1); // Γ0's vectors come first
+    double row[3][SIZE] = {{0}};
+    for (int k = 0; k < num_vectors[side]; ++k)
+      for (int i = 0; i < 3; ++i)
+        for (int c = 0; c < width; ++c)
+          row[i][c] += T[a][k] * A[3 * vectors[side][k] + i][c];
+    for (int b = 0; b < end; ++b)
     {
       double *part = block + 9 * (n * a + b);
-      for (int u = 0; u < VECTORS; ++u)
-        for (int i = 0; T[n * u + b] != 0 && i < 3; ++i)
+      const int *of = vectors[b >= num0];
+      for (int k = 0; k < num_vectors[b >= num0]; ++k)
+        for (int i = 0; i < 3; ++i)
           for (int j = 0; j < 3; ++j)
-            part[3 * i + j] += T[n * u + b] * row[i][3 * u + j];
+            part[3 * i + j] += T[b][k] * row[i][3 * of[k] + j];
     }
   }
 }
@@ -140,15 +127,15 @@ static void add_matrix(int n, const double *T, double A[SIZE][SIZE], int symmetr
 void column_curvatures(const Rays *rays, const int *block, const double *factor, double *blocks)
 {
   int n = rays->num_dofs[0] + rays->num_dofs[1];
-  double A[SIZE][SIZE], T[VECTORS * n];
+  double A[SIZE][SIZE], T[n][MOST_VECTORS];
   for (int p = 0; p < rays->num; ++p)
   {
     half_hessian(rays->q + SIZE * p, rays->bends ? rays->bends + 9 * p : NULL, A);
     for (int i = 0; i < SIZE; ++i)
       for (int j = 0; j <= i; ++j)
         A[i][j] = A[j][i] = factor[p] * (A[i][j] + A[j][i]);
-    find_by_dofs(rays, p, T);
-    add_matrix(n, T, A, 1, blocks + (size_t)9 * n * n * block[p]);
+    hang_on(rays, p, T);
+    add_matrix(rays, T, A, 1, blocks + (size_t)9 * n * n * block[p]);
   }
 }
 

@@ -166,6 +166,28 @@ void column_heights(const Rays *rays, double *heights, double *areas, double *by
   }
 }
 
+// Vectors of q that hang on dofs of Γ0 and of Γ1.
+#define MOST_VECTORS 5
+static const int vectors[2][MOST_VECTORS] = {{R, Z1, Z2}, {R, T1, T2, C1, C2}};
+static const int num_vectors[2] = {3, 5};
+
+// ∂q/∂u at a ray: of each dof by the vectors that hang on it, (n, MOST_VECTORS).
+static void hang_on(const Rays *rays, int p, double (*T)[MOST_VECTORS])
+{
+  int num0 = rays->num_dofs[0], num1 = rays->num_dofs[1], n = num0 + num1;
+  const double *values = rays->functions + (size_t)3 * n * p;
+  for (int a = 0; a < n; ++a)
+  {
+    T[a][0] = a < num0 ? values[a] : -values[a];
+    for (int k = 0; k < 2; ++k)
+    {
+      T[a][k + 1] = values[n * (k + 1) + a];
+      if (a >= num0)
+        T[a][k + 3] = rays->middle[num1 * k + a - num0];
+    }
+  }
+}
+
 // Add derivatives by the dofs of what vectors say by q.
 //
 // block    number of each ray's block, (num)
@@ -175,26 +197,15 @@ void column_heights(const Rays *rays, double *heights, double *areas, double *by
 void sum_by_dofs(const Rays *rays, const int *block, const double *factor, const double *by_q,
                  double *blocks)
 {
-  int num0 = rays->num_dofs[0], num1 = rays->num_dofs[1], n = num0 + num1;
-  for (int p = 0; p < rays->num; ++p)
+  int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
+  double T[n][MOST_VECTORS];
+  for (int p = 0; p < rays->num; ++p, by_q += SIZE)
   {
-    const double *values = rays->functions + (size_t)3 * n * p, *by = by_q + SIZE * p;
     double *to = blocks + (size_t)3 * n * block[p];
+    hang_on(rays, p, T);
     for (int a = 0; a < n; ++a)
-    {
-      int first = a < num0 ? Z1 : T1;
-      double f = (a < num0 ? 1 : -1) * values[a];
-      for (int i = 0; i < 3; ++i)
-      {
-        double sum = f * by[3 * R + i];
-        for (int k = 0; k < 2; ++k)
-        {
-          sum += values[n * (k + 1) + a] * by[3 * (first + k) + i];
-          if (a >= num0)
-            sum += rays->middle[num1 * k + a - num0] * by[3 * (C1 + k) + i];
-        }
-        to[3 * a + i] += factor[p] * sum;
-      }
-    }
+      for (int k = 0; k < num_vectors[a >= num0]; ++k)
+        for (int i = 0; i < 3; ++i)
+          to[3 * a + i] += factor[p] * T[a][k] * by_q[3 * vectors[a >= num0][k] + i];
   }
 }

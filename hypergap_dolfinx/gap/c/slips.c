@@ -91,7 +91,7 @@ void column_slips(const Rays *rays, const int *block, const double *e, const dou
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks)
 {
   int n = rays->num_dofs[0] + rays->num_dofs[1];
-  double A[SIZE][SIZE], T[VECTORS * n], flat[3], feet[2][SIZE];
+  double A[SIZE][SIZE], T[n][MOST_VECTORS], flat[3], feet[2][SIZE];
   for (int p = 0; p < rays->num; ++p, traction += 3)
   {
     const double *q = rays->q + SIZE * p;
@@ -107,7 +107,7 @@ void slip_curvatures(const Rays *rays, const int *block, const double *traction,
         for (int v = 0; v < SIZE; ++v)
           A[3 * (Z1 + k) + i][v] = -flat[i] * feet[k][v];
     }
-    find_by_dofs(rays, p, T);
-    add_matrix(n, T, A, 0, blocks + (size_t)9 * n * n * block[p]);
+    hang_on(rays, p, T);
+    add_matrix(rays, T, A, 0, blocks + (size_t)9 * n * n * block[p]);
   }
 }
