@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
-from hypergap_dolfinx.gap.opposite import LAST, Frames, cross, reference_middle, sides_of
+from hypergap_dolfinx.gap.opposite import LAST, Frames, reference_middle, sides_of
 from hypergap_dolfinx.gap.surface import Surface
 
 NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
@@ -39,11 +39,6 @@ class At(IntEnum):
     """Vectors of q."""
 
     R, Z1, Z2, T1, T2, C1, C2 = range(7)
-
-
-def dot(a, b) -> npt.NDArray[np.float64]:
-    """Of vectors, ``(num, 3)``."""
-    return np.einsum("pi,pi->p", a, b)
 
 
 @dataclass(frozen=True)
@@ -80,22 +75,6 @@ class Rays:
         return library().ffi.new("Rays *", fields), fields
 
     @cached_property
-    def normals(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """N₀, N₁ and M, ``(num, 3)`` each."""
-        q = self.q
-        return (
-            cross(q[:, At.Z1], q[:, At.Z2]),
-            cross(q[:, At.T1], q[:, At.T2]),
-            cross(q[:, At.C1], q[:, At.C2]),
-        )
-
-    @cached_property
-    def products(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """N₀ · r, N₁ · M and N₀ · M, ``(num,)`` each: f is s A / B."""
-        n0, n1, m = self.normals
-        return dot(n0, self.q[:, At.R]), dot(n1, m), dot(n0, m)
-
-    @cached_property
     def heights(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """f, the areas as seen along the rays, and ∂f/∂q; ``(num,)`` twice, ``(num, 7, 3)``."""
         (f, areas), by_q = np.empty((2, len(self.q))), np.empty_like(self.q)
@@ -114,23 +93,20 @@ class Rays:
         doubles = map(as_doubles, (factor, by_q, blocks))
         library().lib.sum_by_dofs(self.pointer[0], as_ints(block), *doubles)
 
-    def towards(self, w) -> npt.NDArray[np.float64]:
-        """How the end of a ray that is fixed on Γ0 moves on Γ1 against the ray, ``(num, 7, 3)``.
+    def edges(self, normal) -> tuple[npt.NDArray, npt.NDArray]:
+        """How edges move on which rays are that end on those of Γ0.
 
         Args:
-            w: A direction in the plane across M, ``(num, 3)``.
+            normal: Across the edge, in Γ1's reference facet, ``(num, 2)``.
 
         Returns:
-            Derivatives by q of w · (x₀ − x₁ − h M).
+            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
+            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
         """
-        s, _, b = self.products
-        h, result = (s / b)[:, None], np.zeros_like(self.q)
-        result[:, At.R] = w
-        result[:, At.C1], result[:, At.C2] = (
-            -h * cross(self.q[:, At.C2], w),
-            -h * cross(w, self.q[:, At.C1]),
-        )
-        return result
+        motion, slopes = np.empty_like(self.q), np.empty(len(self.q))
+        given = map(as_doubles, (normal, motion, slopes))
+        library().lib.column_edges(self.pointer[0], *given)
+        return motion, slopes
 
     def some(self, some) -> "Rays":
         """A part of them: numbers, or which."""

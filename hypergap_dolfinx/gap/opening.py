@@ -32,12 +32,11 @@ from hypergap_dolfinx.gap.opposite import (
     Frames,
     Label,
     Pieces,
-    cross,
     find_pieces,
     polygon_areas,
     reference_corners,
 )
-from hypergap_dolfinx.gap.surface import Surface, is_outline, lengths
+from hypergap_dolfinx.gap.surface import Surface, lengths
 
 
 @dataclass
@@ -114,15 +113,6 @@ class _Edges:
     outline: npt.NDArray[np.bool_]
     """Whether Γ0 ends there."""
 
-    @property
-    def motion(self) -> npt.NDArray[np.float64]:
-        """Derivatives of the edges' motions along the normals by q, ``(num, 7, 3)``."""
-        _, n1, m = self.rays.normals
-        t = self.rays.q[:, heights.At.T1], self.rays.q[:, heights.At.T2]
-        dual = cross(t[1], m), cross(m, t[0])  # in the plane across M
-        w = sum(self.normal[:, k, None] * dual[k] for k in (0, 1))
-        return self.rays.towards(w / heights.dot(n1, m)[:, None])
-
 
 @dataclass
 class Opening:
@@ -186,7 +176,7 @@ class Opening:
         rim = _edges(state, outline=True)
         if len(rim.piece):
             moved = rim.weights * rim.rays.heights[0]
-            rim.rays.add_by_dofs(rim.piece, moved, rim.motion, blocks)
+            rim.rays.add_by_dofs(rim.piece, moved, rim.rays.edges(rim.normal)[0], blocks)
         state.gap = g, m, self._by_vertices(state.vertex[:, None], dofs, blocks)
         return state.gap
 
@@ -369,12 +359,7 @@ def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[
     Returns:
         a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
     """
-    n0, _, _ = edges.rays.normals
-    _, a, b = edges.rays.products
-    t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
-    slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
-    slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
-    motion = edges.motion
+    motion, slope = edges.rays.edges(edges.normal)
     half = ((edges.outline - 0.5) * slope * factor)[:, None, None] * motion
     if edges.outline.any():
         half += (edges.outline * factor)[:, None, None] * edges.rays.heights[2]
@@ -429,7 +414,7 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
     """
     pieces = state.pieces
     there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-    at_end = is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
+    at_end = state.surfaces[0].is_outline[pieces.facets[0][:, None], pieces.label]
     there &= np.broadcast_to(which, len(there))[:, None]
     if outline:
         there &= at_end

@@ -24,8 +24,6 @@ from hypergap_dolfinx.gap.search import along_curve
 from hypergap_dolfinx.gap.surface import (
     Surface,
     around,
-    edge_numbers,
-    is_outline,
     lengths,
     tabulate,
 )
@@ -270,9 +268,9 @@ def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pie
     piece, k = np.nonzero((edge >= num) & (np.arange(y.shape[1]) < pieces.num[:, None]))
     # Where one piece takes what another one leaves, or no other is there
     at = f0[piece], pieces.label[piece, k]
-    key = (edge_numbers(below)[at] * len(above.facets) + f1[piece]) * len(parts) + part[piece]
+    key = (below.edge_numbers[at] * len(above.facets) + f1[piece]) * len(parts) + part[piece]
     _, where, pair = np.unique(key, return_inverse=True, return_counts=True)
-    some = (pair[where] == 2) | is_outline(below)[at]
+    some = (pair[where] == 2) | below.is_outline[at]
     piece, k = piece[some], k[some]
     if not len(piece):
         return pieces

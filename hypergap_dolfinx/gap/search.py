@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which triangles of a surface a point may lie above or below."""
+"""Which triangles of a surface a point may lie above or below, and which a line may meet."""
 
 from dataclasses import dataclass
 
@@ -116,6 +116,27 @@ class Tree:
         near = square <= (1.01 * self.radius[f] + LEANS * np.abs(height)) ** 2
         near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING
         return p[near], f[near]
+
+    def beside(self, points, axes) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Lines and triangles of which they meet the balls around them, however far along.
+
+        Args:
+            points: On the lines, ``(num_lines, 3)``.
+            axes: Along them, unit vectors, ``(num_lines, 3)``.
+
+        Returns:
+            The pairs' lines, in their order, and triangles, ``(num_pairs,)``.
+        """
+
+        def near(of, part, p):
+            apart = of.middle[part] - points[p]
+            square = np.einsum("pi,pi->p", apart, apart)
+            square -= np.einsum("pi,pi->p", apart, axes[p]) ** 2
+            return square <= 1.001 * of.radius[part] ** 2
+
+        p, f = self._down(len(points), near)
+        keep = near(self, f, p)
+        return p[keep], f[keep]
 
     def _down(self, num: int, keeps) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Pairs of things, numbered, and triangles in the smallest parts that are kept for them."""

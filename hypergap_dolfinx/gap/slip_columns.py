@@ -20,7 +20,7 @@ each vertex of Γ1. As :math:`\mathbf x_0 - \mathbf x_1` is along the normal, it
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.heights import Rays, dot
+from hypergap_dolfinx.gap.heights import Rays
 from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 from hypergap_dolfinx.gap.opposite import Frames, cross
 from hypergap_dolfinx.gap.surface import Surface, lengths
@@ -43,7 +43,7 @@ def directions(surface: Surface, frames: Frames) -> npt.NDArray[np.float64]:
         # Of the facets around a vertex the last one's edge
         along[surface.polygons[:, k]] = surface.x[after[:, k]] - surface.x[surface.polygons[:, k]]
     normal /= np.maximum(lengths(normal), 1e-300)[:, None]
-    first = along - dot(along, normal)[:, None] * normal
+    first = along - np.einsum("vi,vi->v", along, normal)[:, None] * normal
     first /= np.maximum(lengths(first), 1e-300)[:, None]
     return np.stack((first, cross(normal, first)), axis=1)
 

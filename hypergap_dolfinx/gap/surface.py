@@ -125,6 +125,24 @@ class Surface:
         return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
 
     @cached_property
+    def edge_numbers(self) -> npt.NDArray[np.intp]:
+        """A number for each edge of facets (2D: each vertex), one for all that share it.
+
+        From 0, without gaps, ``(num_facets, num_edges)``.
+        """
+        key = start = self.polygons.astype(np.int64)
+        if self.gdim == 3:
+            end = np.roll(start, -1, axis=1)
+            key = np.minimum(start, end) * len(self.x) + np.maximum(start, end)
+        _, where = np.unique(key, return_inverse=True)
+        return where.reshape(key.shape)
+
+    @cached_property
+    def is_outline(self) -> npt.NDArray[np.bool_]:
+        """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
+        return np.bincount(self.edge_numbers.ravel())[self.edge_numbers] == 1
+
+    @cached_property
     def polynomials(self) -> dict[str, Any]:
         """Facets in space and their dofs' functions as C sees them: ``Facets`` in ``c/space.h``."""
         corners = basix.geometry(self.geometry.cell_type)
@@ -426,31 +444,10 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
 
 def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
     """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
-    key = edge_numbers(surface)
+    key = surface.edge_numbers
     facet = np.repeat(np.arange(len(key)), key.shape[1])
     key = key.ravel()
     order = np.argsort(key, kind="stable")
     _, start, count = np.unique(key[order], return_index=True, return_counts=True)
     start = start[count == 2]
     return np.column_stack((facet[order[start]], facet[order[start + 1]]))
-
-
-def is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
-    """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
-    number = edge_numbers(surface)
-    return np.bincount(number.ravel())[number] == 1
-
-
-def edge_numbers(surface: Surface) -> npt.NDArray[np.intp]:
-    """A number for each edge of facets (2D: each vertex), one for all that share it.
-
-    Returns:
-        From 0, without gaps, ``(num_facets, num_edges)``.
-    """
-    start = surface.polygons.astype(np.int64)
-    key = start
-    if surface.gdim == 3:
-        end = np.roll(start, -1, axis=1)
-        key = np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
-    _, where = np.unique(key, return_inverse=True)
-    return where.reshape(key.shape)

@@ -40,20 +40,33 @@ static Normals normals_of(const double *q)
   return n;
 }
 
+// Derivatives by q of w · (x₀ − x₁ − h M), with w across M: how the end of a ray that is fixed on Γ0
+// moves on Γ1 against the ray.
+static void find_motion(const double *q, const Normals *n, const double *w, double *by)
+{
+  double back[3] = {-n->h * w[0], -n->h * w[1], -n->h * w[2]};
+  memset(by, 0, SIZE * sizeof(double));
+  memcpy(by + 3 * R, w, 3 * sizeof(double));
+  add_normal(q, C1, C2, back, by);
+}
+
+// The basis dual to two tangents across M, times the cross product of these over M.
+static void find_dual(const double *q, int u, int v, const Normals *n, double dual[2][3])
+{
+  cross(q + 3 * v, n->m, dual[0]);
+  cross(n->m, q + 3 * u, dual[1]);
+}
+
 // How the ray's end moves on Γ0, ∂ξ/∂q.
 static void find_feet(const double *q, const Normals *n, double feet[2][SIZE])
 {
-  double w[3];
-  memset(feet, 0, 2 * sizeof(feet[0]));
+  double dual[2][3];
+  find_dual(q, Z1, Z2, n, dual);
   for (int k = 0; k < 2; ++k)
   {
-    cross(k ? n->m : q + 3 * Z2, k ? q + 3 * Z1 : n->m, w);
     for (int i = 0; i < 3; ++i)
-    {
-      feet[k][3 * R + i] = -w[i] / n->b;
-      w[i] *= n->h / n->b;
-    }
-    add_normal(q, C1, C2, w, feet[k]);
+      dual[k][i] /= -n->b; // a foot's motion is that against the ray, seen from Γ1
+    find_motion(q, n, dual[k], feet[k]);
   }
 }
 
@@ -163,6 +176,31 @@ void column_heights(const Rays *rays, double *heights, double *areas, double *by
     }
     add_normal(q, T1, T2, w, by_q);
     add_normal(q, C1, C2, by_m, by_q);
+  }
+}
+
+// How those edges of pieces that are Γ0's move on Γ1, at the rays from there.
+//
+// normal   out of the piece, of any length, in Γ1's reference facet, (num, 2)
+// motion   along the normal, by q, (num, VECTORS, 3)
+// slopes   of f beyond the edge less that before it, over the normal, (num)
+void column_edges(const Rays *rays, const double *normal, double *motion, double *slopes)
+{
+  for (int p = 0; p < rays->num; ++p, normal += 2)
+  {
+    const double *q = rays->q + SIZE * p;
+    Normals n = normals_of(q);
+    double dual[2][3], w[3], rise = 0, square = 0;
+    find_dual(q, T1, T2, &n, dual);
+    for (int i = 0; i < 3; ++i)
+      w[i] = (normal[0] * dual[0][i] + normal[1] * dual[1][i]) / (n.slope * n.b);
+    find_motion(q, &n, w, motion + SIZE * p);
+    for (int k = 0; k < 2; ++k)
+    {
+      rise += normal[k] * dot(q + 3 * (T1 + k), n.n0);
+      square += normal[k] * normal[k];
+    }
+    slopes[p] = -n.slope * rise / fmax(square, 1e-300);
   }
 }
 

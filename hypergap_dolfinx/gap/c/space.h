@@ -53,6 +53,7 @@ void polygon_rule(int num, int num_corners, const double *X, int num_points, con
                   double least, int num_terms, const int *powers, const double *inverse,
                   int num_inner, const double *inner, double *at, double *weights);
 void column_heights(const Rays *rays, double *heights, double *areas, double *by_q);
+void column_edges(const Rays *rays, const double *normal, double *motion, double *slopes);
 void sum_by_dofs(const Rays *rays, const int *block, const double *factor, const double *by_q,
                  double *blocks);
 void column_curvatures(const Rays *rays, const int *block, const double *factor, double *blocks);
