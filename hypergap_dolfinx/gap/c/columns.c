@@ -91,29 +91,36 @@ static void half_hessian(const double *q, const double *bends, double A[SIZE][SI
   add_product(A, feet[1], right);
 }
 
+// Matrices by two vectors of q, (3, 3), and one that is 0: pairs of numbers are added at once.
+#define PADDED 10
+typedef double Matrix[VECTORS][VECTORS][PADDED];
+
+static inline void add_scaled(double factor, const double *restrict a, double *restrict to)
+{
+  for (int c = 0; c < PADDED; ++c)
+    to[c] += factor * a[c];
+}
+
 // Add Tᵀ A T to a block, with T as hang_on has it; those of dofs a and b ≤ a alone where it is
 // symmetric.
-static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], double A[SIZE][SIZE],
+static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], const Matrix A,
                        int symmetric, double *block)
 {
   int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
   for (int a = 0; a < n; ++a)
   {
     int side = a >= num0, end = symmetric ? a + 1 : n;
-    int width = end > num0 ? SIZE : 3 * (Z2 + 1); // Γ0's vectors come first
-    double row[3][SIZE] = {{0}};
+    double row[VECTORS][PADDED] = {{0}};
     for (int k = 0; k < num_vectors[side]; ++k)
-      for (int i = 0; i < 3; ++i)
-        for (int c = 0; c < width; ++c)
-          row[i][c] += T[a][k] * A[3 * vectors[side][k] + i][c];
+      for (int v = 0; v < (end > num0 ? VECTORS : Z2 + 1); ++v) // Γ0's vectors come first
+        add_scaled(T[a][k], A[vectors[side][k]][v], row[v]);
     for (int b = 0; b < end; ++b)
     {
-      double *part = block + 9 * (n * a + b);
-      const int *of = vectors[b >= num0];
+      double part[PADDED] = {0};
       for (int k = 0; k < num_vectors[b >= num0]; ++k)
-        for (int i = 0; i < 3; ++i)
-          for (int j = 0; j < 3; ++j)
-            part[3 * i + j] += T[b][k] * row[i][3 * of[k] + j];
+        add_scaled(T[b][k], row[vectors[b >= num0][k]], part);
+      for (int c = 0; c < 9; ++c)
+        block[9 * (n * a + b) + c] += part[c];
     }
   }
 }
@@ -127,13 +134,14 @@ static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], double
 void column_curvatures(const Rays *rays, const int *block, const double *factor, double *blocks)
 {
   int n = rays->num_dofs[0] + rays->num_dofs[1];
-  double A[SIZE][SIZE], T[n][MOST_VECTORS];
+  double half[SIZE][SIZE], T[n][MOST_VECTORS];
+  Matrix A = {{{0}}};
   for (int p = 0; p < rays->num; ++p)
   {
-    half_hessian(rays->q + SIZE * p, rays->bends ? rays->bends + 9 * p : NULL, A);
+    half_hessian(rays->q + SIZE * p, rays->bends ? rays->bends + 9 * p : NULL, half);
     for (int i = 0; i < SIZE; ++i)
-      for (int j = 0; j <= i; ++j)
-        A[i][j] = A[j][i] = factor[p] * (A[i][j] + A[j][i]);
+      for (int j = 0; j < SIZE; ++j)
+        A[i / 3][j / 3][3 * (i % 3) + j % 3] = factor[p] * (half[i][j] + half[j][i]);
     hang_on(rays, p, T);
     add_matrix(rays, T, A, 1, blocks + (size_t)9 * n * n * block[p]);
   }

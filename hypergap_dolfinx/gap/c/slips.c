@@ -91,21 +91,25 @@ void column_slips(const Rays *rays, const int *block, const double *e, const dou
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks)
 {
   int n = rays->num_dofs[0] + rays->num_dofs[1];
-  double A[SIZE][SIZE], T[n][MOST_VECTORS], flat[3], feet[2][SIZE];
+  double T[n][MOST_VECTORS], flat[3], feet[2][SIZE];
+  Matrix A = {{{0}}};
   for (int p = 0; p < rays->num; ++p, traction += 3)
   {
     const double *q = rays->q + SIZE * p;
     Across a = across_of(q);
     flatten(&a, traction, flat);
     find_feet(q, &a.normals, feet);
-    memset(A, 0, sizeof A);
     for (int i = 0; i < 3; ++i)
     {
+      double by[SIZE] = {0};
       const double unit[3] = {i == 0, i == 1, i == 2};
-      add_slip(q, &a, traction, unit, -1, A[3 * R + i]);
-      for (int k = 0; k < 2; ++k)
-        for (int v = 0; v < SIZE; ++v)
-          A[3 * (Z1 + k) + i][v] = -flat[i] * feet[k][v];
+      add_slip(q, &a, traction, unit, -1, by);
+      for (int v = 0; v < SIZE; ++v)
+      {
+        A[R][v / 3][3 * i + v % 3] = by[v];
+        for (int k = 0; k < 2; ++k)
+          A[Z1 + k][v / 3][3 * i + v % 3] = -flat[i] * feet[k][v];
+      }
     }
     hang_on(rays, p, T);
     add_matrix(rays, T, A, 0, blocks + (size_t)9 * n * n * block[p]);
