@@ -133,7 +133,7 @@ class Recovery:
     def _after_passes(self, forces: npt.NDArray) -> list[npt.NDArray]:
         """Tractions after 1, 3, 9 … passes, shaped as the forces. Collective."""
         t = before = np.zeros_like(forces)
-        found = []
+        found: list[npt.NDArray] = []
         for n in range(1, PASSES + 1):
             y = t + (n - 2) / (n + 1) * (t - before)
             missing = forces - of_columns(self._mass.mult, self._mass.createVecs(), y)
