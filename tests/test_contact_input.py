@@ -201,7 +201,7 @@ def test_loads():
 def test_motions_in_words():
     """What a message says of rigid motions."""
     x = np.random.default_rng(0).random((20, 3)) + 2
-    assert in_words(comm, x, 0 * x + (0, -2, 0)) == "along (0, -1, 0)"
+    assert in_words(comm, x, 0 * x + (0, -2, 0)) == "along (0, 1, 0)"
     turned = np.cross((0, 0, 0.3), x - (2, 3, 0))
     words = r"that turns around \(2, 3, 2\.\d+\) on the axis \(0, 0, 1\)"
     assert re.fullmatch(words, in_words(comm, x, turned))
