@@ -78,7 +78,7 @@ class Owner:
 
         Without it they go by themselves; on several ranks, when the next tie or problem is made.
         """
-        for obj in self._release():
+        for obj in filter(None, self._release()):
             obj.destroy()
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing):
@@ -87,5 +87,5 @@ class Owner:
             leave(self._ticket, self._release())
 
     def _release(self) -> list[Any]:
-        """The PETSc objects, which their owner forgets."""
+        """The PETSc objects, which their owner forgets; None is left out."""
         raise NotImplementedError
