@@ -37,7 +37,7 @@ from meshes import BOTTOM, LEFT, RIGHT, TOP
 class Slab:
     """Temperatures 0 and 1 (or a flux of 1) on two layers of thickness 1 with a resistance."""
 
-    def __init__(self, dim=2, unit=1.0, *, flux=False):
+    def __init__(self, dim=2, unit=1.0, *, flux=False, how="compliance"):
         self.dim, self.unit, self.flux, self.k = dim, unit, flux, []
         sides, a, bcs, loads = [], [], [], []
         tags = (meshes.TOP, meshes.BOTTOM) if dim == 2 else (meshes.FRONT, meshes.BACK)
@@ -57,20 +57,22 @@ class Slab:
             )
             loads.append(None)
             if i and flux:
-                loads[1] = v * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
+                loads[1] = ufl.conj(v) * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
             else:
                 bcs.append(fem.dirichletbc(default_scalar_type(i), ends, V))
             self.k.append(k)
             sides.append((V, ft.find(tags[i])))
         self.c = fem.Constant(mesh, default_scalar_type(0.0))
-        self.tie = Tie(*sides, compliance=self.c)
+        self.how = how
+        self.tie = Tie(*sides, **{how: self.c})
         self.problem = TiedProblem(a, loads, bcs=bcs, ties=[self.tie])
 
     def errors(self, k=(1.0, 1.0), c=0.0):
         """Errors of the flux, and of temperatures over the largest; c in units of Γ0's layer."""
         for constant, value in zip(self.k, k, strict=True):
             constant.value = value
-        self.c.value = c = c * self.unit / k[0]
+        c = c * self.unit / k[0]
+        self.c.value = c if self.how == "compliance" else 1 / c
         us = self.problem.solve()
         q = 1 / (self.unit / k[0] + c + self.unit / k[1])
         if self.flux:
