@@ -74,9 +74,10 @@ class Relaxation:
 
         Args:
             moves: This rank's changes of displacements, of each body.
-            exact: Whether it was made with the exact tangent: else that may be why it turned.
+            exact: Whether it was made with the exact tangent: else that may be why it turns, or why
+                the next one does.
         """
-        self._exact = exact
+        corrects, self._exact = not self._exact, exact
         last = moves if self._last is None else self._last
         sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
@@ -88,6 +89,7 @@ class Relaxation:
             return False
         least = max(SHRINKS * np.sqrt(self._square), NOISE * self._first)
         turned = product < TURNS * np.sqrt(square * self._square)
-        self._turns = turned and self._length > least
+        turned &= self._length > least
+        self._turns = turned and (self.acts or not corrects)
         self._last, self._square = moves, square
         return True
