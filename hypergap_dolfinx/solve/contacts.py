@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
-from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse, joined
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
@@ -486,10 +486,3 @@ def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
     """This rank's owned values, ``(num_dofs,)``."""
     dofmap = u.function_space.dofmap
     return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
-
-
-def joined(*parts: Sparse) -> Sparse:
-    """The sum of sparse matrices."""
-    return Sparse(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
-    )
