@@ -79,7 +79,7 @@ def dense(sparse, shape):
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
     g, _, C = opening.gap(u)
     size = 2 * sum(len(part) for part in u)
     shape = len(g), size
@@ -103,7 +103,7 @@ def test_derivatives(options):
 def test_balance(options, gap):
     """Forces and moments of any pressures, at any gap."""
     sides, u, rng = scene(gap, **options)
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
     g, m, C = opening.gap(u)
     assert (m >= 0).all() and m.sum() > 0.5
     p = rng.random(len(g))

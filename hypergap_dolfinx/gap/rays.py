@@ -43,9 +43,11 @@ REACHED = 0.999
 """Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
 KEPT = 0.9
 """The same of degree 2, if both had them: for degree 1 it is :data:`COVERED`."""
-BEYOND = 1e-3
+COMES = 0.2
 """Part of an edge of Γ1, of degree 1, that Γ0 must reach for a share of the vertex beyond its end.
 For degree 2 nodes between vertices give way as it is."""
+GOES = 0.02
+"""The same if it had a share."""
 STEEPER = 2.0
 """Pressure of that vertex, over that of the one before the end, up to which it may be."""
 ROOM = 3
@@ -72,6 +74,8 @@ class Fans:
     ends: npt.NDArray[np.int32]
     """Vertices of Γ1 beyond an end of Γ0 that have a share, and those before it,
     ``(num_ends, 2)``."""
+    cut: npt.NDArray[np.intp]
+    """The edges between them, ``(num_ends,)``."""
     order: Order
     """Γ0's."""
     sigma: Any
@@ -183,7 +187,10 @@ def cast(
     order = Order.of(surfaces[0], kinks0, last.order if last else None)
     chains = ffi.new("Chains *", order.chains)
     linear = surfaces[1].element.degree == 1
-    kept, beyond = COVERED if linear else KEPT, BEYOND if linear and shares else 1.0
+    kept = COVERED if linear else KEPT
+    beyond = np.full(num, COMES if linear and shares else 1.0)
+    if last:
+        beyond[last.cut] = GOES
     least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     whole, owners = np.empty((2, num), np.int32)
     given = as_ints(kinks1), as_doubles(least), len(walls), as_ints(np.array(walls)), END, FACES
@@ -191,7 +198,9 @@ def cast(
         cells = np.empty(room, CELL)
         fields["cells"] = sigma.cells = ffi.from_buffer("Cell[]", cells)
         sigma.max_cells = room
-        if lib.cast_rays(sigma, chains, *given, FARTHER, beyond, as_ints(whole), as_ints(owners)):
+        if lib.cast_rays(
+            sigma, chains, *given, FARTHER, as_doubles(beyond), as_ints(whole), as_ints(owners)
+        ):
             raise MemoryError("no memory for the cells of the gap domain")
         if sigma.num_cells <= room:
             break
@@ -200,4 +209,4 @@ def cast(
     cut = np.flatnonzero(owners >= 0)
     before = surfaces[1].facets[cut, owners[cut]]
     ends = np.stack((surfaces[1].facets[cut, 1 - owners[cut]], before), axis=1)
-    return Fans(cells[: sigma.num_cells], whole > 0, ends, order, sigma, fields)
+    return Fans(cells[: sigma.num_cells], whole > 0, ends, cut, order, sigma, fields)

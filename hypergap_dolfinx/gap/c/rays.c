@@ -336,7 +336,7 @@ static void add_fans(const Cast *cast, int vertex, int kink)
 // owners   number of the vertex before Γ0's end where that beyond it has a share, −1 elsewhere
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
               int num_walls, const int *walls, double end, double faces, double farther,
-              double beyond, int *whole, int *owners)
+              const double *beyond, int *whole, int *owners)
 {
   const Side *below = sigma->sides, *above = below + 1;
   Opposite *opposite = malloc((above->num_edges + 1) * sizeof(Opposite));
@@ -355,7 +355,7 @@ int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double
     for (const int *wall = walls; wall < walls + 4 * num_walls; wall += 4)
       if (wall[0] == f)
         known[wall[1]] = (Place){wall[2], wall[3]};
-    cover(&cast, f, known, least[f], beyond);
+    cover(&cast, f, known, least[f], beyond[f]);
     whole[f] = opposite[f].places[AT_MIDDLE].edge >= 0;
   }
   for (int f = 0; f < above->num_edges; ++f)
