@@ -227,6 +227,13 @@ def test_relaxation():
             found.append(x)
         assert (abs(found[-1] - 1.55) <= 1e-12) == use
         assert relaxation.share == 0 or not use
+    for before in (True, False):  # what puts an inexact step right is no turn
+        relaxation = Relaxation(MPI.COMM_SELF)
+        for move, exact in ((1.0, before), (-0.9, True)):
+            relaxation.look(1.0)
+            assert relaxation.takes([np.array([move])], exact=exact)
+        relaxation.look(1.0)
+        assert relaxation.acts == before
 
 
 def test_slides_off():
