@@ -197,9 +197,8 @@ class ContactSystem(NonlinearSystem):
 
     def _assemble_what_moved(self):
         """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
-        self._slack = SLACK * min(
-            float(side.reference.size.min()) for rows in self._rows for side in rows.sides
-        )
+        sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
+        self._slack = SLACK * float(min(sizes))
         self.assemble_matrix()
         self._slack = 0.0
 
