@@ -33,7 +33,7 @@ from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
-from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
+from hypergap_dolfinx.solve.relaxation import RELAXED, SHORTENED, Relaxation
 from hypergap_dolfinx.solve.strays import Strays
 from hypergap_dolfinx.solve.tangent import Tangent, ways
 
@@ -135,6 +135,22 @@ class ContactSystem(NonlinearSystem):
         for rows, now in zip(self._rows, pressed, strict=True):
             rows.now = now
 
+    def _go(self, start, end, share: float):
+        """Go from one state towards another or beyond, with the sets of the first one.
+
+        Args:
+            start: The one.
+            end: The other.
+            share: Of the way.
+
+        Returns:
+            The one, and where it goes.
+        """
+        values = [a + share * (b - a) for a, b in zip(start[0], end[0], strict=True)]
+        now = [a.towards(b, share) for a, b in zip(start[1], end[1], strict=True)]
+        self._restore((values, [part.copy() for part in now]))
+        return start, (values, now)
+
     def _newton(self) -> int:
         """Newton's iteration for the values that are set. Collective.
 
@@ -152,7 +168,7 @@ class ContactSystem(NonlinearSystem):
         self._lead()
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
-        polished, returned, self._largest = False, 0, 0.0
+        polished, returned, self._largest, way = False, 0, 0.0, None
         relaxation = Relaxation(self._u[0].function_space.mesh.comm)
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
@@ -178,6 +194,13 @@ class ContactSystem(NonlinearSystem):
                 polished = True
             if step >= STEPS and not relaxation.acts:
                 break
+            if way and relaxation.shortens(self._unbalanced):
+                way = self._go(*way, SHORTENED)
+                continue
+            lasting = bool(before) and all(
+                np.array_equal(*(part.reshape(-1, len(rows.g))[:, rows.lasting] for part in sets))
+                for rows, *sets in zip(self._rows, before, held, strict=True)
+            )
             before = held
             relaxation.look(self._unbalanced)
             if step:
@@ -186,10 +209,13 @@ class ContactSystem(NonlinearSystem):
                 self._carry()
             else:
                 # The last load step's pressures are as good as those of sets that are settled
-                exact = settled or (step == 0 and self._continues())
-                state = self._state()
-                if not relaxation.takes(self._step(exact, jump, relaxation.share), exact=exact):
-                    self._restore(state)
+                exact = settled or lasting or (step == 0 and self._continues())
+                start = self._state()
+                moves, work = self._step(exact, jump, relaxation.share)
+                way = start, self._state()
+                share = relaxation.takes(moves, work, exact=exact)
+                if share != 1:
+                    way = self._go(*way, share)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
 
@@ -257,7 +283,8 @@ class ContactSystem(NonlinearSystem):
             g = rows.clearance
             if self._free.num and before:  # what holds a body leaves by its pull: p may be none
                 g = np.where(now.on, np.minimum(g, 0), g)
-            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
+            on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
+            now.on = np.where(rows.split, now.on, on)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -373,6 +400,7 @@ class ContactSystem(NonlinearSystem):
         parts = [part.copy() for part in self._b.getNestSubVecs()[:num]]
         self._add_contact(parts, all_dofs=False)
         self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts))
+        self._residuals = [part.array_r.copy() for part, _ in zip(parts, self._u)]
         saddle.destroy_parts(parts)
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
@@ -460,7 +488,7 @@ class ContactSystem(NonlinearSystem):
 
     def _step(
         self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
-    ) -> list[npt.NDArray[np.float64]]:
+    ) -> tuple[list[npt.NDArray[np.float64]], float]:
         """Solve for one step, and take it. Collective.
 
         Args:
@@ -470,7 +498,8 @@ class ContactSystem(NonlinearSystem):
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
-            This rank's changes of displacements, of each body.
+            This rank's changes of displacements, of each body, and the work that changes of forces
+            do on them: Hill's second-order work, below 0 where an equilibrium isn't stable.
         """
         assert self._free is not None
         stiffness, equations, moves = self._stiffness(), [], None
@@ -492,13 +521,17 @@ class ContactSystem(NonlinearSystem):
             if settled or (rolls and not isinstance(rows, FrictionRows)):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
         right = [part.copy() for part in self._b.getNestSubVecs()]
+        last = [(rows.now.p, rows.clearance) for rows in self._rows]
         changes, unknowns = self._take(right, equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             if rows.now.on.any():
                 rows.take(linear, values)
             else:
                 rows.forget()
-        return changes
+        work = comm.allreduce(sum(a @ b for a, b in zip(changes, self._residuals, strict=True)))
+        for rows, (p, g) in zip(self._rows, last, strict=True):
+            work -= ((rows.now.p - p) * g)[rows.now.on].sum()
+        return changes, work
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body. Collective."""

@@ -3,12 +3,17 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What helps Newton's iteration where it goes to and fro: bodies that are viscous for a while.
+"""What helps Newton's iteration where it goes to and fro, or too far.
 
 Forces between bodies are continuous, with kinks where nodes pass. At one of them an equilibrium can
 end: where a corner ploughs with friction, bodies snap to another one, which Newton's steps from
-both sides of the kink never find. Viscous ones flow there. That is pseudo-transient continuation:
-the bodies' stiffness times a share is added to the tangent, and goes with the residual.
+both sides of the kink never find. Viscous bodies flow there.
+
+Beyond such an end the tangent does negative work on Newton's step, which leads back to it: bodies
+flow the other way, and by the same length if they are just so viscous that the tangent's work
+becomes positive as it was negative. Where that isn't it, they are viscous for a while. That is
+pseudo-transient continuation: the bodies' stiffness times a share is added to the tangent, and goes
+with the residual. Before all this, a step after which residuals are much larger is shortened.
 """
 
 from collections.abc import Sequence
@@ -34,6 +39,12 @@ FALLS = 0.1
 """Times the share at least from step to step where the residual falls."""
 LEAST = 1e-3
 """Share that is none."""
+WORSE = 3.0
+"""Residual after a step, over that before it, from which it was too long."""
+SHORTENED = 0.25
+"""Part of it that is taken."""
+SHORTEST = 4
+"""Times that it is shortened."""
 RELAXED = 50
 """Steps that are granted beside those of a load step."""
 
@@ -50,7 +61,8 @@ class Relaxation:
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
         self._first = self._length = self._longest = self._residual = 0.0
-        self._turns = self._exact = self.acts = False
+        self._turns = self._exact = self._back = self.acts = False
+        self._shortened: int | None = None  # times, of a step that may be
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
 
@@ -69,24 +81,48 @@ class Relaxation:
             self.acts, self.share, self._longest = True, SHARE, self._length
         self._residual, self._turns = residual, False
 
-    def takes(self, moves: Sequence[npt.NDArray[np.float64]], *, exact: bool) -> bool:
-        """Whether a step isn't too long. Collective.
+    def shortens(self, residual: float) -> bool:
+        """Whether less is to be taken of the last step.
+
+        Args:
+            residual: Of the forces, where it led.
+        """
+        if self._shortened is None or not residual > WORSE * self._residual:
+            return False
+        self._shortened = self._shortened + 1 if self._shortened + 1 < SHORTEST else None
+        assert self._last is not None
+        self._last = [SHORTENED * part for part in self._last]
+        return True
+
+    def takes(
+        self, moves: Sequence[npt.NDArray[np.float64]], work: float, *, exact: bool
+    ) -> float:
+        """How much of a step is to be taken: 1, none if it is too long, or back. Collective.
 
         Args:
             moves: This rank's changes of displacements, of each body.
+            work: That of the tangent on them.
             exact: Whether it was made with the exact tangent: else that may be why it turned.
         """
-        self._exact = exact
+        self._exact, is_first = exact, self._last is None
+        self._shortened = None
         last = moves if self._last is None else self._last
         pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
         here = [(a @ b, a @ a, b @ b) for a, b in pairs]
         product, square, before = self._comm.allreduce(np.sum(here, axis=0))
         self._length = np.sqrt(square)
         self._first = self._first or self._length
+        turns = product < TURNS * np.sqrt(square * before)
+        if turns and work < 0 and exact and not (self.acts or self._back):
+            share = -min(1.0, LONG * self._first / self._length)
+            self._back, self._last = True, [share * part for part in moves]
+            return share
         if self._length > (self._longest if self.acts else LONG * self._first) and exact:
             self._turns, self._length = True, self._first
-            return False
+            return 0.0
         least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
-        self._turns = product < TURNS * np.sqrt(square * before) and self._length > least
+        self._turns = turns and self._length > least
         self._last = moves
-        return True
+        if exact and not (is_first or self.acts):
+            self._shortened = 0
+        return 1.0
