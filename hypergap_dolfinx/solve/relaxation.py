@@ -61,7 +61,7 @@ class Relaxation:
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
         self._first = self._length = self._longest = self._residual = 0.0
-        self._turns = self._exact = self._back = self.acts = False
+        self._turns = self._exact = self._back = self._rejected = self.acts = False
         self._shortened: int | None = None  # times, of a step that may be
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
@@ -117,9 +117,10 @@ class Relaxation:
             share = -min(1.0, LONG * self._first / self._length)
             self._back, self._last = True, [share * part for part in moves]
             return share
-        if self._length > (self._longest if self.acts else LONG * self._first) and exact:
-            self._turns, self._length = True, self._first
+        if self._length > (self._longest if self.acts else LONG * self._first) and exact and not self._rejected:
+            self._turns, self._length, self._rejected = True, self._first, True
             return 0.0
+        self._rejected = False
         least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
         self._turns = turns and self._length > least
         self._last = moves
