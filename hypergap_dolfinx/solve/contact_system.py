@@ -197,6 +197,8 @@ class ContactSystem(NonlinearSystem):
             if way and relaxation.shortens(self._unbalanced):
                 way = self._go(*way, SHORTENED)
                 continue
+            if not np.isfinite(self._unbalanced):
+                raise SolveError("Newton's iteration diverged: the residual is no number.")
             lasting = bool(before) and all(
                 np.array_equal(*(part.reshape(-1, len(rows.g))[:, rows.lasting] for part in sets))
                 for rows, *sets in zip(self._rows, before, held, strict=True)
@@ -402,8 +404,6 @@ class ContactSystem(NonlinearSystem):
         self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts))
         self._residuals = [part.array_r.copy() for part, _ in zip(parts, self._u)]
         saddle.destroy_parts(parts)
-        if not np.isfinite(worst):
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
         if not all(rows.is_closed(rows.closed) for rows in self._rows):
             return False  # forces needn't be known to see that
         size, least = sum(force**2 for force in self._forces), 0.0

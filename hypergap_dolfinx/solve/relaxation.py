@@ -62,7 +62,7 @@ class Relaxation:
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
         self._first = self._length = self._longest = self._residual = 0.0
         self._turns = self._exact = self._back = self._rejected = self.acts = False
-        self._shortened: int | None = None  # times, of a step that may be
+        self._judges, self._num_shortened = False, 0
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
 
@@ -85,12 +85,12 @@ class Relaxation:
         """Whether less is to be taken of the last step.
 
         Args:
-            residual: Of the forces, where it led.
+            residual: Of the forces, where it led; no number if cells are inverted there.
         """
-        if self._shortened is None or not residual > WORSE * self._residual:
+        worst = WORSE * self._residual if self._judges else np.inf
+        if self._last is None or residual <= worst or self._num_shortened == SHORTEST:
             return False
-        self._shortened = self._shortened + 1 if self._shortened + 1 < SHORTEST else None
-        assert self._last is not None
+        self._num_shortened += 1
         self._last = [SHORTENED * part for part in self._last]
         return True
 
@@ -104,8 +104,8 @@ class Relaxation:
             work: That of the tangent on them.
             exact: Whether it was made with the exact tangent: else that may be why it turned.
         """
-        self._exact, is_first = exact, self._last is None
-        self._shortened = None
+        self._exact, self._num_shortened = exact, 0
+        self._judges = exact and self._last is not None and not self.acts
         last = moves if self._last is None else self._last
         pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
         here = [(a @ b, a @ a, b @ b) for a, b in pairs]
@@ -115,7 +115,8 @@ class Relaxation:
         turns = product < TURNS * np.sqrt(square * before)
         if turns and work < 0 and exact and not (self.acts or self._back):
             share = -min(1.0, LONG * self._first / self._length)
-            self._back, self._last = True, [share * part for part in moves]
+            self._back, self._judges = True, False
+            self._last = [share * part for part in moves]
             return share
         if self._length > (self._longest if self.acts else LONG * self._first) and exact and not self._rejected:
             self._turns, self._length, self._rejected = True, self._first, True
@@ -124,6 +125,4 @@ class Relaxation:
         least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
         self._turns = turns and self._length > least
         self._last = moves
-        if exact and not (is_first or self.acts):
-            self._shortened = 0
         return 1.0
