@@ -246,8 +246,8 @@ class ContactProblem(ContactSystem):
         self._check_usable()
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
-        bad = "a load, a prescribed displacement or a friction is no number."
-        raise_on_all(comm, None if self._path.is_finite else bad, SolveError)
+        wrong = self._path.wrong
+        raise_on_all(comm, wrong and f"{wrong} is no number.", SolveError)
         changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0
         self._prepare()
@@ -310,16 +310,17 @@ class ContactProblem(ContactSystem):
         )
 
     def _warn_of_stiffness(self, comm):
-        """Say which Γ1 is far stiffer than Γ0, and finer. Collective."""
+        """Say which Γ1 is far stiffer than Γ0, and about as fine or finer. Collective."""
         size = [mean_diagonal(K) for K in self._K]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = rows.bodies
-            if i is None or j is None or contact.finer <= ALIKE:
+            if i is None or contact.finer * ALIKE < 1 or comm.rank > 0:
                 continue
-            if size[j] > STIFF * size[i] and comm.rank == 0:
+            if j is None or size[j] > STIFF * size[i]:
                 LOG.warning(
-                    f"contact {c}: Γ1's body is far stiffer than Γ0's, with smaller facets; "
-                    "pressures will scatter: swap its sides (Contact.between with stiffness does)."
+                    f"contact {c}: Γ1's body is {'rigid' if j is None else "far stiffer than Γ0's"}"
+                    ", with facets that are no longer; pressures will scatter: swap its sides "
+                    "(Contact.between with stiffness does)."
                 )
 
     def _warn_of_reach(self, comm):

@@ -177,6 +177,10 @@ def test_problem(caplog):
             stiff.hold(i, component, tag)
     stiff.problem([contact]).solve()
     assert comm.rank > 0 or "contact 0: Γ1's body is far stiffer than Γ0's" in caplog.text
+    alike = two(n=(4, 2))
+    one = Contact(*faces(alike))
+    ContactProblem([alike.F[0], None], alike.u, bcs=alike.bcs[:2], contacts=[one]).solve()
+    assert comm.rank > 0 or "contact 0: Γ1's body is rigid" in caplog.text
 
 
 @pytest.mark.ranks(2)
@@ -184,7 +188,7 @@ def test_loads():
     scene = two(gap=0.1)
     problem = scene.problem([Contact(*faces(scene))])
     scene.down.value = np.nan
-    with raises(SolveError, "a load, a prescribed displacement or a friction is no number"):
+    with raises(SolveError, "a prescribed displacement is no number"):
         problem.solve()
     scene.down.value = -0.2
     problem.solve()  # as if nothing had been
@@ -193,7 +197,7 @@ def test_loads():
     for component in (0, 1):
         free.hold(0, component, meshes.BOTTOM)
     free.load(1, meshes.TOP).value = 0.01
-    what = r"1 rigid motion of the .* not even by contact .*: body 1, at \(.*\), along \(1, 0\);"
+    what = r"1 rigid motion of the .* not even by contact .*: body 1, at \(.*\), along \(-?1, 0\);"
     with raises(SolveError, what):
         free.problem([Contact(*faces(free))]).solve()
 
@@ -201,7 +205,7 @@ def test_loads():
 def test_motions_in_words():
     """What a message says of rigid motions."""
     x = np.random.default_rng(0).random((20, 3)) + 2
-    assert in_words(comm, x, 0 * x + (0, -2, 0)) == "along (0, -1, 0)"
+    assert in_words(comm, x, 0 * x + (0, -2, 0)) == "along (0, 1, 0)"
     turned = np.cross((0, 0, 0.3), x - (2, 3, 0))
     words = r"that turns around \(2, 3, 2\.\d+\) on the axis \(0, 0, 1\)"
     assert re.fullmatch(words, in_words(comm, x, turned))

@@ -175,6 +175,20 @@ DEMOS = {
         pictures=("ironing",),
         needs=("matplotlib",),
     ),
+    "ironing_snaps": Demo(
+        "--flat --swap --friction 0.5 --steps 8",
+        {"rows.11.along_surfaces": 0.5},
+        {"rows.*.iterations": 10, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
+    ),
+    "ironing_far": Demo(
+        "--friction 0.5 --step 5 --steps 1 --back 1",
+        {"rows.4.along_surfaces": 0.5},
+        {"rows.*.iterations": 7, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
+    ),
     "ironing_quadratic": Demo(
         "--flat --degree 2 --friction 0.2 --steps 8",
         {"rows.11.fy": -0.29311},
@@ -184,7 +198,7 @@ DEMOS = {
     ),
     "ironing_sticking": Demo(
         "--flat --degree 2 --friction 0.5 --steps 4",
-        below={"rows.*.halvings": 0, "rows.*.iterations": 14},
+        below={"rows.*.halvings": 0, "rows.*.iterations": 10},
         slow=True,
         script="ironing",
     ),
@@ -285,7 +299,7 @@ DEMOS = {
     ),
     "contact_conductance": Demo(
         "--cells 12",
-        {"crowned.2.heat": 0.24153, "crowned.2.rough": 0.038180, "crowned.7.heat": 0.33344},
+        {"crowned.2.heat": 0.26242, "crowned.2.rough": 0.042901, "crowned.7.heat": 0.33344},
         {"even.*.error": 1e-11, "crowned.*.newton": 6},
         accuracy=1e-3,
         pictures=("contact_conductance",),

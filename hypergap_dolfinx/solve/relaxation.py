@@ -39,6 +39,10 @@ FALLS = 0.1
 """Times the share at least from step to step where the residual falls."""
 LEAST = 1e-3
 """Share that is none."""
+REFUSED = 4
+"""Times in a row that a step is too long: viscosity doesn't shorten what closes gaps."""
+BACK = 3
+"""Steps back in a load step before bodies are viscous."""
 WORSE = 3.0
 """Residual after a step, over that before it, from which it was too long."""
 SHORTENED = 0.25
@@ -60,9 +64,9 @@ class Relaxation:
         """
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
-        self._first = self._length = self._longest = self._residual = 0.0
-        self._turns = self._exact = self._back = self._rejected = self.acts = False
-        self._judges, self._num_shortened = False, 0
+        self._first = self._length = self._longest = self._residual = self._square = 0.0
+        self._turns = self._exact = self.acts = False
+        self._judges, self._num_shortened, self._num_back, self._num_refused = False, 0, 0, 0
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
 
@@ -92,37 +96,41 @@ class Relaxation:
             return False
         self._num_shortened += 1
         self._last = [SHORTENED * part for part in self._last]
+        self._square *= SHORTENED**2
         return True
 
-    def takes(
-        self, moves: Sequence[npt.NDArray[np.float64]], work: float, *, exact: bool
-    ) -> float:
+    def takes(self, moves: Sequence[npt.NDArray[np.float64]], work: float, *, exact: bool) -> float:
         """How much of a step is to be taken: 1, none if it is too long, or back. Collective.
 
         Args:
             moves: This rank's changes of displacements, of each body.
             work: That of the tangent on them.
-            exact: Whether it was made with the exact tangent: else that may be why it turned.
+            exact: Whether it was made with the exact tangent: else that may be why it turns, or why
+                the next one does.
         """
-        self._exact, self._num_shortened = exact, 0
+        corrects, self._exact = not self._exact, exact
         self._judges = exact and self._last is not None and not self.acts
+        self._num_shortened = 0
         last = moves if self._last is None else self._last
-        pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
-        here = [(a @ b, a @ a, b @ b) for a, b in pairs]
-        product, square, before = self._comm.allreduce(np.sum(here, axis=0))
+        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        product, square = sums
         self._length = np.sqrt(square)
         self._first = self._first or self._length
-        turns = product < TURNS * np.sqrt(square * before)
-        if turns and work < 0 and exact and not (self.acts or self._back):
-            share = -min(1.0, LONG * self._first / self._length)
-            self._back, self._judges = True, False
-            self._last = [share * part for part in moves]
-            return share
-        if self._length > (self._longest if self.acts else LONG * self._first) and exact and not self._rejected:
-            self._turns, self._length, self._rejected = True, self._first, True
-            return 0.0
-        self._rejected = False
-        least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
-        self._turns = turns and self._length > least
-        self._last = moves
-        return 1.0
+        least = max(SHRINKS * np.sqrt(self._square), NOISE * self._first)
+        turned = product < TURNS * np.sqrt(square * self._square)
+        turned &= self._length > least
+        longest = self._longest if self.acts else LONG * self._first
+        refused = exact and self._length > longest and self._num_refused < REFUSED
+        share = 0.0 if refused else 1.0
+        if turned and exact and work < 0 and not self.acts and self._num_back < BACK:
+            share, self._num_back = -min(1.0, longest / self._length), self._num_back + 1
+            self._turns = self._judges = refused = False
+        elif refused:
+            self._turns, self._length = True, self._first
+        else:
+            self._turns = turned and (self.acts or not corrects)
+        self._num_refused = self._num_refused + 1 if refused else 0
+        if share:
+            self._last, self._square = [share * part for part in moves], share**2 * square
+        return share

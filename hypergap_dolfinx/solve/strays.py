@@ -134,5 +134,6 @@ def in_words(comm: MPI.Comm, x: npt.NDArray[np.float64], v: npt.NDArray[np.float
 
 
 def _direction(v: npt.NDArray[np.float64]) -> str:
-    """A vector of length 1, without what is round-off."""
-    return spot(np.round(v / np.linalg.norm(v), 3))
+    """A vector of length 1, without what is round-off: the sign of a motion is that too."""
+    v = np.round(v / np.linalg.norm(v), 3)
+    return spot(v * np.sign(v[v != 0][0]))
