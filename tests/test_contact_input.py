@@ -191,6 +191,11 @@ def test_loads():
     with raises(SolveError, "a prescribed displacement is no number"):
         problem.solve()
     scene.down.value = -0.2
+    constant = scene.F[1].constants()[0]
+    before, constant.value = constant.value.copy(), np.nan
+    with raises(SolveError, "a load or another value in a form is no number"):
+        problem.solve()
+    constant.value = before
     problem.solve()  # as if nothing had been
     assert problem.iterations <= 8
     free = Assembly(scene.bodies)
