@@ -16,8 +16,8 @@
 # With friction (`--friction 0.3`) work is also dissipated, and at the end the die is drawn back
 # (`--back`). Once all of it slips, shear over pressure along the surfaces is the coefficient, to
 # round-off. Horizontal over vertical force isn't: where the foundation dents its surface tilts.
-# For the curved die and a coefficient of .5 that ratio is .4973, .4967, .4965 with cells of one, half
-# and a quarter of the size (degree 2: .4965, .4965).
+# For the curved die and a coefficient of .5 that ratio is .4973, .4967, .4965 with cells of one,
+# half and a quarter of the size (degree 2: .4965, .4965).
 
 # +
 import argparse
