@@ -175,6 +175,20 @@ DEMOS = {
         pictures=("ironing",),
         needs=("matplotlib",),
     ),
+    "ironing_snaps": Demo(
+        "--flat --swap --friction 0.5 --steps 8",
+        {"rows.11.along_surfaces": 0.5},
+        {"rows.*.iterations": 10, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
+    ),
+    "ironing_far": Demo(
+        "--friction 0.5 --step 5 --steps 1 --back 1",
+        {"rows.4.along_surfaces": 0.5},
+        {"rows.*.iterations": 7, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
+    ),
     "ironing_quadratic": Demo(
         "--flat --degree 2 --friction 0.2 --steps 8",
         {"rows.11.fy": -0.29311},
@@ -184,7 +198,7 @@ DEMOS = {
     ),
     "ironing_sticking": Demo(
         "--flat --degree 2 --friction 0.5 --steps 4",
-        below={"rows.*.halvings": 0, "rows.*.iterations": 14},
+        below={"rows.*.halvings": 0, "rows.*.iterations": 10},
         slow=True,
         script="ironing",
     ),

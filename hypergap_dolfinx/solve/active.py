@@ -31,6 +31,43 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
     return m > COVERED * area
 
 
+def sources(come, lasting, on, facets) -> npt.NDArray[np.intp]:
+    """Vertices whose tractions new multipliers begin with, -1 if there are none.
+
+    Args:
+        come: The new ones, ``(num,)``.
+        lasting: Which others there are, ``(num,)``.
+        on: The active set, in which all of these beside a new one must be, ``(num,)``.
+        facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
+    """
+    result = np.full(len(come), -1)
+    i, j = _pairs(facets[come[facets].any(axis=1)])
+    use = come[i] & lasting[j]
+    result[i[use]] = j[use]
+    result[i[use & ~on[j]]] = -1
+    return result
+
+
+def beside(come, lasting, facets) -> npt.NDArray[np.bool_]:
+    """New multipliers, and those beside them that there were, ``(num,)``.
+
+    Args:
+        come: The new ones, ``(num,)``.
+        lasting: Which others there are, ``(num,)``.
+        facets: As for :func:`sources`.
+    """
+    result = come.copy()
+    i, j = _pairs(facets[come[facets].any(axis=1)])
+    result[j[come[i] & lasting[j]]] = True
+    return result
+
+
+def _pairs(facets) -> npt.NDArray[np.intp]:
+    """Vertices of the same facets, both ways and also with themselves, ``(2, num_pairs)``."""
+    k = facets.shape[1]
+    return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))
+
+
 def pushing(p, g, m, valid, stiffness, on, none: float) -> npt.NDArray[np.bool_]:
     """P − c g/m > 0: closed or overlapping, and not pulling; what is at both limits stays.
 
