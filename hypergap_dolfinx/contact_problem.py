@@ -246,8 +246,8 @@ class ContactProblem(ContactSystem):
         self._check_usable()
         comm = self._u[0].function_space.mesh.comm
         self._path.set_out()
-        bad = "a load, a prescribed displacement or a friction is no number."
-        raise_on_all(comm, None if self._path.is_finite else bad, SolveError)
+        wrong = self._path.wrong
+        raise_on_all(comm, wrong and f"{wrong} is no number.", SolveError)
         changes = comm.allreduce(self._path.changes, MPI.LOR)
         self._iterations = self._halvings = 0
         self._prepare()

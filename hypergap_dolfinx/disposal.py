@@ -7,15 +7,17 @@
 
 The ranks may let go of two problems in different orders. So what a rank no longer needs waits
 until all ranks meet, when the next tie or problem is made: what all of them have let go is
-destroyed then, in the same order.
+destroyed then, in the same order. What a user still has is only let go: PETSc counts references.
 """
 
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable
+from copy import copy
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 Ranks = tuple[int, ...]
 Ticket = tuple[Ranks, int]
@@ -41,8 +43,11 @@ def enter(comm: MPI.Comm) -> Ticket:
         g.Free()
     gone = set.intersection(*comm.allgather(set(_waiting[ranks])))
     for number in sorted(gone):
-        for obj in _waiting[ranks].pop(number):
-            obj.destroy()
+        waiting = _waiting[ranks].pop(number)
+        # Python's objects first: if theirs were the last references, PETSc would keep what they had
+        waiting.sort(key=lambda obj: isinstance(obj, PETSc.Object))
+        while waiting:
+            waiting.pop(0).destroy()
     _made[ranks] += 1
     return ranks, _made[ranks]
 
@@ -54,7 +59,8 @@ def leave(ticket: Ticket | None, objects: Iterable[Any]):
         ticket: The owner's, or None if it was never made.
         objects: What to destroy; None is left out.
     """
-    left = [obj for obj in objects if obj is not None]
+    # References of their own: not those of Python's objects, which users may have
+    left = [copy(obj) if isinstance(obj, PETSc.Object) else obj for obj in objects if obj]
     if ticket is None or len(ticket[0]) == 1:
         for obj in left:
             obj.destroy()
@@ -72,7 +78,7 @@ class Owner:
 
         Without it they go by themselves; on several ranks, when the next tie or problem is made.
         """
-        for obj in self._release():
+        for obj in filter(None, self._release()):
             obj.destroy()
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing):
@@ -81,5 +87,5 @@ class Owner:
             leave(self._ticket, self._release())
 
     def _release(self) -> list[Any]:
-        """The PETSc objects, which their owner forgets."""
+        """The PETSc objects, which their owner forgets; None is left out."""
         raise NotImplementedError

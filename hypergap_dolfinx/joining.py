@@ -179,8 +179,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
             adjust=adjusts,
             jump=first.jump,
             motion=first.motion,
-            compliance=first._compliance,
-            law=first._law,
+            **first._gives,
         )
     except (InterfaceError, InvertedCellError):  # the same on all ranks
         return None, []

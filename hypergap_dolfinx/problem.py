@@ -91,7 +91,8 @@ class TiedProblem(TiedSystem):
                 iterates over the ties, ``"iterative"`` takes conjugate gradients and algebraic
                 multigrid: for symmetric, positive definite forms and large bodies, best of degree
                 1. If not given, ``"direct"`` or, for large bodies in 3D, ``"bodies"``. Mixed
-                spaces, free interior nodes and ties with a compliance are for ``"direct"``.
+                spaces, free interior nodes and ties with a compliance or a conductance are for
+                ``"direct"``.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP, besides those of the solver above; instead of those
                 of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a MatNest:
@@ -113,7 +114,7 @@ class TiedProblem(TiedSystem):
             )
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
-        if any(isinstance(tie, Tie) and tie.law is not None for tie in ties):
+        if any(isinstance(tie, Tie) and tie.law and not tie.law.linear for tie in ties):
             raise ValueError("a tie with a law of its jump is for a NonlinearTiedProblem.")
         for form in (*a, *L):
             if form is not None and not isinstance(form, ufl.Form):

@@ -9,6 +9,7 @@ import logging
 from collections.abc import Hashable
 from copy import copy
 from functools import cached_property
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -83,6 +84,7 @@ class Tie(disposal.Owner):
         jump: Given | Jump | None = None,
         motion: Motion | None = None,
         compliance: soft.Given | None = None,
+        conductance: soft.Given | None = None,
         law: laws.Given | laws.Law | None = None,
         discontinuous: bool = False,
     ):
@@ -128,6 +130,11 @@ class Tie(disposal.Owner):
                 body, or a callable of x. Read anew when the matrix is assembled. Where all of both
                 sides is prescribed λ follows from c alone: one that was 0 when the problem was made
                 is to stay so, and of a pair both are 0 or none, or an error says so.
+            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat that flows where
+                bodies touch. From 0, where nothing passes, to any size; given as a compliance is,
+                one value or a pair, and read anew when the matrix is assembled. Where it varies
+                much take it, and not 1 / h as a compliance: it is h that is averaged over Σ's
+                cells, so that one node where h isn't 0 conducts.
             law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
                 softens and lets go, a spring that pushes and doesn't pull. A function of the jump
                 (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
@@ -144,8 +151,8 @@ class Tie(disposal.Owner):
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
-            ValueError: A jump, a compliance or a law that doesn't fit the spaces, that isn't
-                finite, or a negative compliance; a compliance and a law.
+            ValueError: A jump, a compliance, a conductance or a law that doesn't fit the spaces,
+                that isn't finite, or is negative; two of the last three.
             InvertedCellError: The surfaces differ so much in shape that Σ folds over.
         """
         if interior not in ("interpolated", "free"):
@@ -219,10 +226,10 @@ class Tie(disposal.Owner):
         self._own_blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
         self.nodal_jump()
-        if compliance is not None and law is not None:
-            raise ValueError("give a compliance or a law, not both.")
-        self._compliance = compliance
-        self._law = law if law is None or isinstance(law, laws.Law) else laws.Law(law)
+        given = {"compliance": compliance, "conductance": conductance, "law": law}
+        self._gives: dict[str, Any] = {k: v for k, v in given.items() if v is not None}
+        if len(self._gives) > 1:
+            raise ValueError(f"give a {' or a '.join(self._gives)}, not both.")
         _ = self.compliance, self.law  # what is wrong with them is told here
 
     @classmethod
@@ -345,13 +352,22 @@ class Tie(disposal.Owner):
         """Whether :meth:`between` made its first side Γ1."""
         return self._swapped
 
+    def destroy(self):
+        """Destroy the PETSc objects now, of what was asked for too. Collective.
+
+        Without it they go by themselves; on several ranks, when the next tie or problem is made.
+        """
+        for name in ("_recovery", "compliance", "law", "constraint"):
+            part = self.__dict__.pop(name, None)
+            if part is not None:
+                part.destroy()
+        super().destroy()
+
     def _release(self) -> list:
-        """The PETSc matrices, which the tie forgets."""
-        names = ("_recovery", "compliance", "law", "constraint")
-        own = [self.__dict__.pop(name, None) for name in names]
-        objects = [*getattr(self, "_own_blocks", ()), *own]
+        """The blocks, which the tie forgets."""
+        objects = list(getattr(self, "_own_blocks", ()))
         self._blocks = self._own_blocks = ()
-        return [obj for obj in objects if obj is not None]
+        return objects
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
@@ -450,29 +466,37 @@ class Tie(disposal.Owner):
 
     @property
     def gives_way(self) -> Hashable:
-        """Equal for ties with the same compliance or law; None without."""
-        if self._law is not None:
-            return self._law.key
-        return None if self._compliance is None else soft.key(self._compliance)
+        """Equal for ties with the same compliance, conductance or law; None without."""
+        what = self.compliance or self.law
+        return what and what.key
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
         """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
 
         For a system of your own, C is a new PETSc matrix each time,
-        ``tie.compliance.matrix(tie.compliance.values())``; keep the tie, which owns what it reads.
+        ``tie.compliance.matrix(tie.compliance.values())``.
         """
-        if self._compliance is None:
-            return None
-        given = self._compliance, self._domain, self.constraint, self._spaces, self._facets[1]
-        return soft.Compliance(*given)
+        return self._weighting(soft.Compliance)
 
     @cached_property
-    def law(self) -> laws.Response | None:
-        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law."""
-        if self._law is None:
+    def law(self) -> laws.Response | soft.Conductance | None:
+        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.
+
+        A conductance is one, F(w) = H w.
+        """
+        law = self._gives.get("law")
+        if law is None:
+            return self._weighting(soft.Conductance)
+        law = law if isinstance(law, laws.Law) else laws.Law(law)
+        return laws.Response(law, self._domain, self.constraint, self._spaces[1])
+
+    def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
+        """The compliance or the conductance, if that is given."""
+        value = self._gives.get(kind.name)
+        if value is None:
             return None
-        return laws.Response(self._law, self._domain, self.constraint, self._spaces[1])
+        return kind(value, self._domain, self.constraint, self._spaces, self._facets[1])
 
     @cached_property
     def _gaping(self) -> npt.NDArray:

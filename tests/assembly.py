@@ -274,7 +274,7 @@ def scaled(problem: TiedProblem) -> tuple[npt.NDArray[np.float64], int]:
     It has a unit diagonal of K and unit rows of B, so that zero means zero.
     """
     rows = [part.getIndices() for part in problem.A.getNestISs()[0]]  # of this rank
-    num_fields = len(problem.u) + sum(tie.free_interior for tie in problem.ties)
+    num_fields = len(rows) - len(problem._constraints.bodies)
     ties = np.concatenate([np.empty(0, int), *rows[num_fields:]])
     ties = np.concatenate(comm.allgather(ties)).astype(int)
     A = dense(problem.A)

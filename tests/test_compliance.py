@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from assembly import (
     SOLVED,
+    Body,
     comm,
     exact_stress,
     held_outside,
@@ -36,7 +37,7 @@ from meshes import BOTTOM, LEFT, RIGHT, TOP
 class Slab:
     """Temperatures 0 and 1 (or a flux of 1) on two layers of thickness 1 with a resistance."""
 
-    def __init__(self, dim=2, unit=1.0, *, flux=False):
+    def __init__(self, dim=2, unit=1.0, *, flux=False, how="compliance"):
         self.dim, self.unit, self.flux, self.k = dim, unit, flux, []
         sides, a, bcs, loads = [], [], [], []
         tags = (meshes.TOP, meshes.BOTTOM) if dim == 2 else (meshes.FRONT, meshes.BACK)
@@ -56,20 +57,22 @@ class Slab:
             )
             loads.append(None)
             if i and flux:
-                loads[1] = v * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
+                loads[1] = ufl.conj(v) * ufl.Measure("ds", mesh, subdomain_data=ft)(meshes.TOP)
             else:
                 bcs.append(fem.dirichletbc(default_scalar_type(i), ends, V))
             self.k.append(k)
             sides.append((V, ft.find(tags[i])))
         self.c = fem.Constant(mesh, default_scalar_type(0.0))
-        self.tie = Tie(*sides, compliance=self.c)
+        self.how = how
+        self.tie = Tie(*sides, **{how: self.c})
         self.problem = TiedProblem(a, loads, bcs=bcs, ties=[self.tie])
 
     def errors(self, k=(1.0, 1.0), c=0.0):
         """Errors of the flux, and of temperatures over the largest; c in units of Γ0's layer."""
         for constant, value in zip(self.k, k, strict=True):
             constant.value = value
-        self.c.value = c = c * self.unit / k[0]
+        c = c * self.unit / k[0]
+        self.c.value = c if self.how == "compliance" else 1 / c
         us = self.problem.solve()
         q = 1 / (self.unit / k[0] + c + self.unit / k[1])
         if self.flux:
@@ -257,6 +260,63 @@ def test_pieces(same):
     p.solve()
     assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
     assert is_regular(p)
+
+
+def shrunk(n, degree, c):
+    """A ring shrunk on another one, on a bed of springs: errors of displacement and pressure."""
+    E, nu, radii, delta = 1000.0, 0.3, (1.0, 2.0, 3.0), 0.01
+    middle = radii[1]
+    # σ_rr = A − B / r², one ring after the other with a unit pressure between them
+    A, B = np.linalg.solve(
+        [[[1, -1 / r**2], [1, -1 / middle**2]] for r in radii[::2]], [[[0.0], [-1.0]]] * 2
+    )[..., 0].T
+
+    def radial(i, r):
+        """Displacement, plane strain."""
+        return (1 + nu) / E * ((1 - 2 * nu) * A[i] * r + B[i] / r)
+
+    q = delta / (radial(1, middle) - radial(0, middle) + c)
+    if c == 0:
+        assert abs(q - 1.28777472527) <= 1e-11
+    bodies, wrong = [], np.zeros(2)
+    for i, cells in enumerate((3 * n, 2 * n)):
+        mesh, ft = meshes.ring_sector(comm, cells, n, *radii[i : i + 2], degree=degree)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        bodies.append(Body(mesh, ft, V, E, nu))
+    t = tie(
+        bodies,
+        (0, meshes.OUTER),
+        (1, meshes.INNER),
+        jump=lambda x: delta * x[:2] / np.hypot(x[0], x[1]),
+        compliance=c,
+    )
+    held = [(i, *side) for i in (0, 1) for side in ((meshes.START, (1,)), (meshes.END, (0,)))]
+    bcs = []
+    for i, tag, (component,) in held:
+        V = bodies[i].V.sub(component)
+        dofs = fem.locate_dofs_topological(V, 1, bodies[i].facets(tag))
+        bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V))
+    p = TiedProblem([body.a for body in bodies], [None, None], bcs=bcs, ties=[t])
+    for i, u in enumerate(p.solve()):
+        x = ufl.SpatialCoordinate(bodies[i].mesh)
+        exact = q * radial(i, ufl.sqrt(ufl.dot(x, x))) / ufl.sqrt(ufl.dot(x, x)) * x
+        for k, f in enumerate((u - exact, exact)):
+            wrong[k] += fem.assemble_scalar(fem.form(ufl.inner(f, f) * ufl.dx(degree=8))).real
+    wrong = np.sqrt(comm.allreduce(wrong))
+    rule = t.quadrature(4)
+    pressure = np.linalg.norm(rule.evaluate(t.traction(p)), axis=-1, keepdims=True)
+    off = rule.integrate((pressure / q - 1) ** 2) / rule.integrate(np.ones_like(pressure))
+    return wrong[0] / wrong[1], float(off[0]) ** 0.5
+
+
+@two_ranks(degree=[2])
+@pytest.mark.parametrize("c, degree", ((0.0, 1), (5e-3, 2)))
+def test_shrink_fit(c, degree):
+    """Rates of displacement and pressure; with and without springs between the rings."""
+    errors = np.array([shrunk(n, degree, c) for n in (4, 8)])
+    print(errors)
+    rates = np.log2(errors[0] / errors[1])
+    assert rates[0] >= degree + 0.9 and rates[1] >= degree - 0.1
 
 
 @two_ranks()

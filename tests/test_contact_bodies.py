@@ -352,7 +352,7 @@ def test_beam_on_rollers():
     load.value = 0.008
     problem.solve()
     assert problem.iterations <= 6 and problem.halvings == 0
-    left, right, top = (contact.force(problem)[1] for contact in contacts)
+    left, right, _ = (contact.force(problem)[1] for contact in contacts)
     assert min(abs(left), abs(right)) > 1e-3
     assert abs(left + right - 1.4 * 0.008 * np.sign(left)) <= 1e-9
 

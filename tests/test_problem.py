@@ -246,3 +246,23 @@ def test_ranks_may_forget_problems_in_any_order():
     B1 = tie.blocks()[1]
     tie.destroy()
     assert B1.norm() == tie.blocks()[1].norm() > 0  # its own; and made anew
+
+
+def test_what_outlives_its_owner():
+    """PETSc's objects stay as long as someone has them, also parts of what is gone."""
+    _, a, L, bcs, tie = two_blocks()
+    sides = list(zip(tie.spaces, tie.facets, strict=True))
+
+    def parts():
+        soft, stiff = Tie(*sides, compliance=1.0), Tie(*sides, conductance=2.0)
+        problem = TiedProblem(a, L, bcs=bcs, ties=[soft])
+        problem.solve()
+        return soft.compliance, stiff.law, soft.constraint.B[0], problem.A, problem.x, problem.b
+
+    compliance, law, B, A, x, b = parts()
+    Tie(*sides)  # here the ranks meet, and destroy what all have let go
+    assert compliance.matrix(compliance.values()).norm() == law.mass().norm() > 0
+    assert B.norm() > 0
+    r = b.duplicate()
+    A.mult(x, r)
+    assert (r - b).norm() <= 1e-12

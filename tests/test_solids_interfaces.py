@@ -375,3 +375,16 @@ def test_sides_prescribed_all_around(n, degree, swap):
     l2, error, *_ = tied(bodies, bending if degree == 2 else linear, (degree,) * 2, swap=swap)
     # 5e-13 of the displacement has been seen; other BLAS libraries may make some times as much
     assert l2 <= 2e-11 and error <= 1e-10
+
+
+@pytest.mark.ranks(2, cell=["hexahedron"])
+@pytest.mark.parametrize("cell", ("tetrahedron", "hexahedron"))
+def test_one_cell_wide(cell):
+    """Γ1's rim is held, and what is left lies on a line: λ's slope across it was missing."""
+    bodies = []
+    for i, (n, tag) in enumerate((((1, 3, 2), meshes.RIGHT), ((1, 1, 3), meshes.LEFT))):
+        mesh, ft = meshes.block(comm, n, lambda x, i=i: x + i * np.eye(3)[0], cell=cell)
+        held = np.concatenate([ft.find(other) for other in np.unique(ft.values) if other != tag])
+        bodies.append((mesh, ft.find(tag), np.unique(held)))
+    l2, error, *_ = tied(bodies, quadratic, (2, 2))
+    assert l2 <= 1e-12 and error <= 1e-11

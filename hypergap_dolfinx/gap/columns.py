@@ -5,7 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Second derivatives of what columns hold by the dofs of both their facets, in C.
 
-They are matrices of 21 × 21 at each point: with NumPy these would go through memory five times.
+They are matrices of 21 × 21 at each point: with NumPy these would go through memory five times. So
+are sums of what groups of points have.
 """
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap.heights import Rays
 from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.moving import Sparse
 
 
 class Blocks:
@@ -30,31 +32,21 @@ class Blocks:
     @property
     def values(self) -> npt.NDArray[np.float64]:
         """``(num, num_dofs, num_dofs, 3, 3)``."""
-        i, j = np.tril_indices(self._below.shape[1], -1)
+        num, num_dofs = self._below.shape[:2]
         result = self._below.copy()
-        result[:, j, i] = self._below[:, i, j].swapaxes(2, 3)
+        library().lib.complete(num, num_dofs, as_doubles(result))
         return result
 
-    def add_curvatures(self, pair, factor, rays: Rays, T):
+    def add_curvatures(self, pair, factor, rays: Rays):
         """Add second derivatives of f (:mod:`~hypergap_dolfinx.gap.heights`).
 
         Args:
             pair: Number of each point's pair, ``(num_points,)``.
             factor: What they are multiplied with, ``(num_points,)``.
             rays: The points.
-            T: ∂q/∂u, ``(num_points, 7, num_dofs)``.
         """
-        bends = library().ffi.NULL if rays.bends is None else as_doubles(rays.bends)
-        library().lib.column_curvatures(
-            len(T),
-            T.shape[2],
-            as_ints(pair),
-            as_doubles(factor),
-            as_doubles(rays.q),
-            bends,
-            as_doubles(T),
-            as_doubles(self._below),
-        )
+        given = as_ints(pair), as_doubles(factor), as_doubles(self._below)
+        library().lib.column_curvatures(rays.pointer[0], *given)
 
     def add_products(self, pair, a, b):
         """Add a bᵀ + b aᵀ.
@@ -67,3 +59,26 @@ class Blocks:
         library().lib.add_products(
             len(a), a.shape[1], as_ints(pair), as_doubles(a), as_doubles(b), as_doubles(self._below)
         )
+
+
+def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]) -> Sparse:
+    """A sparse matrix of blocks, of which equal ones are added up.
+
+    Args:
+        rows: Of groups of blocks, ``(num, a)``.
+        columns: Likewise, ``(num, b)``.
+        values: All blocks of each group, ``(num, a, b, r, c)``; is overwritten.
+        size: Of the matrix, in blocks.
+    """
+    num, a, b, r, c = values.shape
+    first = np.empty(num * a * b, dtype=np.int32)
+    places = num, a, as_ints(rows), b, as_ints(columns), r * c
+    found = library().lib.merge_blocks(*size, *places, as_doubles(values), as_ints(first))
+    if found < 0:
+        raise MemoryError("no memory for the derivatives of gaps")
+    first = first[:found]
+    group, at = np.divmod(first, a * b)
+    i = r * rows[group, at // b, None, None] + np.arange(r)[:, None]
+    j = c * columns[group, at % b, None, None] + np.arange(c)
+    i, j = np.broadcast_arrays(i, j)
+    return Sparse(i.ravel(), j.ravel(), values.reshape(-1, r * c)[first].ravel())

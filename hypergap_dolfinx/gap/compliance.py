@@ -3,7 +3,13 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""An interface that gives way, u₁ − u₀ = c λ: the matrix C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ dα."""
+r"""An interface that gives way: by a compliance, u₁ − u₀ = c λ, or a conductance, λ = h (u₁ − u₀).
+
+Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. A compliance's takes the place of the zero,
+Σ_i B_i u_i − C λ = g. So the mean that holds in cells of Σ is that of c: where it is next to
+infinite at one node, nothing gets through any of the cells around. A conductance is a law
+(:mod:`hypergap_dolfinx.gap.law`) with F(w) = H w, and the mean is that of h: one node conducts.
+"""
 
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
@@ -29,11 +35,11 @@ from hypergap_dolfinx.gap.surface import (
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 Given = Part | Sequence[Part]
-"""What a compliance can be: one for all components, or the normal one and the tangential one."""
+"""What it can be: one for all components, or the normal one and the tangential one."""
 
 
-def parts(value: Any) -> tuple[Part, ...]:  # Given, and what is none
-    """The compliances: one, or the normal and the tangential one.
+def parts(value: Any, name: str) -> tuple[Part, ...]:  # Given, and what is none
+    """One, or the normal and the tangential one.
 
     Raises:
         ValueError: Other numbers of them.
@@ -41,22 +47,19 @@ def parts(value: Any) -> tuple[Part, ...]:  # Given, and what is none
     several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
     found = tuple(value) if several else (value,)
     if several and len(found) != 2:
-        raise ValueError("compliance is one value, or a pair: the normal and the tangential one.")
+        raise ValueError(f"{name} is one value, or a pair: the normal and the tangential one.")
     for part in found:
-        given.check(part, "a compliance")
+        given.check(part, f"a {name}")
     return found
 
 
-def key(value: Given) -> Hashable:
-    """Equal for compliances that are the same, whatever becomes of them."""
-    return tuple(
-        id(part) if given.is_read(part) else float(part)  # type: ignore[arg-type]
-        for part in parts(value)
-    )
+class Weighting:
+    """C of one interface, for values of c ≥ 0 that may change."""
 
-
-class Compliance:
-    """C of one interface, for values of c that may change."""
+    name: str
+    """What c is called."""
+    infinite: str
+    """What to do instead of c = ∞."""
 
     def __init__(
         self,
@@ -76,13 +79,13 @@ class Compliance:
             facets1: This rank's facets on Γ1.
 
         Raises:
-            ValueError: A compliance that doesn't fit the spaces, or is negative or no number.
+            ValueError: It doesn't fit the spaces, or is negative or no number.
         """
-        self._parts, self._domain, self._spaces = parts(value), domain, spaces
+        self._parts, self._domain, self._spaces = parts(value, self.name), domain, spaces
         n = spaces[1].mesh.geometry.dim
         if len(self._parts) == 2 and spaces[1].value_shape != (n,):
             raise ValueError(
-                f"a normal and a tangential compliance need displacements, with {n} components; "
+                f"a normal and a tangential {self.name} need displacements, with {n} components; "
                 f"the value shape is {spaces[1].value_shape}."
             )
         self._samples = Samples(domain, constraint)
@@ -103,10 +106,18 @@ class Compliance:
         V = c.function_space
         if V.mesh is not self._spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
             raise ValueError(
-                "a compliance that is a function is a scalar one, of a Lagrange space of degree "
+                f"a {self.name} that is a function is a scalar one, of a Lagrange space of degree "
                 "≥ 1 on the mesh of Γ1's body."
             )
         return True
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for those that are the same, whatever becomes of them."""
+        return self.name, *(
+            id(part) if given.is_read(part) else float(part)  # type: ignore[arg-type]
+            for part in self._parts
+        )
 
     def destroy(self):
         """Destroy the PETSc matrix. Collective."""
@@ -122,7 +133,7 @@ class Compliance:
         ]
 
     def values(self) -> npt.NDArray[np.float64]:
-        """The compliances now, at this rank's points. Collective.
+        """What it is now, at this rank's points. Collective.
 
         Returns:
             ``(num_parts, num_points)``.
@@ -137,15 +148,15 @@ class Compliance:
             x = surface.points(facet, surface.element.points[local])
             nodal = np.zeros(len(dofs))
             try:
-                nodal[:] = _real(self._on_surface(part, surface, dofs, x))
+                nodal[:] = self._real(self._on_surface(part, surface, dofs, x))
             except Exception as e:
-                error = error or f"the compliance is no number on Γ1: {e}".splitlines()[0]
+                error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]
             wrong = ~(nodal >= 0) | np.isinf(nodal)
             if wrong.any():
                 i = int(wrong.argmax())
-                advice = " (infinite: leave the tie out)" if np.isinf(nodal[i]) else ""
+                advice = f" (infinite: {self.infinite})" if np.isinf(nodal[i]) else ""
                 error = error or (
-                    f"the compliance is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
+                    f"the {self.name} is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
                     f"finite{advice}."
                 )
             varies = given.is_read(part) and not isinstance(part, fem.Constant)
@@ -153,21 +164,6 @@ class Compliance:
             found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
         raise_on_all(self._domain.mesh.comm, error, ValueError)
         return found
-
-    def gives_way(self) -> npt.NDArray[np.bool_]:
-        """At which multipliers each part is more than 0 now, all around. Collective.
-
-        Returns:
-            ``(num_parts, num_multipliers)``, in the order of B's rows, on every rank.
-        """
-        point, multiplier, _ = triplets(self._samples.D)
-        point -= self._samples.D.getOwnershipRange()[0]
-        comm = self._domain.mesh.comm
-        none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
-        for part, values in zip(none, self.values(), strict=True):
-            most = comm.allreduce(values.max(initial=0), MPI.MAX)
-            part[multiplier[values[point] <= LAST_DIGITS * most]] = True
-        return ~comm.allreduce(none)  # of truth values the sum is "or"
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; of a function collective."""
@@ -213,13 +209,67 @@ class Compliance:
         W += (values[0] - values[1])[:, None, None] * n[:, :, None] * n[:, None, :]
         return self._samples.weighted(W)
 
+    def _real(self, values: npt.ArrayLike) -> npt.NDArray:
+        """What is real, whatever its type.
 
-def _real(values: npt.ArrayLike) -> npt.NDArray:
-    """What is real, whatever its type.
+        Raises:
+            ValueError: An imaginary part.
+        """
+        if np.any(np.imag(values)):
+            raise ValueError(f"it has an imaginary part; a {self.name} is real.")
+        return np.real(values)
 
-    Raises:
-        ValueError: An imaginary part.
-    """
-    if np.any(np.imag(values)):
-        raise ValueError("it has an imaginary part; a compliance is real.")
-    return np.real(values)
+
+class Compliance(Weighting):
+    """c in u₁ − u₀ = c λ."""
+
+    name = "compliance"
+    infinite = "leave the tie out"
+
+    def gives_way(self) -> npt.NDArray[np.bool_]:
+        """At which multipliers each part is more than 0 now, all around. Collective.
+
+        Returns:
+            ``(num_parts, num_multipliers)``, in the order of B's rows, on every rank.
+        """
+        point, multiplier, _ = triplets(self._samples.D)
+        point -= self._samples.D.getOwnershipRange()[0]
+        comm = self._domain.mesh.comm
+        none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
+        for part, values in zip(none, self.values(), strict=True):
+            most = comm.allreduce(values.max(initial=0), MPI.MAX)
+            part[multiplier[values[point] <= LAST_DIGITS * most]] = True
+        return ~comm.allreduce(none)  # of truth values the sum is "or"
+
+
+class Conductance(Weighting):
+    """h in λ = h (u₁ − u₀), with what a law of one's own has."""
+
+    name = "conductance"
+    infinite = "tie without it"
+    linear = True
+    """Whether a linear problem can have it."""
+
+    def mass(self) -> PETSc.Mat:
+        """M, with rows and columns as B's rows; a new matrix. Collective."""
+        return self._samples.scaled_mass(1.0, self._spaces[1].dofmap.index_map_bs)
+
+    def at(self, w: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
+        """F(w), and :meth:`values` now. Collective.
+
+        Args:
+            w: This rank's rows, ``(num_multipliers, block_size)``.
+
+        Returns:
+            As w, and ``(num_parts, num_points)`` for :meth:`tangent`.
+        """
+        h, w = self.values(), self._samples.values(w)
+        f = h[-1][:, None] * w
+        if len(h) == 2:
+            n = self._samples.normal
+            f += ((h[0] - h[1]) * (n * w).sum(axis=1))[:, None] * n
+        return self._samples.forces(f), h
+
+    def tangent(self, values: npt.NDArray) -> PETSc.Mat:
+        """∂F/∂w from :meth:`at`; a new matrix. Collective."""
+        return self.matrix(values)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx import compat
+from hypergap_dolfinx import compat, disposal
 from hypergap_dolfinx.gap.domain import GapDomain, interpolation_weights
 
 ON_SURFACE = 1e-10
@@ -23,7 +23,7 @@ nearest has 0.03 with degree 10, and round-off makes 2e-16."""
 
 
 @dataclass(frozen=True)
-class Constraint:
+class Constraint(disposal.Owner):
     """One constraint for each multiplier: Σ_i B_i u_i = 0, for each component of u.
 
     The matrices act on one component (a block of dofs counts as one); see :func:`expand`.
@@ -44,10 +44,10 @@ class Constraint:
     rows: npt.NDArray[np.int64]
     """Row of B of each multiplier."""
 
-    def destroy(self):
-        """Destroy the PETSc matrices. Collective."""
-        for matrix in (*self.B, *self.R, self.R_A):
-            matrix.destroy()
+    _ticket: disposal.Ticket | None = None
+
+    def _release(self) -> list:
+        return [*self.B, *self.R, self.R_A]
 
 
 def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
@@ -164,7 +164,7 @@ def create_constraint(
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
-    return Constraint(tuple(B), R, R_A, dofs, patch, rows)
+    return Constraint(tuple(B), R, R_A, dofs, patch, rows, disposal.enter(comm))
 
 
 def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):

@@ -22,8 +22,10 @@ from dolfinx.jit import get_options
 
 NAMES = (
     "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c "
-    "program.c columns.c project.c plane.h rays.c fans.c by_dofs.c"
+    "program.c monomials.c project.c plane.h rays.c fans.c by_dofs.c "
+    "space.h blocks.c heights.c columns.c slips.c moments.c pieces.c"
 ).split()
+HEADERS = "plane.h", "space.h"  # what Python reads, too
 FOLDER = Path(__file__).parent / "c"
 DECLARATIONS = """
 typedef struct {
@@ -65,10 +67,6 @@ void project(int num, const double *points, const double *x, const int *triangle
              const int *behind, const Curves *curves, int *facet, double *X);
 void project_on_curved(int num, const double *points, const double *x, const int *triangles,
                        const Curves *curves, const int *facet, double *X);
-void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
-                       const double *bends, const double *T, double *blocks);
-void add_products(int num, int n, const int *block, const double *a, const double *b,
-                  double *blocks);
 """
 FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math"]
 
@@ -84,7 +82,7 @@ def library():
         RuntimeError: There is no C compiler that works.
     """
     source = "".join((FOLDER / name).read_text() for name in NAMES)
-    declarations = DECLARATIONS + (FOLDER / "plane.h").read_text()
+    declarations = DECLARATIONS + "".join((FOLDER / name).read_text() for name in HEADERS)
     version = f"{cffi.__version__} {sys.version} {FLAGS}"
     digest = hashlib.sha256("\n".join((source, declarations, version)).encode()).hexdigest()
     name = f"hypergap_front_{digest[:16]}"

@@ -116,6 +116,9 @@ def _entries(expression: Expr) -> list[Expr]:
 class Response:
     """F(w) and its derivative of one interface, and M."""
 
+    linear = False
+    """Whether a linear problem can have it."""
+
     def __init__(self, law: Law, domain: GapDomain, constraint: Constraint, V: fem.FunctionSpace):
         """Compile the law and its derivative. Collective.
 
@@ -128,6 +131,8 @@ class Response:
         Raises:
             ValueError: A law that doesn't fit, or is no number where nothing has opened.
         """
+        self.key = law.key
+        """Equal for laws that are the same."""
         self._block_size = V.dofmap.index_map_bs
         self._samples = Samples(domain, constraint)
         num, n = self._samples.normal.shape

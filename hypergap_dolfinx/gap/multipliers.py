@@ -106,14 +106,35 @@ class Multipliers:
         free = (at >= 0) & ~drop[at]  # (facet, dof)
         best = int(free.sum(axis=1).argmax())
         element = self.surface.element
-        if not _determined(element, tuple(free[best])):
-            around = self._from_around(drop, facets, local)
-            if around is not None:  # a corner: most of the facet's dofs are dropped
-                return *around, True
-        if free[best].any():
+        if _determined(element, tuple(free[best])):
             weights = _extension(element, int(local[best]), tuple(free[best]))
             return weights, at[best][free[best]], True
-        return *self._nearest(drop, m), False
+        fit = self._fit(drop, facets)  # a corner: most of the facet's dofs are dropped
+        if fit is None:
+            return *self._nearest(drop, m), False
+        return fit.weights(self.x[m]), fit.found, True
+
+    def lacking(self, drop: npt.NDArray[np.bool_]) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """What λ lacks at dropped ones where a piece is narrow: those that remain lie on lines.
+
+        Args:
+            drop: Which are dropped, ``(num_multipliers,)``.
+
+        Returns:
+            For each facet there, multipliers and the values of a polynomial of degree k − 1 at
+            them that vanishes at all that remain around.
+        """
+        found, exist = [], self.on_facets >= 0
+        gone, left = exist & drop[self.on_facets], exist & ~drop[self.on_facets]
+        beside = (exist & self.on_any(left.any(axis=1))[self.on_facets]).any(axis=1)
+        for facet in np.flatnonzero(gone.any(axis=1) & beside):
+            if _determined(self.surface.element, tuple(left[facet])):
+                continue
+            fit = self._fit(drop, np.array([facet]))
+            if fit is not None:
+                at = self.on_facets[facet][gone[facet]]
+                found += [(at, values) for values in fit.vanishing(self.x[at])]
+        return found
 
     def _nearest(self, drop, m: int):
         """The remaining multiplier of the same patch in the facet nearest to a dropped one's."""
@@ -127,33 +148,59 @@ class Multipliers:
         facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
         return np.ones(1), self.on_facets[facet][free[facet]][:1]
 
-    def _from_around(self, drop, facets, local):
-        """Multipliers that remain around a dropped one and extend a polynomial to it.
+    def _fit(self, drop, facets) -> "_Fit | None":
+        """Polynomials of degree k − 1 through the multipliers that remain around some facets.
+
+        In as few rings as determine them, if any do; None without any beside the facets.
+        """
+        v = self.surface.x[self.surface.facets[facets[0]]]
+        exponents, fits = _exponents(self.surface.element), []
+        for _ in range(AROUND):
+            known = self.on_facets[facets]
+            facets = np.flatnonzero(np.isin(self.on_facets, known[known >= 0]).any(axis=1))
+            known = self.on_facets[facets]
+            known = np.unique(known[(known >= 0) & ~drop[known]])
+            fits.append(_Fit(known, self.x[known], v[1:3] - v[0], exponents))
+            if fits[-1].rank == exponents.shape[1]:
+                return fits[-1]
+        return max(fits, key=lambda fit: fit.rank) if fits[0].rank else None
+
+
+class _Fit:
+    """Polynomials of degree k − 1 through the values at some multipliers."""
+
+    def __init__(self, found, x, edges, exponents):
+        """Set up.
 
         Args:
-            drop: Which multipliers are dropped.
-            facets: Facets at the dropped one.
-            local: Its number in them.
-
-        Returns:
-            Weights and multipliers, or None if there are too few in reach.
+            found: The multipliers.
+            x: Where they lie, ``(num_found, n)``.
+            edges: Two of a facet, or the one there is, ``(n - 1, n)``.
+            exponents: Of the monomials, ``(n - 1, num_monomials)``.
         """
-        surface = self.surface
-        points, v = surface.element.points, surface.x[surface.facets[facets[0]]]
-        own = surface.points(facets[:1], points[local[:1]])
-        inverse = np.linalg.pinv(v[1:3] - v[0])  # of a quadrilateral, along two edges
-        exponents, reach = _exponents(surface.element), facets
-        for _ in range(AROUND):
-            known = self.on_facets[reach]
-            reach = np.flatnonzero(np.isin(self.on_facets, known[known >= 0]).any(axis=1))
-            known = self.on_facets[reach]
-            facet, dof = np.nonzero((known >= 0) & ~drop[known])
-            found, first = np.unique(known[facet, dof], return_index=True)
-            x = surface.points(reach[facet[first]], points[dof[first]])
-            P = np.prod(((x - own) @ inverse)[:, :, None] ** exponents, axis=1)  # (dof, monomial)
-            if np.linalg.matrix_rank(P, tol=INDEPENDENT) == P.shape[1]:
-                return np.linalg.pinv(P)[0], found
-        return None
+        self.found, self._exponents = found, exponents
+        self._origin = x.sum(axis=0) / max(len(x), 1)
+        # Along a line that they lie on, and across it, with the facet's lengths
+        plane = np.linalg.svd(edges, full_matrices=False)[2].T
+        axes = plane @ np.linalg.svd((x - self._origin) @ plane)[2].T
+        self._axes = axes / np.abs(edges @ axes).max(axis=0)
+        U, size, V = np.linalg.svd(self._monomials(x))
+        self.rank = int((size > INDEPENDENT).sum())
+        """As many polynomials are determined."""
+        self._pinv = V[: self.rank].T / size[: self.rank] @ U[:, : self.rank].T
+        self._null = V[self.rank :].T
+
+    def _monomials(self, x) -> npt.NDArray[np.float64]:
+        along = (x - self._origin) @ self._axes
+        return np.prod(along[..., None] ** self._exponents, axis=-2)
+
+    def weights(self, x) -> npt.NDArray[np.float64]:
+        """Of the values, for that at a point of the polynomial that is even across their line."""
+        return self._monomials(x) @ self._pinv
+
+    def vanishing(self, x) -> npt.NDArray[np.float64]:
+        """Values at points of the polynomials that vanish where they lie, ``(num, num_points)``."""
+        return (self._monomials(x) @ self._null).T
 
 
 def _exponents(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.intp]:
@@ -176,15 +223,8 @@ def _extension(
     element: basix.finite_element.FiniteElement, local: int, free: tuple[bool, ...]
 ) -> npt.NDArray[np.float64]:
     """Weights of a facet's free dofs that extend a polynomial of degree k − 1 to another dof."""
-    points, where = element.points, np.asarray(free)
-    exponents = np.indices((element.degree,) * points.shape[1]).reshape(points.shape[1], -1)
-    total = exponents.sum(axis=0)
-    for degree in range(element.degree - 1, -1, -1):
-        powers = exponents[:, total <= degree]
-        P = np.prod(points[:, :, None] ** powers, axis=1)  # (dof, monomial)
-        if np.linalg.matrix_rank(P[where]) == powers.shape[1]:
-            break
-    return P[local] @ np.linalg.pinv(P[where])
+    P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)  # (dof, monomial)
+    return P[local] @ np.linalg.pinv(P[np.asarray(free)])
 
 
 def smooth_pieces(surfaces: Sequence[Surface]) -> list[npt.NDArray[np.int32]]:

@@ -23,8 +23,8 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.errors import NotFacingError, spot
 from hypergap_dolfinx.gap import curves, heights, slip_columns
-from hypergap_dolfinx.gap.columns import Blocks
-from hypergap_dolfinx.gap.heights import Rays, by_dofs
+from hypergap_dolfinx.gap.columns import Blocks, merged
+from hypergap_dolfinx.gap.heights import Rays
 from hypergap_dolfinx.gap.moments import rule
 from hypergap_dolfinx.gap.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.gap.opened import OpenCells
@@ -32,12 +32,11 @@ from hypergap_dolfinx.gap.opposite import (
     Frames,
     Label,
     Pieces,
-    cross,
     find_pieces,
     polygon_areas,
     reference_corners,
 )
-from hypergap_dolfinx.gap.surface import Surface, is_outline, lengths
+from hypergap_dolfinx.gap.surface import Surface, lengths
 
 
 @dataclass
@@ -58,12 +57,7 @@ class _State:
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, once they are asked for."""
 
-    @cached_property
-    def by_dofs(self) -> npt.NDArray[np.float64]:
-        """∂q/∂u of the rays, ``(num_points, 7, num_dofs)``."""
-        return by_dofs(self.surfaces, self.rays)
-
-    def on_some(self, on) -> tuple[Rays, npt.NDArray, npt.NDArray, npt.NDArray]:
+    def on_some(self, on) -> tuple[Rays, npt.NDArray, npt.NDArray]:
         """The rays on some pieces.
 
         All of the rule's: with fewer of them second derivatives of curved quadrilaterals are 10 %
@@ -73,30 +67,38 @@ class _State:
             on: Numbers of pieces.
 
         Returns:
-            The rays, and ∂q/∂u, the piece and the weight of each.
+            The rays, and the piece and the weight of each.
         """
         asked = np.zeros(len(self.vertex), dtype=bool)
         asked[on] = True
         points = np.flatnonzero(asked[self.piece])
-        return (
-            self.rays.some(points),
-            self.by_dofs[points],
-            self.piece[points],
-            self.weights[points],
-        )
+        return self.rays.some(points), self.piece[points], self.weights[points]
 
-    @property
+    def pairs(self, on) -> tuple[npt.NDArray[np.intp], tuple[npt.NDArray, ...]]:
+        """The pairs of facets that some pieces are of.
+
+        Args:
+            on: Numbers of pieces.
+
+        Returns:
+            Number of the pair of each piece, ``(num_pieces,)``, and both facets of pairs.
+        """
+        f0, f1 = (facet[on] for facet in self.pieces.facets)
+        new = np.ones(len(on), dtype=bool)  # pieces of a pair follow each other
+        new[1:] = (f0[1:] != f0[:-1]) | (f1[1:] != f1[:-1])
+        pair = np.zeros(len(self.vertex), dtype=np.intp)
+        pair[on] = np.cumsum(new) - 1
+        return pair, (f0[new], f1[new])
+
+    @cached_property
     def areas(self) -> npt.NDArray[np.float64]:
         """As seen along the rays, ``(num_pieces,)``."""
-        _, a, _ = self.rays.products
-        size = a / lengths(self.frames.normal)[self.rays.facets[1]]
-        return np.bincount(self.piece, self.weights * size, len(self.vertex))
+        return np.bincount(self.piece, self.weights * self.rays.heights[1], len(self.vertex))
 
-    @property
+    @cached_property
     def volumes(self) -> npt.NDArray[np.float64]:
         """Of the columns, ``(num_pieces,)``."""
-        s, a, b = self.rays.products
-        return np.bincount(self.piece, self.weights * s * a / b, len(self.vertex))
+        return np.bincount(self.piece, self.weights * self.rays.heights[0], len(self.vertex))
 
 
 @dataclass(frozen=True)
@@ -110,15 +112,6 @@ class _Edges:
     """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
     outline: npt.NDArray[np.bool_]
     """Whether Γ0 ends there."""
-
-    @property
-    def motion(self) -> npt.NDArray[np.float64]:
-        """Derivatives of the edges' motions along the normals by q, ``(num, 7, 3)``."""
-        _, n1, m = self.rays.normals
-        t = self.rays.q[:, heights.At.T1], self.rays.q[:, heights.At.T2]
-        dual = cross(t[1], m), cross(m, t[0])  # in the plane across M
-        w = sum(self.normal[:, k, None] * dual[k] for k in (0, 1))
-        return self.rays.towards(w / heights.dot(n1, m)[:, None])
 
 
 @dataclass
@@ -177,22 +170,14 @@ class Opening:
             np.bincount(state.vertex, part, self.num_multipliers)
             for part in (state.volumes, state.areas)
         )
-        fixed = state.rays.gradient() * state.weights[:, None, None]
-        parts = [(state.rays, state.piece, state.by_dofs, fixed)]
+        dofs = self._dofs(*state.pieces.facets)
+        blocks = np.zeros((*dofs.shape, 3))  # of pieces
+        state.rays.add_by_dofs(state.piece, state.weights, state.rays.heights[2], blocks)
         rim = _edges(state, outline=True)
         if len(rim.piece):
-            s, a, b = rim.rays.products
-            moved = (rim.weights * s * a / b)[:, None, None] * rim.motion
-            parts.append((rim.rays, rim.piece, by_dofs(state.surfaces, rim.rays), moved))
-        i, j, values = [], [], []
-        for rays, piece, T, by_q in parts:
-            first = _first(piece)
-            block = np.add.reduceat(T.transpose(0, 2, 1) @ by_q, first)  # (piece, dof, component)
-            dofs = self._dofs(*rays.facets)[first]
-            i.append(np.broadcast_to(state.vertex[piece[first], None], dofs.shape).ravel())
-            j.append(dofs.ravel())
-            values.append(block.reshape(-1, 3))
-        state.gap = g, m, _summed(i, j, values, (1, 3), 3 * self._num_dofs)
+            moved = rim.weights * rim.rays.heights[0]
+            rim.rays.add_by_dofs(rim.piece, moved, rim.rays.edges(rim.normal)[0], blocks)
+        state.gap = g, m, self._by_vertices(state.vertex[:, None], dofs, blocks)
         return state.gap
 
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
@@ -207,21 +192,19 @@ class Opening:
         on = np.flatnonzero(pressure)
         if not len(on):
             return Sparse.empty()
-        rays, T, piece, weights = state.on_some(on)
-        facets = tuple(facet[on] for facet in state.pieces.facets)
-        first = _first(*facets)
-        starts = np.zeros(len(pressure), dtype=np.intp)
-        starts[on[first[1:]]] = 1
-        pair = np.cumsum(starts)  # of each piece
-        blocks = Blocks(len(first), T.shape[2])
-        blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays, T)
+        rays, piece, weights = state.on_some(on)
+        pair, facets = state.pairs(on)
+        dofs = self._dofs(*facets)
+        blocks = Blocks(*dofs.shape)
+        blocks.add_curvatures(pair[piece], pressure[piece] * weights, rays)
         edges = _edges(state, pressure != 0)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
-            T = by_dofs(state.surfaces, edges.rays).transpose(0, 2, 1)
             a, b = _kinks(edges, pressure[edges.piece] * edges.weights)
-            blocks.add_products(pair[edges.piece], T @ a, T @ b)
-        dofs = self._dofs(*(facet[first] for facet in facets))
-        return self._by_pairs(dofs, blocks.values)
+            by_dofs = np.zeros((2, len(edges.piece), dofs.shape[1], 3))
+            for by_q, by_dof in zip((a, b), by_dofs, strict=True):
+                edges.rays.add_by_dofs(np.arange(len(a)), np.ones(len(a)), by_q, by_dof)
+            blocks.add_products(pair[edges.piece], *by_dofs)
+        return self._by_dofs(dofs, blocks.values)
 
     def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
         """What the weighted slip of Γ1 on Γ0 is made of, in two directions at each vertex of Γ1.
@@ -236,9 +219,7 @@ class Opening:
             are behind those of the first.
         """
         state = self._at(u)
-        T, directions = state.by_dofs, self._directions(state, lender, state.piece)
-        slips = [slip_columns.slips(state.rays, T, e) for e in directions]
-        return self._slip_rows(state, state.rays, state.piece, state.weights, slips)
+        return self._slips(state, lender, np.arange(len(state.vertex)))
 
     def slip_slopes(
         self,
@@ -259,28 +240,25 @@ class Opening:
         some = np.flatnonzero(on[state.vertex])
         if not len(some):
             return Sparse.empty()
-        rays, T, piece, weights = state.on_some(some)
-        directions = self._directions(state, lender, piece)
-        moves = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
-        at_points = slip_columns.motions(T, moves[self._dofs(*rays.facets)])
-        slopes = [slip_columns.slopes(rays, T, e, at_points) for e in directions]
-        return self._slip_rows(state, rays, piece, weights, slopes)
+        return self._slips(state, lender, some, since)
 
-    def _directions(self, state: _State, lender, piece) -> npt.NDArray[np.float64]:
-        """Both directions of slip at points on pieces, ``(2, num_points, 3)``."""
-        directions = slip_columns.directions(state.surfaces[1], state.frames)
-        return directions[lender[state.vertex[piece]]].swapaxes(0, 1)
-
-    def _slip_rows(self, state: _State, rays: Rays, piece, weights, parts) -> Sparse:
-        """Rows of both directions' slips by dofs, of what points have, ``(num, num_dofs, 3)``."""
-        first, i, values = _first(piece), [], []
-        dofs = self._dofs(*rays.facets)[first]
-        for k, part in enumerate(parts):
-            block = np.add.reduceat(weights[:, None, None] * part, first)
-            rows = (k * self.num_multipliers + state.vertex[piece[first]])[:, None]
-            i.append(np.broadcast_to(rows, dofs.shape).ravel())
-            values.append(block.reshape(-1, 3))
-        return _summed(i, [dofs.ravel()] * 2, values, (1, 3), 3 * self._num_dofs)
+    def _slips(self, state: _State, lender, on, since: Displacements | None = None) -> Sparse:
+        """Slips on some pieces by the dofs, or derivatives of those since some displacements."""
+        rays, piece, weights = state.on_some(on)
+        number = np.zeros(len(state.vertex), dtype=np.intp)
+        number[on] = np.arange(len(on))
+        piece, vertex = number[piece], state.vertex[on]
+        dofs = self._dofs(*(facet[on] for facet in state.pieces.facets))
+        moves = None
+        if since is not None:
+            moves = np.concatenate([a - b for a, b in zip(state.u, since, strict=True)])[dofs]
+        directions = slip_columns.directions(state.surfaces[1], state.frames)[lender[vertex]]
+        blocks = np.zeros((2 * len(on), dofs.shape[1], 3))
+        for k in (0, 1):
+            by_q = slip_columns.slips(rays, piece, directions[piece, k], moves)
+            rays.add_by_dofs(2 * piece + k, weights, by_q, blocks)
+        rows = vertex[:, None] + self.num_multipliers * np.arange(2)
+        return self._by_vertices(rows, dofs, blocks)
 
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
@@ -298,11 +276,13 @@ class Opening:
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()
-        rays, T, piece, weights = state.on_some(on)
-        block = slip_columns.curvature(rays, T, weights[:, None] * traction[piece])
-        first = _first(*rays.facets)
-        block = np.add.reduceat(block, first).transpose(0, 1, 3, 2, 4)
-        return self._by_pairs(self._dofs(*rays.facets)[first], block)
+        rays, piece, weights = state.on_some(on)
+        pair, facets = state.pairs(on)
+        dofs = self._dofs(*facets)
+        blocks = np.zeros((len(dofs), dofs.shape[1], dofs.shape[1], 3, 3))
+        forces = weights[:, None] * traction[piece]
+        slip_columns.add_curvatures(rays, pair[piece], forces, blocks)
+        return self._by_dofs(dofs, blocks)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for people: half of each piece has its vertex' p, half the mean of its facet.
@@ -334,15 +314,14 @@ class Opening:
         state = self._at(u)
         pieces = state.pieces
         piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
-        ends = [
-            heights.cast(
-                state.surfaces,
-                state.frames,
-                tuple(facet[piece] for facet in pieces.facets),
-                pieces.X[piece, at],
-            ).x
-            for at in (0 * corner, corner + 1, corner + 2)
-        ]
+        facets = tuple(facet[piece] for facet in pieces.facets)
+        ends = []
+        for at in (0 * corner, corner + 1, corner + 2):
+            X = pieces.X[piece, at]
+            xi = heights.cast(state.surfaces, state.frames, facets, X).xi
+            ends.append(
+                [s.points(f, x) for s, f, x in zip(state.surfaces, facets, (xi, X), strict=True)]
+            )
         prism = np.stack([x for side in (1, 0) for x in (end[side] for end in ends)], axis=1)
         x = prism[:, [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]].reshape(-1, 4, 3)
         area, cell = state.areas, np.repeat(piece, 3)
@@ -362,18 +341,14 @@ class Opening:
         below, above = (side.at_facets[f] for side, f in zip(self.sides, (f0, f1), strict=True))
         return np.hstack((below, len(self.sides[0].dofs) + above))
 
-    def _by_pairs(self, dofs, blocks) -> Sparse:
+    def _by_vertices(self, rows, dofs, blocks) -> Sparse:
+        """Sum of rows, ``(num, a)``, with blocks ``(num a, num_facet_dofs, 3)``, by dofs."""
+        size = rows.shape[1] * self.num_multipliers, self._num_dofs
+        return merged(rows, dofs, blocks.reshape(*rows.shape, -1, 1, 3), size)
+
+    def _by_dofs(self, dofs, blocks) -> Sparse:
         """Sum of blocks, ``(num, num_dofs, num_dofs, 3, 3)``, by dofs, ``(num, num_dofs)``."""
-        i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None])
-        values = blocks.reshape(-1, 9)
-        return _summed([i.ravel()], [j.ravel()], [values], (3, 3), 3 * self._num_dofs)
-
-
-def _first(*numbers) -> npt.NDArray[np.intp]:
-    """Where numbers, of which equal ones follow each other, are other than before."""
-    new = np.ones(len(numbers[0]), dtype=bool)
-    new[1:] = np.any([part[1:] != part[:-1] for part in numbers], axis=0)
-    return np.flatnonzero(new)
+        return merged(dofs, dofs, blocks, (self._num_dofs, self._num_dofs))
 
 
 def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -384,41 +359,11 @@ def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[
     Returns:
         a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
     """
-    n0, _, _ = edges.rays.normals
-    _, a, b = edges.rays.products
-    t = edges.rays.q[:, [heights.At.T1, heights.At.T2]]
-    slope = -(a / b) * np.einsum("pk,pki,pi->p", edges.normal, t, n0)
-    slope /= np.maximum((edges.normal**2).sum(axis=1), 1e-300)
-    motion = edges.motion
+    motion, slope = edges.rays.edges(edges.normal)
     half = ((edges.outline - 0.5) * slope * factor)[:, None, None] * motion
     if edges.outline.any():
-        half += (edges.outline * factor)[:, None, None] * edges.rays.gradient()
+        half += (edges.outline * factor)[:, None, None] * edges.rays.heights[2]
     return half, motion
-
-
-def _summed(i, j, values, shape, num: int) -> Sparse:
-    """A sparse matrix of blocks, of which equal ones are added up.
-
-    Args:
-        i: Rows of blocks.
-        j: Columns of blocks.
-        values: ``(num_blocks, rows * columns)``.
-        shape: Rows and columns of a block.
-        num: Columns of the matrix.
-    """
-    rows, columns = shape
-    key = np.concatenate(i) * num + np.concatenate(j)
-    blocks, where = np.unique(key, return_inverse=True)
-    every = np.concatenate(values)
-    total = [np.bincount(where, part, len(blocks)) for part in every.T]
-    at, column = np.divmod(blocks, num)
-    r, c = np.divmod(np.arange(rows * columns), columns)
-    shape = len(r), len(at)
-    return Sparse(
-        np.broadcast_to(rows * at + r[:, None], shape).ravel(),
-        np.broadcast_to(columns * column + c[:, None], shape).ravel(),
-        np.array(total).ravel(),
-    )
 
 
 def _place(sides: Sides, u: Displacements) -> _State:
@@ -469,7 +414,7 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
     """
     pieces = state.pieces
     there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-    at_end = is_outline(state.surfaces[0])[pieces.facets[0][:, None], pieces.label]
+    at_end = state.surfaces[0].is_outline[pieces.facets[0][:, None], pieces.label]
     there &= np.broadcast_to(which, len(there))[:, None]
     if outline:
         there &= at_end
@@ -508,7 +453,7 @@ def _stand_ins(surface: Surface, pieces: Pieces) -> npt.NDArray[np.intp]:
     use = without[v] & has[near]
     v, near = v[use], near[use]
     order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
-    first = order[_first(v[order])]
+    first = order[np.unique(v[order], return_index=True)[1]]
     stand_in[v[first]] = near[first]
     without[v] = False
     for alone in np.flatnonzero(without).tolist():

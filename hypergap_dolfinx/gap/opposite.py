@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which pieces of Γ1's facets in space lie opposite which facets of Γ0. NumPy alone.
+"""Which pieces of Γ1's facets in space lie opposite which facets of Γ0.
 
 Each facet of Γ1 looks along its own normal. It is divided into as many parts as it has vertices, by
 lines from its middle to its edges' middles; what a facet of Γ0 covers of such a part is a piece, a
@@ -19,12 +19,11 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap import curves
-from hypergap_dolfinx.gap.search import Tree
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
+from hypergap_dolfinx.gap.search import along_curve
 from hypergap_dolfinx.gap.surface import (
     Surface,
     around,
-    edge_numbers,
-    is_outline,
     lengths,
     tabulate,
 )
@@ -37,6 +36,8 @@ SLIVER = 1e-14
 BENDS = 1e-14
 """How far an edge bends, on Γ1's reference facet, that is straight."""
 
+ROOM = 4
+"""Pieces for each facet of both sides for which there is room at first."""
 NEWTON = 10  # steps to a point of a curved facet: round-off after 4
 LAST = 1e-8  # step of Newton's method on a reference facet: squared it is round-off
 
@@ -90,6 +91,11 @@ def dual_basis(tangents) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float6
     square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
     pair = cross(tangents[:, 1], normal) / square, cross(normal, tangents[:, 0]) / square
     return normal, np.stack(pair, axis=1)
+
+
+def sides_of(surfaces: tuple[Surface, Surface]):
+    """Γ0 and Γ1 for C; it lives as long as they do."""
+    return library().ffi.new("Facets[]", [surface.polynomials for surface in surfaces])
 
 
 def reference_corners(surface: Surface) -> npt.NDArray[np.float64]:
@@ -191,35 +197,57 @@ def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
         frames: Of Γ1.
     """
     below, above = surfaces
-    f0, f1 = _candidates(surfaces, frames)
-    corners = frames.project(f1, below.x[below.polygons[f0]])[:, ::-1]  # seen from the other side
     own = reference_corners(above)
     middles = (own + np.roll(own, -1, axis=0)) / 2
     centre = np.broadcast_to(own.mean(axis=0), own.shape)
     # (part, corner, 2), from the vertex counterclockwise
     parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
-    flat = _seen(above, frames, parts)  # (facet, part, corner, 2)
-    low, high = flat.min(axis=2), flat.max(axis=2)  # of each part
-    first, last = corners.min(axis=1), corners.max(axis=1)
-    meets = (last[:, None] > low[f1]) & (first[:, None] < high[f1])
-    pair, part = np.nonzero(meets.all(axis=2))
-    y, count, edge = clip(flat[f1[pair], part], corners[pair])
-    whole = np.abs(polygon_areas(flat.reshape(-1, 4, 2))).reshape(-1, len(own)).sum(axis=1)
-    real = (count > 2) & (polygon_areas(y) > SLIVER * whole[f1[pair]])
-    y, count, edge, pair, part = (a[real] for a in (y, count, edge, pair, part))
-    f0, f1 = f0[pair], f1[pair]
+    f0, f1, part, count, edge, y, X = _cut(surfaces, frames, parts)
     # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
-    sides, num = corners.shape[1], parts.shape[1]
+    sides, num = below.facets.shape[1], parts.shape[1]
     label = np.where(edge < num, Label.INNER, (sides - 2 - edge + num) % sides)
-    if above.geometry.dim == 3:  # the map is affine
-        X = reference_middle(above) + y
-    else:
-        X = _in_quadrilaterals(flat[f1, part], parts[part], y)
-    vertex = above.polygons[f1, part].astype(np.intp)
-    pieces = Pieces((f0, f1), vertex, X, count, label)
+    pieces = Pieces((f0, f1), above.polygons[f1, part].astype(np.intp), X, count, label)
     if max(surface.geometry.degree for surface in surfaces) > 1:
         pieces = _bent(surfaces, frames, pieces, parts, part, y, edge)
     return _nearest_sheet(surfaces, frames, pieces)
+
+
+def _cut(surfaces, frames: Frames, parts):
+    """Cut parts of Γ1's facets with Γ0's, in C.
+
+    Args:
+        surfaces: Γ0 and Γ1 where they are.
+        frames: Of Γ1.
+        parts: Of Γ1's reference facet, ``(num_parts, 4, 2)``.
+
+    Returns:
+        Of each piece both facets and the part, ``(num_pieces,)``; the number of corners, likewise;
+        which edge each edge is on, those of Γ0's facet behind the part's, ``(num_pieces,
+        num_corners)``; corners in the plane and on the reference facet.
+    """
+    (below, above), (ffi, lib) = surfaces, (library().ffi, library().lib)
+    axes = frames.normal / lengths(frames.normal)[:, None]
+    planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
+    reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
+    order = as_ints(along_curve(below.x[below.facets].mean(axis=1)))
+    given = sides_of(surfaces), order, *map(as_doubles, (below.normals, planes, reach, parts))
+    room = ROOM * (len(below.facets) + len(above.facets))
+    while True:
+        ints = np.empty((4, room), dtype=np.int32)
+        edge = np.empty((room, lib.MOST_CORNERS), dtype=np.int32)
+        points = np.empty((2, *edge.shape, 2))
+        of0, of1, part, count = map(as_ints, ints)
+        fields = {"max": room, "facets": [of0, of1], "part": part, "count": count}
+        fields |= {"edge": as_ints(edge), "y": as_doubles(points[0]), "X": as_doubles(points[1])}
+        pieces = ffi.new("Pieces *", fields)
+        if lib.find_pieces(*given, LEANS, SLIVER, LAST, pieces):
+            raise MemoryError("no memory for the pieces of the gap domain")
+        if pieces.num <= room:
+            break
+        room = pieces.num
+    num, corners = pieces.num, int(ints[3, : pieces.num].max(initial=1))
+    y, X = points[:, :num, :corners]
+    return *ints[:, :num].astype(np.intp), edge[:num, :corners].astype(np.intp), y, X
 
 
 def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pieces:
@@ -240,9 +268,9 @@ def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pie
     piece, k = np.nonzero((edge >= num) & (np.arange(y.shape[1]) < pieces.num[:, None]))
     # Where one piece takes what another one leaves, or no other is there
     at = f0[piece], pieces.label[piece, k]
-    key = (edge_numbers(below)[at] * len(above.facets) + f1[piece]) * len(parts) + part[piece]
+    key = (below.edge_numbers[at] * len(above.facets) + f1[piece]) * len(parts) + part[piece]
     _, where, pair = np.unique(key, return_inverse=True, return_counts=True)
-    some = (pair[where] == 2) | is_outline(below)[at]
+    some = (pair[where] == 2) | below.is_outline[at]
     piece, k = piece[some], k[some]
     if not len(piece):
         return pieces
@@ -258,56 +286,6 @@ def _seen(surface: Surface, frames: Frames, X) -> npt.NDArray[np.float64]:
     """Reference points, ``(..., 2)``, of each facet in its plane, ``(num_facets, ..., 2)``."""
     x = tabulate(surface.geometry, X.reshape(-1, 2)) @ surface.nodes
     return frames.project(np.arange(len(x)), x).reshape(len(x), *X.shape)
-
-
-def _candidates(surfaces, frames: Frames) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Pairs of facets that may lie opposite to each other: balls around them meet as seen."""
-    below, above = surfaces
-    reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
-    axis = frames.normal / lengths(frames.normal)[:, None]
-    f1, f0 = Tree(below.x[below.facets], below.normals).beside(frames.middle, axis, reach)
-    facing = np.einsum("pi,pi->p", axis[f1], below.normals[f0]) < -LEANS
-    return f0[facing], f1[facing]
-
-
-def clip(polygons, by) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Cut convex polygons, each with one of its own.
-
-    Args:
-        polygons: ``(num, num_corners, 2)``, counterclockwise.
-        by: ``(num, num_others, 2)``, counterclockwise.
-
-    Returns:
-        Corners, of which the last one is repeated; their numbers; which edge each edge is on, the
-        other one's numbered behind its own.
-    """
-    y, (num, sides, _) = polygons, polygons.shape
-    count = np.full(num, sides)
-    label = np.tile(np.arange(sides), (num, 1))
-    for k in range(by.shape[1]):
-        start, end = by[:, k], by[:, (k + 1) % by.shape[1]]
-        t = end - start
-        away = y - start[:, None]
-        d = t[:, None, 0] * away[..., 1] - t[:, None, 1] * away[..., 0]
-        each = np.arange(y.shape[1])
-        there = each < count[:, None]
-        after = np.where(each + 1 < count[:, None], each + 1, 0)
-        d_after = np.take_along_axis(d, after, axis=1)
-        inside, inside_after = d >= 0, d_after >= 0
-        crosses = there & (inside != inside_after)
-        share = np.divide(d, d - d_after, out=np.zeros_like(d), where=crosses)
-        cut = y + share[..., None] * (np.take_along_axis(y, after[..., None], axis=1) - y)
-        keep = np.stack((there & inside, crosses), axis=2).reshape(num, 2 * y.shape[1])
-        corners = np.stack((y, cut), axis=2).reshape(*keep.shape, 2)
-        labels = np.stack((label, np.where(inside, sides + k, label)), axis=2).reshape(keep.shape)
-        count = keep.sum(axis=1)
-        order = np.argsort(~keep, axis=1, kind="stable")[:, : max(int(count.max(initial=1)), 1)]
-        order = np.take_along_axis(
-            order, np.clip(np.arange(order.shape[1]), 0, np.maximum(count - 1, 0)[:, None]), axis=1
-        )
-        y = np.take_along_axis(corners, order[..., None], axis=1)
-        label = np.take_along_axis(labels, order, axis=1)
-    return y, count, label
 
 
 def _in_curved(surface: Surface, frames: Frames, facet, y) -> npt.NDArray[np.float64]:
@@ -330,34 +308,6 @@ def _in_curved(surface: Surface, frames: Frames, facet, y) -> npt.NDArray[np.flo
         if np.abs(step).max(initial=0) < LAST:
             break
     return X
-
-
-def _in_quadrilaterals(quads, references, y) -> npt.NDArray[np.float64]:
-    """Points of quadrilaterals, ``(num, 4, 2)``, in others, by the bilinear map between them.
-
-    Args:
-        quads: ``(num, 4, 2)``.
-        references: ``(num, 4, 2)``.
-        y: ``(num, num_points, 2)``.
-    """
-
-    def coefficients(v):
-        return v[:, 0], v[:, 1] - v[:, 0], v[:, 3] - v[:, 0], v[:, 0] - v[:, 1] + v[:, 2] - v[:, 3]
-
-    a, b, c, d = (part[:, None] for part in coefficients(quads))
-    s = np.full(y.shape, 0.5)
-    for _ in range(20):
-        s0, s1 = s[..., :1], s[..., 1:]
-        rest = y - (a + b * s0 + c * s1 + d * s0 * s1)
-        p, q = b + d * s1, c + d * s0
-        step = np.stack((curves.cross(rest, q), curves.cross(p, rest)), axis=-1)
-        step /= curves.cross(p, q)[..., None]
-        s = np.clip(s + step, -0.01, 1.01)  # in the quadrilateral, where the map has an inverse
-        if np.abs(step).max(initial=0) < LAST:
-            break
-    a, b, c, d = (part[:, None] for part in coefficients(references))
-    s0, s1 = s[..., :1], s[..., 1:]
-    return a + b * s0 + c * s1 + d * s0 * s1
 
 
 def _nearest_sheet(surfaces, frames: Frames, pieces: Pieces) -> Pieces:

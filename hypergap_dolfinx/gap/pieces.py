@@ -200,7 +200,7 @@ class Side:
         weights = np.maximum(np.column_stack((1 - xi.sum(axis=1), xi)), 0)
         weights /= weights.sum(axis=1, keepdims=True)
         away = lengths(np.einsum("pk,pki->pi", weights, self.x[self.triangles[triangle]]) - points)
-        p, f = self.tree.beside(points, self.normals[triangle], np.zeros(len(points)))
+        p, f = self.tree.beside(points, self.normals[triangle])
         v, n = self.x[self.triangles[f]] - points[p, None], self.normals[f]
         height = np.abs(np.einsum("pi,pi->p", v[:, 0], n))
         sides = [np.einsum("pi,pi->p", np.cross(v[:, k], v[:, k - 2]), n) for k in range(3)]

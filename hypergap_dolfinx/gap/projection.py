@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.gap.jit import as_ints, library
+from hypergap_dolfinx.gap.polynomials import terms
 
 FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
 NEWTON = 6  # steps to where a line along a surface's normals meets it
@@ -41,13 +42,9 @@ class Curves:
     @cached_property
     def pointer(self):
         """For C, with all that it points to."""
-        degree, points = self.element.degree, self.element.points
-        powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1)])
-        if self.element.cell_type == basix.CellType.triangle:
-            powers = powers[powers.sum(axis=1) <= degree]
-        values = (points[:, None] ** powers).prod(axis=2)  # (node, term)
+        powers, to_terms = terms(self.element)
         first = self.nodes[:, :1]
-        factors = np.linalg.inv(values) @ (self.nodes - first)
+        factors = to_terms @ (self.nodes - first)
         bends = np.empty((0, 3, 0, 2)) if self.bends is None else self.bends
         fields = {
             "num_terms": len(powers),

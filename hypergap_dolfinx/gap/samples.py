@@ -10,12 +10,13 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx import disposal
 from hypergap_dolfinx.gap import kernel
 from hypergap_dolfinx.gap.constraint import Constraint, coo_matrix, expand
 from hypergap_dolfinx.gap.domain import GapDomain
 
 
-class Samples:
+class Samples(disposal.Owner):
     """D with a row for each point: ∂φ_A/∂α times the root of the point's weight."""
 
     def __init__(self, domain: GapDomain, constraint: Constraint):
@@ -25,6 +26,7 @@ class Samples:
             domain: Σ.
             constraint: The constraint on it.
         """
+        self._ticket = disposal.enter(domain.mesh.comm)
         self.domain = domain
         n = domain.x.shape[2]
         # Of straight cells c and both derivatives are polynomials of degree k − 1
@@ -64,9 +66,8 @@ class Samples:
         """``(num_points, num_multipliers)``."""
         matrix.destroy()
 
-    def destroy(self):
-        """Destroy the PETSc matrix. Collective."""
-        self.D.destroy()
+    def _release(self) -> list:
+        return [self.__dict__.pop("D", None)]
 
     def scaled_mass(self, values: float | npt.NDArray, block_size: int) -> PETSc.Mat:
         """∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα, the same for each component. Collective.

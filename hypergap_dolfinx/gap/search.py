@@ -20,6 +20,18 @@ CURVE = 10
 """Bits for each axis of the curve along which triangles are sorted."""
 
 
+def along_curve(x: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
+    """Points, ``(num, 3)``, in the order in which a curve passes that fills space."""
+    low = x.min(axis=0)
+    scale = (2**CURVE - 1) / max(float(np.ptp(x, axis=0).max()), 1e-300)
+    grid = ((x - low) * scale).astype(np.int64)
+    code = np.zeros(len(x), dtype=np.int64)
+    for bit in range(CURVE):
+        for axis in range(3):
+            code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
 @dataclass(frozen=True)
 class _Parts:
     """Parts of a surface: balls around them, and cones around their normals."""
@@ -67,14 +79,7 @@ class Tree:
         """Triangles by their corners, ``(num_triangles, 3, 3)``, and their unit normals."""
         middle = x.mean(axis=1)
         radius = np.linalg.norm(x - middle[:, None], axis=2).max(axis=1)
-        low = middle.min(axis=0)
-        scale = (2**CURVE - 1) / max(float(np.ptp(middle, axis=0).max()), 1e-300)
-        grid = ((middle - low) * scale).astype(np.int64)
-        code = np.zeros(len(x), dtype=np.int64)
-        for bit in range(CURVE):
-            for axis in range(3):
-                code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
-        order = np.argsort(code, kind="stable")
+        order = along_curve(middle)
         num = 1 << int(np.ceil(np.log2(max(len(x), BUNCH))))
         order = order[np.minimum(np.arange(num), len(x) - 1)]
         self.triangles = order.reshape(-1, BUNCH).copy()
@@ -112,13 +117,12 @@ class Tree:
         near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING
         return p[near], f[near]
 
-    def beside(self, points, axes, radius) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Lines and triangles of which the balls around them are in reach, however far along.
+    def beside(self, points, axes) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Lines and triangles of which they meet the balls around them, however far along.
 
         Args:
             points: On the lines, ``(num_lines, 3)``.
             axes: Along them, unit vectors, ``(num_lines, 3)``.
-            radius: Reach, ``(num_lines,)``.
 
         Returns:
             The pairs' lines, in their order, and triangles, ``(num_pairs,)``.
@@ -128,7 +132,7 @@ class Tree:
             apart = of.middle[part] - points[p]
             square = np.einsum("pi,pi->p", apart, apart)
             square -= np.einsum("pi,pi->p", apart, axes[p]) ** 2
-            return square <= 1.001 * (radius[p] + of.radius[part]) ** 2
+            return square <= 1.001 * of.radius[part] ** 2
 
         p, f = self._down(len(points), near)
         keep = near(self, f, p)

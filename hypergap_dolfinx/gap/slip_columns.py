@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""The weighted slip of columns in space, and its derivatives. NumPy alone.
+r"""The weighted slip of columns in space, and its derivatives.
 
 At a point of Γ1 and the one opposite (:mod:`~hypergap_dolfinx.gap.heights`) what moves has a slip
 
@@ -20,7 +20,8 @@ each vertex of Γ1. As :math:`\mathbf x_0 - \mathbf x_1` is along the normal, it
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.heights import At, Rays, dot
+from hypergap_dolfinx.gap.heights import Rays
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints, library
 from hypergap_dolfinx.gap.opposite import Frames, cross
 from hypergap_dolfinx.gap.surface import Surface, lengths
 
@@ -42,105 +43,38 @@ def directions(surface: Surface, frames: Frames) -> npt.NDArray[np.float64]:
         # Of the facets around a vertex the last one's edge
         along[surface.polygons[:, k]] = surface.x[after[:, k]] - surface.x[surface.polygons[:, k]]
     normal /= np.maximum(lengths(normal), 1e-300)[:, None]
-    first = along - dot(along, normal)[:, None] * normal
+    first = along - np.einsum("vi,vi->v", along, normal)[:, None] * normal
     first /= np.maximum(lengths(first), 1e-300)[:, None]
     return np.stack((first, cross(normal, first)), axis=1)
 
 
-def _across(rays: Rays) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """The normals' directions, their lengths, and κ; ``(num, 3)``, ``(num,)``, ``(num,)``."""
-    _, n1, m = rays.normals
-    size = lengths(m)
-    m = m / size[:, None]
-    return m, size, dot(n1, m)
-
-
-def slips(rays: Rays, T, e) -> npt.NDArray[np.float64]:
-    """What points make of motions of dofs.
+def slips(rays: Rays, block, e, moves=None) -> npt.NDArray[np.float64]:
+    """What points make of motions, as vectors that are multiplied with those of q.
 
     Args:
         rays: The points.
-        T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
+        block: The number of each point's pair of facets, ``(num,)``.
         e: A direction each, ``(num, 3)``.
+        moves: Motions of the pairs' dofs, ``(num_pairs, num_dofs, 3)``: then derivatives by q of
+            slips, of motions that are those of where the dofs are.
 
     Returns:
-        ``(num, num_dofs, 3)``.
+        ``(num, 7, 3)``.
     """
-    m, _, kappa = _across(rays)
-    e = kappa[:, None] * (e - dot(e, m)[:, None] * m)
-    return -T[:, At.R, :, None] * e[:, None]
-
-
-def by_q(rays: Rays, e, D) -> npt.NDArray[np.float64]:
-    """Derivatives of κ e · P D by q while D stays, ``(num, 7, 3)``.
-
-    Args:
-        rays: The points.
-        e: A direction each, ``(num, 3)``.
-        D: Another, ``(num, 3)``.
-    """
-    m, size, kappa = _across(rays)
-    _, n1, _ = rays.normals
-    up, down = dot(e, m)[:, None], dot(D, m)[:, None]
-    value = dot(e, D)[:, None] - up * down
-    by_m = value * n1 - kappa[:, None] * (down * e + up * D)
-    by_m = (by_m - dot(by_m, m)[:, None] * m) / size[:, None]
-    by_n1 = value * m
-    q, result = rays.q, np.zeros_like(rays.q)
-    result[:, At.C1], result[:, At.C2] = cross(q[:, At.C2], by_m), cross(by_m, q[:, At.C1])
-    result[:, At.T1], result[:, At.T2] = cross(q[:, At.T2], by_n1), cross(by_n1, q[:, At.T1])
+    result, given = np.empty_like(rays.q), (as_ints(block), as_doubles(e))
+    motions = library().ffi.NULL if moves is None else as_doubles(moves)
+    library().lib.column_slips(rays.pointer[0], *given, motions, as_doubles(result))
     return result
 
 
-def motions(T, moves) -> npt.NDArray[np.float64]:
-    """What moves of x₀ − x₁, and of Γ0's tangents, ``(num, 3, 3)``.
-
-    Args:
-        T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
-        moves: Motions of the dofs, ``(num, num_dofs, 3)``.
-    """
-    return T[:, : At.Z2 + 1] @ moves
-
-
-def slopes(rays: Rays, T, e, moves) -> npt.NDArray[np.float64]:
-    """Derivatives of slips by the dofs, of motions that are those of where the dofs are.
+def add_curvatures(rays: Rays, block, traction, blocks):
+    """Add derivatives by the dofs of the forces that tractions have at points.
 
     Args:
         rays: The points.
-        T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
-        e: A direction each, ``(num, 3)``.
-        moves: What :func:`motions` makes of them.
-
-    Returns:
-        ``(num, num_dofs, 3)``.
-    """
-    m, _, kappa = _across(rays)
-    flat = kappa[:, None] * (e - dot(e, m)[:, None] * m)
-    by = by_q(rays, e, -moves[:, At.R])
-    drift = np.einsum("pi,pki->pk", flat, moves[:, At.Z1 :])
-    by -= np.einsum("pk,pkvi->pvi", drift, rays.feet)
-    return T.transpose(0, 2, 1) @ by + slips(rays, T, e)
-
-
-def curvature(rays: Rays, T, traction) -> npt.NDArray[np.float64]:
-    """Derivatives by the dofs of the forces that tractions have there.
-
-    Args:
-        rays: The points.
-        T: Derivatives of q by the dofs, ``(num, 7, num_dofs)``.
+        block: The number of each one's block, ``(num,)``.
         traction: On Γ1, before it is projected, ``(num, 3)``.
-
-    Returns:
-        ``(num, num_dofs, 3, num_dofs, 3)``.
+        blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
     """
-    m, _, kappa = _across(rays)
-    flat = kappa[:, None] * (traction - dot(traction, m)[:, None] * m)
-    turned = T.transpose(0, 2, 1)
-    num, nodes, _ = turned.shape
-    by = [by_q(rays, traction, np.tile(unit, (num, 1))) for unit in np.eye(3)]
-    by_dofs = turned @ np.concatenate(by, axis=2)  # (point, dof, component of force and dof)
-    by_dofs = by_dofs.reshape(num, nodes, 3, 3).transpose(0, 2, 1, 3)
-    block = -T[:, At.R, :, None, None, None] * by_dofs[:, None]
-    drift = turned[:, None] @ rays.feet  # (point, along, dof, component)
-    along = np.einsum("pkj,pkbc->pjbc", T[:, [At.Z1, At.Z2]], drift)
-    return block - flat[:, None, :, None, None] * along[:, :, None]
+    given = as_ints(block), as_doubles(traction), as_doubles(blocks)
+    library().lib.slip_curvatures(rays.pointer[0], *given)

@@ -7,6 +7,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,8 @@ from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.gap.jit import as_doubles, as_ints
+from hypergap_dolfinx.gap.polynomials import terms
 
 STRAIGHT = 1e-12
 """Distance of geometry nodes from where straight edges have them, in sizes of their facet or cell,
@@ -120,6 +123,44 @@ class Surface:
         """Whether a distance at each facet is more than round-off."""
         # Coordinates carry a rounding error of their own, which grows away from the origin
         return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
+
+    @cached_property
+    def edge_numbers(self) -> npt.NDArray[np.intp]:
+        """A number for each edge of facets (2D: each vertex), one for all that share it.
+
+        From 0, without gaps, ``(num_facets, num_edges)``.
+        """
+        key = start = self.polygons.astype(np.int64)
+        if self.gdim == 3:
+            end = np.roll(start, -1, axis=1)
+            key = np.minimum(start, end) * len(self.x) + np.maximum(start, end)
+        _, where = np.unique(key, return_inverse=True)
+        return where.reshape(key.shape)
+
+    @cached_property
+    def is_outline(self) -> npt.NDArray[np.bool_]:
+        """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
+        return np.bincount(self.edge_numbers.ravel())[self.edge_numbers] == 1
+
+    @cached_property
+    def polynomials(self) -> dict[str, Any]:
+        """Facets in space and their dofs' functions as C sees them: ``Facets`` in ``c/space.h``."""
+        corners = basix.geometry(self.geometry.cell_type)
+        middle, origins = corners.mean(axis=0), self.nodes[:, :1]
+        powers, to_terms = terms(self.geometry, middle)
+        return {
+            "num_facets": len(self.facets),
+            "num_corners": len(corners),
+            "vertices": as_ints(self.polygons),
+            "x": as_doubles(self.x),
+            "middle": middle.tolist(),
+            "num_terms": len(powers),
+            "powers": as_ints(powers),
+            "origins": as_doubles(origins),
+            "factors": as_doubles(to_terms @ (self.nodes - origins)),
+            "num_dofs": self.element.dim,
+            "functions": as_doubles(to_terms @ tabulate(self.element, self.geometry.points)),
+        }
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of reference points.
@@ -403,31 +444,10 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
 
 def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
     """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
-    key = edge_numbers(surface)
+    key = surface.edge_numbers
     facet = np.repeat(np.arange(len(key)), key.shape[1])
     key = key.ravel()
     order = np.argsort(key, kind="stable")
     _, start, count = np.unique(key[order], return_index=True, return_counts=True)
     start = start[count == 2]
     return np.column_stack((facet[order[start]], facet[order[start + 1]]))
-
-
-def is_outline(surface: Surface) -> npt.NDArray[np.bool_]:
-    """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
-    number = edge_numbers(surface)
-    return np.bincount(number.ravel())[number] == 1
-
-
-def edge_numbers(surface: Surface) -> npt.NDArray[np.intp]:
-    """A number for each edge of facets (2D: each vertex), one for all that share it.
-
-    Returns:
-        From 0, without gaps, ``(num_facets, num_edges)``.
-    """
-    start = surface.polygons.astype(np.int64)
-    key = start
-    if surface.gdim == 3:
-        end = np.roll(start, -1, axis=1)
-        key = np.minimum(start, end) * len(surface.x) + np.maximum(start, end)
-    _, where = np.unique(key, return_inverse=True)
-    return where.reshape(key.shape)

@@ -104,6 +104,11 @@ class ConstraintBlocks:
             owner.destroy()
 
     @property
+    def conducts(self) -> bool:
+        """Whether a tie has a conductance, which may be 0."""
+        return any(opening.linear for opening in self.openings)
+
+    @property
     def free(self) -> list[list[PETSc.Mat | None]]:
         """B on what is not prescribed, ``[interface][field]``."""
         return self._free

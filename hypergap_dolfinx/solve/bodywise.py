@@ -65,7 +65,7 @@ class Bodies(IterativeSolver):
         if constraints.compliances:
             return "a tie has a compliance"
         if constraints.openings:
-            return "a tie has a law"
+            return "a tie has a law or a conductance"
         if any(map(is_mixed, spaces)):
             return "a body may be singular by itself where a space is mixed (a pressure is free)"
         if order_of_bodies(len(spaces), _directions(constraints)) is None:

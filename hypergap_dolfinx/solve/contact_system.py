@@ -8,7 +8,6 @@
 from collections.abc import Sequence
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError, spot
 from hypergap_dolfinx.gap.moving import Displacements
-from hypergap_dolfinx.solve import active, saddle
+from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.contacts import (
     ContactRows,
     Linear,
@@ -31,7 +30,6 @@ from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
 from hypergap_dolfinx.solve.leading import leading, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
-from hypergap_dolfinx.solve.modes import places
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
 from hypergap_dolfinx.solve.strays import Strays
@@ -47,6 +45,8 @@ PULLS = 1e-8
 """Negative pressure, over the largest, that is none."""
 UNPRESSED = 1e-12
 """Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
+SLACK = 1e-4
+"""Displacement, in sizes of facets, after which a stiffness is as good as anew for a first step."""
 ROUND_OFF = 1e-14
 """Residual over stiffness and displacement that is round-off."""
 
@@ -105,6 +105,7 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = 0
+        self._softest, self._stiffness_of = 0.0, list[int | None]()
 
     def _release(self) -> list:
         tangent = self.__dict__.pop("_tangent", None)
@@ -149,6 +150,7 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             rows.set_out()
         self._constraints.read_jumps()
+        self._goal = self._lifted()
         self._lead()
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
@@ -157,10 +159,10 @@ class ContactSystem(NonlinearSystem):
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
                 rows.look()
-            self._residual(self._x, self._b)
+            self._evaluate(self._x, self._b)
             jump = self._jump()
             if step == 0:
-                self.assemble_matrix()
+                self._assemble_what_moved()
             last = [rows.now.copy() for rows in self._rows]
             held = self._choose(before, ahead=step < AHEAD)
             as_before, as_earlier = (
@@ -192,6 +194,14 @@ class ContactSystem(NonlinearSystem):
                     self._restore(state)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _assemble_what_moved(self):
+        """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
+        self._slack = SLACK * min(
+            float(side.reference.size.min()) for rows in self._rows for side in rows.sides
+        )
+        self.assemble_matrix()
+        self._slack = 0.0
 
     def _keep(self, last: Sequence[Pressed]) -> bool:
         """Where sticking and slipping go to and fro, go on as before, with the exact tangent.
@@ -237,7 +247,7 @@ class ContactSystem(NonlinearSystem):
         prescribed = self._constraints.prescribed
         return [
             np.where(held, wanted[: len(held)] - owned_values(u), 0)
-            for u, wanted, held in zip(self._u, self._lifted(), prescribed, strict=True)
+            for u, wanted, held in zip(self._u, self._goal, prescribed, strict=True)
         ]
 
     def _choose(
@@ -284,29 +294,22 @@ class ContactSystem(NonlinearSystem):
         return [rows.sets for rows in self._rows]
 
     def _hold(self, *, first: bool):
-        """Enlarge the active sets until they hold what nothing else does. Collective.
-
-        Args:
-            first: Whether nothing pushes yet.
-        """
+        """Enlarge active sets until they hold, ``first`` before anything pushes. Collective."""
         assert self._free is not None
-        moves = [self._free_moves(rows) for rows in self._rows]
+        modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
+        moves = [self._free_moves(rows, modes) for rows in self._rows]
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
-        every, distance, area, valid = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for parts, name in (
-                ([rows.now for rows in self._rows], "on"),
-                (self._rows, "distance"),
-                (self._rows, "m"),
-                (self._rows, "valid"),
-            )
+        every = np.concatenate([rows.now.on for rows in self._rows])
+        distance, area, valid = (
+            np.concatenate([getattr(rows, name) for rows in self._rows])
+            for name in ("distance", "m", "valid")
         )
         rubbing = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
         sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
         across = np.vstack([part.reshape(-1, self._free.num) for part in (holds[:0], *sticking)])
         on, num_free = active.seeded(
-            every, distance, area, valid, holds, self._load(), across, first=first
+            every, distance, area, valid, holds, self._load(modes), across, first=first
         )
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(on, ends), strict=True):
@@ -339,21 +342,26 @@ class ContactSystem(NonlinearSystem):
         assert self._free is not None
         return self._strays.lost(state[0], self._owned(), str(error)) if self._free.num else ""
 
-    def _load(self) -> npt.NDArray[np.float64]:
-        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
-        assert self._free is not None
-        load = np.zeros(self._free.num)
-        for i, (u, b) in enumerate(zip(self._u, self._b.getNestSubVecs(), strict=False)):
-            load += self._free.at(i, owned_values(u)).T @ b.array_r
-        return self._u[0].function_space.mesh.comm.allreduce(load)
+    def _load(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective.
 
-    def _free_moves(self, rows: ContactRows) -> list[Displacements]:
-        """Free rigid motions at a contact's sides, where the bodies are. Collective."""
+        Args:
+            modes: The motions where the bodies are, of each.
+        """
+        parts = [m.T @ b.array_r for m, b in zip(modes, self._b.getNestSubVecs(), strict=False)]
+        return self._u[0].function_space.mesh.comm.allreduce(sum(parts))
+
+    def _free_moves(
+        self, rows: ContactRows, every: Sequence[npt.NDArray[np.float64]]
+    ) -> list[Displacements]:
+        """Free rigid motions at a contact's sides, where the bodies are. Collective.
+
+        Args:
+            rows: The contact.
+            every: The motions of each body.
+        """
         assert self._free is not None
-        modes = [
-            None if body is None else self._free.at(body, owned_values(self._u[body]))
-            for body in rows.bodies
-        ]
+        modes = [None if body is None else every[body] for body in rows.bodies]
         return [
             rows.displacements(
                 [
@@ -364,30 +372,34 @@ class ContactSystem(NonlinearSystem):
             for k in range(self._free.num)
         ]
 
-    def _add_contact(self, vectors: Sequence[PETSc.Vec], *, all_dofs: bool):
-        """Subtract the contacts' forces Cᵀp from vectors of the bodies."""
+    def _forces_left(self) -> list[npt.NDArray]:
+        """The residual of bodies and ties with the contacts' forces, this rank's part of each."""
+        found = self._right()
         for rows in self._rows:
             for i, (body, force) in enumerate(zip(rows.bodies, rows.acting(), strict=True)):
                 if body is not None:
                     dofs, values = rows.owned(i, force)
-                    free = True if all_dofs else ~self._constraints.prescribed[body][dofs]
-                    vectors[body].array[dofs] -= values * free
+                    found[body][dofs] -= values * ~self._constraints.prescribed[body][dofs]
+        return found
+
+    def _right(self) -> list[npt.NDArray]:
+        """The residual of bodies and ties without the contacts' forces, this rank's of each."""
+        return [part.array_r.copy() for part in self._b.getNestSubVecs()]
 
     def _balances(self) -> bool:
         """Whether the residual is none and what is in contact is closed. Collective."""
-        comm = self._u[0].function_space.mesh.comm
         num = len(self._b.getNestSubVecs()) - len(self._constraints.bodies)  # forces at jumps too
-        parts = [part.copy() for part in self._b.getNestSubVecs()[:num]]
-        self._add_contact(parts, all_dofs=False)
-        self._unbalanced = worst = np.sqrt(sum(part.norm() ** 2 for part in parts))
-        saddle.destroy_parts(parts)
+        parts = [*self._forces_left()[:num], *self._owned()]
+        squares = np.array([np.vdot(part, part).real for part in parts])
+        self._u[0].function_space.mesh.comm.Allreduce(MPI.IN_PLACE, squares)
+        self._unbalanced = worst = np.sqrt(squares[:num].sum())
         if not np.isfinite(worst):
             raise SolveError("Newton's iteration diverged: the residual is no number.")
         if not all(rows.is_closed(rows.closed) for rows in self._rows):
             return False  # forces needn't be known to see that
         size, least = sum(force**2 for force in self._forces), 0.0
-        for u, K in zip(self._u, self._K, strict=True):
-            least += (row_length(K) * np.sqrt(comm.allreduce((owned_values(u) ** 2).sum()))) ** 2
+        for K, square in zip(self._K, squares[num:], strict=True):
+            least += row_length(K) ** 2 * square
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
         self._largest = max(self._largest, np.sqrt(least))  # what bodies come back from left digits
@@ -400,7 +412,7 @@ class ContactSystem(NonlinearSystem):
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """Whether what is in contact is prescribed to move farther than its facets are long."""
         comm = self._u[0].function_space.mesh.comm
-        far = comm.allreduce(max(np.abs(part).max(initial=0) for part in jump), MPI.MAX)
+        far = comm.allreduce(max(float(abs(part).max(initial=0)) for part in jump), MPI.MAX)
         assert self._free is not None
         return not self._free.num and any(
             rows.now.p.any() and far > FAR * rows.sides[1].reference.size.max()
@@ -420,14 +432,17 @@ class ContactSystem(NonlinearSystem):
         if self._tied or self._free.num or not (goes and pushes):
             return
         motions = []
-        for u, moves, held in zip(self._u, jump, self._constraints.prescribed, strict=True):
-            x = places(u.function_space)
+        prescribed = self._constraints.prescribed
+        for x, u, moves, held in zip(self._free.places, self._u, jump, prescribed, strict=True):
             whole = held.reshape(x.shape).all(axis=1)
             x = (x + owned_values(u).reshape(x.shape))[whole]
             motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
         if None in motions:
             return
         far, together = self._slides(jump), True
+        moved_by_user = any(None in rows.bodies for rows in self._rows)
+        if not (far or moved_by_user or any(motion.turns for motion in motions)):
+            return
         for rows in self._rows:
             assert rows.start is not None
             now = rows.displacements([owned_values(f) for f in rows.fields])
@@ -449,9 +464,9 @@ class ContactSystem(NonlinearSystem):
                 rows.turn(of_sides[1])
         if not (far or together):
             return
-        for part, u, motion in zip(self._x.getNestSubVecs(), self._u, motions, strict=False):
-            x = places(u.function_space) + owned_values(u).reshape(-1, len(motion.end))
-            part.array[:] += motion.shift(x).ravel()
+        parts = self._x.getNestSubVecs()
+        for part, x, u, motion in zip(parts, self._free.places, self._u, motions, strict=False):
+            part.array[:] += motion.shift(x + owned_values(u).reshape(x.shape)).ravel()
         self._assign(self._x)
 
     def _carry(self):
@@ -459,9 +474,11 @@ class ContactSystem(NonlinearSystem):
 
         Gaps where a body was say nothing about where it goes.
         """
-        right = [part.copy() for part in self._b.getNestSubVecs()]
-        self._add_contact(right, all_dofs=False)
-        self._take(right, [rows.without_forces(self._stiffness()) for rows in self._rows], 0.0)
+        self._take(
+            self._forces_left(),
+            [rows.without_forces(self._stiffness()) for rows in self._rows],
+            0.0,
+        )
         for rows in self._rows:
             rows.forget()
 
@@ -498,8 +515,7 @@ class ContactSystem(NonlinearSystem):
                 equations.append(rows.without_forces(stiffness))
             if settled or (rolls and not isinstance(rows, FrictionRows)):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
-        right = [part.copy() for part in self._b.getNestSubVecs()]
-        changes, unknowns = self._take(right, equations, viscous)
+        changes, unknowns = self._take(self._right(), equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             if rows.now.on.any():
                 rows.take(linear, values)
@@ -509,26 +525,25 @@ class ContactSystem(NonlinearSystem):
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body. Collective."""
-        return min(abs(mean_diagonal(K)) for K in self._K)
+        if self._stiffness_of != self._known:
+            self._stiffness_of = list(self._known)
+            self._softest = min(mean_diagonal(K) for K in self._K)
+        return self._softest
 
     def _take(
-        self, right: Sequence[PETSc.Vec], equations: Sequence[Linear], viscous: float
+        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray]]:
         """Solve, and subtract the solution. Collective.
 
         Args:
-            right: Right-hand side of bodies and ties; is destroyed.
+            right: This rank's right-hand side of bodies and ties.
             equations: Those of contacts.
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
             This rank's changes of displacements, of each body, and the contacts' unknowns.
         """
-        try:
-            solution, unknowns = self._tangent.solve(right, equations, viscous)
-        finally:
-            for part in right:
-                part.destroy()
+        solution, unknowns = self._tangent.solve(right, equations, viscous)
         for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
             x.array[:] -= dx
         self._assign(self._x)

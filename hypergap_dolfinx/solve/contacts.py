@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +21,7 @@ from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
 from hypergap_dolfinx.solve.interface import ContactInterface, Gaps, Interface
-from hypergap_dolfinx.solve.pattern import Pattern, around, beside, coupled, unique_pairs
+from hypergap_dolfinx.solve.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.solve.shared_ends import EndingSide, lenders
 
 CLOSED = 1e-9
@@ -68,6 +70,8 @@ class Linear:
     """``(num_multipliers,)``."""
     scale: npt.NDArray[np.float64]
     """Multipliers over unknowns."""
+    start: npt.NDArray[np.float64]
+    """The unknowns of the multipliers that there are."""
 
     def stiffened(self, H: Sparse) -> "Linear":
         """With a matrix that is subtracted."""
@@ -100,8 +104,13 @@ class ContactRows:
         self._held = [
             np.ones((len(side.dofs), self._n), dtype=bool)
             if body is None
-            else self._at_surface(i, held[body].reshape(-1, self._n).astype(np.int8)).astype(bool)
-            for i, (side, body) in enumerate(zip(sides, bodies, strict=True))
+            else look_up(
+                self._comm,
+                held[body].reshape(-1, self._n).astype(np.int8),
+                V.dofmap.index_map.local_range[0],
+                side.dofs,
+            ).astype(bool)
+            for V, side, body in zip(self.spaces, sides, bodies, strict=True)
         ]
         surface = sides[1].reference
         size = lengths(normals_by_area(surface.x[surface.facets]))
@@ -120,18 +129,16 @@ class ContactRows:
         held = self._held[i][np.searchsorted(side.dofs, side.vertex_dofs)]
         return EndingSide(space, side.reference, side.vertex_dofs, held)
 
-    def _at_surface(self, i: int, owned: npt.NDArray) -> npt.NDArray:
-        """Values at the dofs of a side, of this rank's owned values. Collective."""
-        offset = self.spaces[i].dofmap.index_map.local_range[0]
-        return look_up(self._comm, owned, offset, self.sides[i].dofs)
-
     def displacements(self, u: Sequence[npt.NDArray[np.float64]]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
 
         Args:
             u: This rank's owned values on Γ0's and Γ1's space, ``(num_dofs,)``.
         """
-        u0, u1 = (self._at_surface(i, part.reshape(-1, self._n)) for i, part in enumerate(u))
+        u0, u1 = (np.zeros((len(side.dofs), self._n)) for side in self.sides)
+        for values, part, (mine, dofs) in zip((u0, u1), u, self._owned_dofs, strict=True):
+            values[mine] = part[dofs].reshape(-1, self._n)
+            self._comm.Allreduce(MPI.IN_PLACE, values)
         return u0, u1
 
     def begin(self):
@@ -272,10 +279,19 @@ class ContactRows:
 
     def owned(self, i: int, values: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
         """This rank's owned dofs (unrolled, local) of a side, and the values that are there."""
-        start, end = self.spaces[i].dofmap.index_map.local_range
-        mine = (self.sides[i].dofs >= start) & (self.sides[i].dofs < end)
-        dofs = (self.sides[i].dofs[mine] - start)[:, None] * self._n + np.arange(self._n)
-        return dofs.ravel(), values[mine].ravel()
+        mine, dofs = self._owned_dofs[i]
+        return dofs, values[mine].ravel()
+
+    @cached_property
+    def _owned_dofs(self) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """Which of each side's dofs are this rank's, and these, unrolled and local."""
+        found = []
+        for side, V in zip(self.sides, self.spaces, strict=True):
+            start, end = V.dofmap.index_map.local_range
+            mine = (side.dofs >= start) & (side.dofs < end)
+            dofs = (side.dofs[mine] - start)[:, None] * self._n + np.arange(self._n)
+            found.append((mine, dofs.ravel()))
+        return found
 
     @property
     def _acting(self) -> npt.NDArray[np.bool_]:
@@ -305,8 +321,10 @@ class ContactRows:
 
     def gathered(self, values: npt.NDArray) -> npt.NDArray:
         """Values of all multipliers from those of each rank's. Collective."""
-        result = np.empty(len(self._order))
-        result[self._order] = np.concatenate(self._comm.allgather(values))
+        found = np.empty(len(self._order), dtype=values.dtype)
+        self._comm.Allgatherv(values, (found, np.diff(self.ranges)))
+        result = np.empty_like(found)
+        result[self._order] = found
         return result
 
     @cached_property
@@ -328,13 +346,12 @@ class ContactRows:
     def pattern(self) -> Pattern:
         """Where equations have entries; in the plane also where they may soon have some.
 
-        There room for what lies beside doesn't fill factors more; in space it takes half as many
-        operations again.
+        There room for all that is opposite, and what lies beside, hardly fills factors more; in
+        space it takes half as many operations again.
         """
         at, num, n = self._support(), len(self.g), self._n
-        a, node, near, num_nodes = at.i % num, at.j // n, self.now.on, self._num_dofs // n
-        if n == 2:
-            near = around(near, self.sides[1].reference.facets)
+        a, node, num_nodes = at.i % num, at.j // n, self._num_dofs // n
+        near = self.valid if n == 2 else self.now.on
         a, node = unique_pairs(a[near[a]], node[near[a]], num_nodes)
         if n == 2:
             a, node = beside(a, node, self.sides[0].at_facets, num_nodes)
@@ -386,13 +403,19 @@ class ContactRows:
         parts.append(Sparse(start + corner.i, start + corner.j, corner.values))
         off = start + np.flatnonzero(~on)
         parts.append(Sparse(off, off, np.full(len(off), stiffness)))
-        return Linear(joined(*parts), np.where(on, right, 0), scale)
+        start = np.divide(self._values, scale, out=np.zeros(len(on)), where=on & (scale != 0))
+        return Linear(joined(*parts), np.where(on, right, 0), scale, start)
+
+    @property
+    def _values(self) -> npt.NDArray[np.float64]:
+        """What :meth:`_take` takes."""
+        return self.now.p
 
     def without_forces(self, stiffness: float) -> Linear:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = self._num_dofs + np.arange(len(none))
-        return Linear(Sparse(every, every, none + stiffness), none, none)
+        return Linear(Sparse(every, every, none + stiffness), none, none, none)
 
     def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
         """The solution's multipliers.

@@ -15,27 +15,37 @@ from dolfinx import fem
 class Dependence:
     """Coefficients, constants and coordinates of a form, and what they were."""
 
-    def __init__(self, form: ufl.Form, compiled: fem.Form):
+    def __init__(self, form: ufl.Form, compiled: fem.Form, u: fem.Function):
         """Find those that are left once derivatives are taken.
 
         Args:
             form: The form.
             compiled: What FFCx made of it.
+            u: What is solved for.
         """
         of_ufl, ufcx = form.coefficients(), compiled.ufcx_form
         used = [ufcx.original_coefficient_positions[i] for i in range(ufcx.num_coefficients)]
-        self._functions = [of_ufl[k] for k in used]
+        self._functions = [of_ufl[k] for k in used if of_ufl[k] is not u]
+        self._u = [u] if any(of_ufl[k] is u for k in used) else []
         self._constants = list(form.constants())
         self._geometry = compiled.mesh.geometry
-        self._before: list[npt.NDArray] | None = None
+        self._before: tuple[list[npt.NDArray], list[npt.NDArray]] | None = None
 
-    def changed(self) -> bool:
-        """Whether something on this rank isn't what it was at the last call."""
+    def changed(self, slack: float = 0.0) -> bool:
+        """Whether something on this rank isn't what it was when this was said last.
+
+        Args:
+            slack: Change of what is solved for that is none.
+        """
         now = [np.asarray(constant.value) for constant in self._constants]
         now += [f.x.array for f in self._functions]
         now.append(self._geometry.x)
-        before = self._before
-        if before is not None and all(map(np.array_equal, before, now)):
-            return False
-        self._before = [array.copy() for array in now]
+        at = [f.x.array for f in self._u]
+        if self._before is not None:
+            before, place = self._before
+            near = all(abs(a - b).max(initial=0) <= slack for a, b in zip(at, place, strict=True))
+            if near and all(map(np.array_equal, before, now)):
+                return False
+        copies = [[array.copy() for array in arrays] for arrays in (now, at)]
+        self._before = copies[0], copies[1]
         return True

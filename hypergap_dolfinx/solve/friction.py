@@ -324,6 +324,10 @@ class FrictionRows(ContactRows):
         rest = np.where(now.sticks, -UNTOLD * now.q, limit * now.way)
         return by_slip, by_q, np.where(now.sticks, 0, -by_p * now.way), self.s, rest
 
+    @property
+    def _values(self) -> npt.NDArray[np.float64]:
+        return np.concatenate((self.now.p, self.now.q.ravel()))
+
     def _take(self, values: npt.NDArray[np.float64]):
         p, *q = values.reshape(-1, len(self.g))
         self.now.p, self.now.q = p, np.array(q)

@@ -37,9 +37,11 @@ class FreeMotions:
             ties: The ties.
         """
         self._spaces, self._parts = spaces, [parts(V) for V in spaces]
-        self._centre = mean(spaces[0].mesh.comm, [places(V) for V in spaces])
+        self.places = [places(V) for V in spaces]
+        """Where this rank's owned nodes of each body were first, ``(num_nodes, n)`` each."""
+        self._centre = mean(spaces[0].mesh.comm, self.places)
         self._sizes: list[npt.NDArray[np.float64] | None] = [None] * len(spaces)
-        modes = [self._modes(i, places(V)) for i, V in enumerate(spaces)]
+        modes = [self._modes(i, x) for i, x in enumerate(self.places)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         fields = fields_of(spaces)
@@ -81,7 +83,9 @@ class FreeMotions:
         Returns:
             This rank's owned rows, ``(num_dofs, num)``.
         """
-        x = places(self._spaces[i])
+        x = self.places[i]
+        if not self._combinations[i].any():  # it is held
+            return np.zeros((x.size, self.num))
         return self._modes(i, x + u.reshape(x.shape)) @ self._combinations[i]
 
     def _modes(self, i: int, x) -> npt.NDArray[np.float64]:

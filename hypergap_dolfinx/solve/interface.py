@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.gap.carried import Motion
-from hypergap_dolfinx.gap.compliance import Compliance
+from hypergap_dolfinx.gap.compliance import Compliance, Conductance
 from hypergap_dolfinx.gap.component import Component
 from hypergap_dolfinx.gap.constraint import Constraint
 from hypergap_dolfinx.gap.domain import GapDomain
@@ -84,12 +84,12 @@ class Interface(Protocol):
         """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
 
     @property
-    def law(self) -> Response | None:
+    def law(self) -> Response | Conductance | None:
         """What λ is of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
 
     @property
     def gives_way(self) -> Hashable:
-        """Equal for interfaces with the same compliance or law; None without."""
+        """Equal for interfaces with the same compliance, conductance or law; None without."""
 
     def offset(self) -> PETSc.Vec | None:
         """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""

@@ -46,7 +46,6 @@ class Opening:
         for obj in (M, MP):
             obj.destroy()
         self._w.set(0.0)
-        self._force, self._slope = self._law.at(self._rows())
         self.K: PETSc.Mat = self._tangent()
         """∂F/∂w'."""
 
@@ -55,13 +54,19 @@ class Opening:
         for obj in (self._P, self._w, self.K):
             obj.destroy()
 
+    @property
+    def linear(self) -> bool:
+        """Whether F is."""
+        return self._law.linear
+
     def _rows(self) -> npt.NDArray:
         """w, ``(num_multipliers, block_size)`` of this rank."""
         return self._w.array_r.reshape(-1, self._block_size)
 
     def _tangent(self) -> PETSc.Mat:
         """Pᵀ ∂F/∂w P, a new matrix. Collective."""
-        whole = self._law.tangent(self._slope)
+        _, slope = self._law.at(self._rows())
+        whole = self._law.tangent(slope)
         left = self._P.rows_of(whole)
         K = self._P.columns_of(left)
         for obj in (whole, left):
@@ -72,10 +77,9 @@ class Opening:
         """Take w' as it is now. Collective."""
         self._w.set(0.0)
         self._P.add(opening, self._w)
-        self._force, self._slope = self._law.at(self._rows())
 
     def update(self):
-        """The tangent for what was taken. Collective."""
+        """The tangent of the law as it is now, for what was taken. Collective."""
         now = self._tangent()
         self.K.zeroEntries()
         self.K.axpy(1.0, now, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -84,7 +88,7 @@ class Opening:
     def add_force(self, b: PETSc.Vec):
         """Add PᵀF(w) to a vector. Collective."""
         force = self._w.duplicate()
-        force.array[:] = self._force.ravel()
+        force.array[:] = self._law.at(self._rows())[0].ravel()
         self._P.add_transposed(force, b)
         force.destroy()
 

@@ -30,6 +30,11 @@ class RigidMotion:
     start: npt.NDArray[np.float64]
     end: npt.NDArray[np.float64]
 
+    @property
+    def turns(self) -> bool:
+        """Whether it turns at all."""
+        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > TURNS)
+
     def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """By how much points move, ``(num, n)`` each."""
         return (x - self.start) @ self.turn.T + self.end - x
@@ -45,21 +50,25 @@ def leading(
         x: This rank's points, ``(num, n)``.
         moves: How they move, ``(num, n)``.
     """
-    n, ends = x.shape[1], (x, x + moves)
+    n, ends = x.shape[1], np.stack((x, x + moves))
     num = comm.allreduce(len(x))
     if not num:
         return None
     if not comm.allreduce(bool(moves.any()), MPI.LOR):
         return RigidMotion(np.eye(n), np.zeros(n), np.zeros(n))
-    start, end = comm.allreduce(np.array([part.sum(axis=0) for part in ends])) / num
-    before, after = (part - middle for part, middle in zip(ends, (start, end), strict=True))
-    square, product = comm.allreduce(np.array((before.T @ before, after.T @ before)))
+    middles = ends.sum(axis=1)
+    comm.Allreduce(MPI.IN_PLACE, middles)
+    middles /= num
+    before, after = ends - middles[:, None]
+    products = np.array((before.T @ before, after.T @ before))
+    comm.Allreduce(MPI.IN_PLACE, products)
+    square, product = products
     extents = np.linalg.eigvalsh(square)
     if extents[1 - n] <= SPREAD * extents[-1]:
         return None
     left, _, right = np.linalg.svd(product)
     left[:, -1] *= np.linalg.det(left @ right)  # no reflection
-    return RigidMotion(left @ right, start, end)
+    return RigidMotion(left @ right, *middles)
 
 
 def turns_together(a: RigidMotion, b: RigidMotion) -> bool:

@@ -52,7 +52,7 @@ class Multigrid(IterativeSolver):
         if system.constraints.compliances:
             return "a tie has a compliance"
         if system.constraints.openings:
-            return "a tie has a law"
+            return "a tie has a law or a conductance"
         if any(map(is_mixed, system.spaces)):
             return "multigrid is for bodies with one field, and a space is mixed"
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}

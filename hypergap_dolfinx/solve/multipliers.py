@@ -26,7 +26,8 @@ Three rules lead there:
    mortar methods with cross points. (Where a compliance says what λ is between two sides that are
    prescribed, no dof has to answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
-   in space, as far as these rows don't follow from those of other such patches.
+   in space, as far as these rows don't follow from those of other such patches. Where those that
+   are left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
 """
 
 from collections import defaultdict
@@ -43,7 +44,7 @@ from hypergap_dolfinx.gap.multipliers import smooth_pieces
 from hypergap_dolfinx.graph import components
 from hypergap_dolfinx.solve.every import SAME_PLACE, Every, Pair, prescribed_dofs
 from hypergap_dolfinx.solve.interface import Interface
-from hypergap_dolfinx.solve.replacements import Replacement, pieces, replacements
+from hypergap_dolfinx.solve.replacements import Replacement, pieces, replacements, slopes
 
 COVERED = 0.3
 """Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
@@ -343,7 +344,7 @@ class _Assembly:
             at = column[others, component]
             num = len(others)
             self._entries.append((np.full(num, m), np.full(num, component), at, weights))
-        for piece in new:
+        for piece in new + slopes(every, self._drop, self._entries, self._prescribed):
             self._add_replacement(piece)
         return self._numbered()
 

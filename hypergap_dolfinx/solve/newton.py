@@ -94,7 +94,8 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
-        self._depends = [Dependence(form, a) for form, a in zip(J, self._a, strict=True)]
+        self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
+        self._slack = 0.0  # displacements that change no stiffness to speak of
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
@@ -114,8 +115,14 @@ class NonlinearSystem(TiedSystem):
             opening.take(part)
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Prescribed values are lifted: r is F at displacements that hold them, to first order."""
         self._assign(x)
+        self._evaluate(x, r)
+
+    def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
+        """The residual where the bodies are, as x says.
+
+        Prescribed values are lifted: r is F at displacements that hold them, to first order.
+        """
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
         num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
         multipliers = x_parts[len(x_parts) - num_ties :]
@@ -177,7 +184,7 @@ class NonlinearSystem(TiedSystem):
 
     def _assemble(self, i: int) -> bool:
         K = self._K[i]
-        changed = self._depends[i].changed() or K.stateGet() != self._known[i]
+        changed = self._depends[i].changed(self._slack) or K.stateGet() != self._known[i]
         changed = K.comm.tompi4py().allreduce(changed, MPI.LOR)
         if changed:
             super()._assemble(i)

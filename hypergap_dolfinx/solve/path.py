@@ -32,19 +32,24 @@ class LoadPath:
             u: What is solved for.
             bcs: Boundary conditions.
             moved: Displacements that the user prescribes as a whole.
-            arrays: Others, of the ties' jumps.
+            arrays: Others, of ties and contacts.
         """
-        self._arrays: list[npt.NDArray] = [*(f.x.array for f in moved), *arrays]
+        of_forms: list[npt.NDArray] = []
         for form in F:
-            self._arrays += [c.value for c in form.constants() if isinstance(c, fem.Constant)]
-            self._arrays += [
+            of_forms += [c.value for c in form.constants() if isinstance(c, fem.Constant)]
+            of_forms += [
                 f.x.array
                 for f in form.coefficients()
                 if isinstance(f, fem.Function) and all(f is not solved for solved in u)
             ]
-        for bc in bcs:
-            g = bc.g
-            self._arrays.append(g.x.array if hasattr(g, "x") else g.value)
+        held = [bc.g.x.array if hasattr(bc.g, "x") else bc.g.value for bc in bcs]
+        kinds = {
+            "a prescribed displacement": [*(f.x.array for f in moved), *held],
+            "a load or another value in a form": of_forms,
+            "a friction, a compliance or another value of a contact or a tie": list(arrays),
+        }
+        self._arrays = [a for of_kind in kinds.values() for a in of_kind]
+        self._kinds = [kind for kind, of_kind in kinds.items() for _ in of_kind]
         self._start = [np.array(a) for a in self._arrays]
         self._end = self._start
 
@@ -77,6 +82,7 @@ class LoadPath:
         return not all(map(np.array_equal, self._start, self._end))
 
     @property
-    def is_finite(self) -> bool:
-        """Whether this rank's values at the end are numbers."""
-        return all(np.isfinite(a).all() for a in self._end)
+    def wrong(self) -> str | None:
+        """What kind of this rank's values at the end are no numbers."""
+        ends = zip(self._kinds, self._end, strict=True)
+        return next((kind for kind, a in ends if not np.isfinite(a).all()), None)

@@ -55,18 +55,6 @@ class Pattern:
         return np.bincount(at, entries.values, len(self.keys)).astype(float)  # of none: integers
 
 
-def around(on: npt.NDArray[np.bool_], facets: npt.NDArray) -> npt.NDArray[np.bool_]:
-    """A set of vertices and those beside them.
-
-    Args:
-        on: The set, ``(num_vertices,)``.
-        facets: Their vertices, ``(num_facets, num_corners)``.
-    """
-    result = on.copy()
-    result[facets[on[facets].any(axis=1)]] = True
-    return result
-
-
 def unique_pairs(a: npt.NDArray, node: npt.NDArray, num: int) -> tuple[npt.NDArray, npt.NDArray]:
     """Pairs of multipliers and nodes, sorted, once each; ``num`` is the number of nodes."""
     a, node = np.divmod(_sorted(a * num + node), num)

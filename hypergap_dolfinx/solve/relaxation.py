@@ -49,7 +49,7 @@ class Relaxation:
         """
         self._comm = comm
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
-        self._first = self._length = self._longest = self._residual = 0.0
+        self._first = self._length = self._longest = self._residual = self._square = 0.0
         self._turns = self._exact = self.acts = False
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
@@ -79,16 +79,17 @@ class Relaxation:
         """
         corrects, self._exact = not self._exact, exact
         last = moves if self._last is None else self._last
-        pairs = [(a, b) for a, b in zip(moves, last, strict=True)]
-        here = [(a @ b, a @ a, b @ b) for a, b in pairs]
-        product, square, before = self._comm.allreduce(np.sum(here, axis=0))
+        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        product, square = sums
         self._length = np.sqrt(square)
         self._first = self._first or self._length
         if self._length > (self._longest if self.acts else LONG * self._first) and exact:
             self._turns, self._length = True, self._first
             return False
-        least = max(SHRINKS * np.sqrt(before), NOISE * self._first)
-        turned = product < TURNS * np.sqrt(square * before) and self._length > least
+        least = max(SHRINKS * np.sqrt(self._square), NOISE * self._first)
+        turned = product < TURNS * np.sqrt(square * self._square)
+        turned &= self._length > least
         self._turns = turned and (self.acts or not corrects)
-        self._last = moves
+        self._last, self._square = moves, square
         return True

@@ -6,7 +6,8 @@
 """Multipliers for pieces of an interface that are left with too few of their own.
 
 Where all ends of a small piece are at cross points or prescribed, λ is constant, linear, … in space
-instead, as far as these rows don't follow from those of other such pieces.
+instead, as far as these rows don't follow from those of other such pieces. Where a piece is so
+narrow that its own lie on lines, it gets λ's slopes across them too.
 """
 
 from collections import defaultdict
@@ -211,3 +212,57 @@ def replacements(every: Every, label, held, drop, prescribed) -> list[Replacemen
             patch.complete = len(patch.taken) == rank
         drop[patch.numbers, patch.component] = True
     return patches
+
+
+def slopes(every: Every, drop, entries, prescribed) -> list[Replacement]:
+    """Multipliers that narrow pieces have beside their own, where these lie on lines. Collective.
+
+    Along the lines λ follows from what is left; it gets polynomials across them, of all of a tie
+    (which a patch test needs) and of each facet, as far as opposite dofs answer to them.
+
+    Args:
+        every: The multipliers.
+        drop: Which are dropped, ``(num_multipliers, block_size)``.
+        entries: Multiplier, component, column and value of each nonzero of E, in parts.
+        prescribed: Which owned dofs of each body are prescribed.
+    """
+    found = []
+    for component in range(drop.shape[1]):
+        for t, lists in enumerate(every.lists):
+            mine = slice(*every.starts[t : t + 2])
+            lacking = lists.lacking(drop[mine, component])
+            if not lacking:
+                continue
+            lacking = [(at + mine.start, values) for at, values in lacking]
+            narrow = np.unique(np.concatenate([at for at, _ in lacking]))
+            # E of what these follow
+            m, of, column, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
+            use = np.isin(column, column[np.isin(m, narrow) & (of == component)])
+            m, weights = m[use], weights[use]
+            numbers = np.union1d(m, narrow)
+            row = np.searchsorted(numbers, m)
+            own, at = np.unique(column[use], return_inverse=True)
+            E = np.zeros((len(numbers), len(own)))
+            E[row, at] = weights
+            stands = ~drop[m, component]  # for itself: where a column's value is λ
+            place = np.zeros(len(own), dtype=np.intp)
+            place[at[stands]] = row[stands]
+            values = []
+            for value, sine in _polynomials(every.x(numbers), lists.surface.element.degree):
+                rest = np.isin(numbers, narrow) * (value - E @ value[place])
+                if np.abs(rest).max() > NARROW:
+                    values.append((rest, sine))
+            for at, part in lacking:
+                value = np.zeros(len(numbers))
+                value[np.searchsorted(numbers, at)] = part / np.abs(part).max()
+                values.append((value, INDEPENDENT))
+            columns, free, B = _gathered(every, numbers, prescribed, component)
+            new = Replacement(component, numbers, columns, free, B, E.T, values, len(values))
+            rows = Rows()
+            for unit in new.units:
+                rows.add(columns, unit @ B * free, 0.0)
+            while new.values:
+                new.add(rows, *new.values.pop(0))
+            new.complete = True
+            found.append(new)
+    return found

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap.surface import Surface, is_outline, normals_by_area
+from hypergap_dolfinx.gap.surface import Surface, normals_by_area
 
 NEAR = 0.5
 """Distance of the ends of two sides, in facet lengths, up to which they are at one place."""
@@ -116,7 +116,7 @@ def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
 
 def _ends(surface: Surface) -> npt.NDArray[np.intp]:
     """Vertices at a surface's boundary: of one facet, in space of edges of one facet."""
-    start, outline = surface.polygons, is_outline(surface)
+    start, outline = surface.polygons, surface.is_outline
     if surface.gdim == 2:
         return np.unique(start[outline])
     return np.unique((start[outline], np.roll(start, -1, axis=1)[outline]))

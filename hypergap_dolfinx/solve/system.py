@@ -113,14 +113,19 @@ class TiedSystem(disposal.Owner):
         self._motions_known = True
 
     def _check_constants(self):
-        """Raise if a pressure is known up to a constant only. Once, after a solve; collective."""
+        """Raise if a constant isn't known. After a solve, once for a conductance; collective."""
         if self._constants_known:
             return
         if undetermined(self._system, self._solver, self._b):
-            raise SolveError(
-                "the matrix is singular: a pressure (or another scalar of a mixed space) is known "
-                "up to a constant only; hold it at a node."
-            )
+            why = []
+            if any(map(is_mixed, self._system.spaces)):
+                why.append(
+                    "a pressure (or another scalar of a mixed space) is known up to a constant "
+                    "only; hold it at a node"
+                )
+            if self._constraints.conducts:
+                why.append("a body is free that would be held by a conductance if that weren't 0")
+            raise SolveError(f"the matrix is singular: {', or '.join(why)}.")
         self._constants_known = True
 
     def _release(self) -> list:
@@ -144,6 +149,7 @@ class TiedSystem(disposal.Owner):
         ]
         for part in soft:
             part.update()
+        self._constants_known &= not self._constraints.conducts
         if any(changed) or soft:  # else factors can be kept
             self._A.assemble()
 

@@ -30,6 +30,15 @@ from hypergap_dolfinx.solve.pattern import Pattern
 RESIDUAL = 1e-8
 """Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
 or needs LU's pivots; what is below is for Newton's next step."""
+NEAR = 1e-4
+"""Change of a matrix, over its size, below which the factors that there are precondition it: two to
+five iterations take what a factorisation takes in the plane, and a tenth of it in space."""
+ITERATIONS = 8
+"""Iterations after which it is factorised even so."""
+REDUCED = 1e-10
+"""Residual that iterations leave, over the one that they start from."""
+ROOM = {"mat_mumps_icntl_14": 30}
+"""LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
 SPACE = {"mat_mumps_icntl_7": 5}
 """In space LDLᵀ is ordered by METIS, as LU is by MUMPS itself: a third less operations."""
 UNFIT = (
@@ -45,6 +54,8 @@ class Way:
     options: Options
     residual: float = saddle.RESIDUAL
     """Largest residual over the right-hand side."""
+    keeps: bool = False
+    """Whether factors are kept while the matrix hardly changes."""
 
 
 def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
@@ -57,12 +68,13 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
         symmetric: Whether the matrix may be symmetric.
     """
     defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
-    found = [Way(Options(prefix, given or {}, defaults, UNFIT))]
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
+    found = [Way(Options(prefix, given or {}, defaults, UNFIT), keeps=not named)]
     if symmetric and not named:
-        defaults = {**DirectStep.OPTIONS, **(PLANE if plane else SPACE), "pc_type": "cholesky"}
+        defaults = {**DirectStep.OPTIONS, **ROOM, **(PLANE if plane else SPACE)}
+        defaults["pc_type"] = "cholesky"
         options = Options(prefix, given or {}, defaults, UNFIT)
-        found.insert(0, Way(options, RESIDUAL))
+        found.insert(0, Way(options, RESIDUAL, keeps=True))
     return found
 
 
@@ -109,26 +121,78 @@ class _Kept:
     """Of this rank's rows, if they differ."""
     load_step: int
     """When it was made."""
+    vectors: tuple[PETSc.Vec, PETSc.Vec]
+    """Solution and right-hand side."""
     ksp: PETSc.KSP | None = None
-    _values: npt.NDArray | None = None
+    _values: list[npt.NDArray] | None = None
+    _factorised: list[npt.NDArray] | None = None
+    _iterating: PETSc.KSP | None = None
 
-    def fill(self, values: npt.NDArray):
+    def fill(self, values: list[npt.NDArray]):
         """Set this rank's entries; if they are what they were, factors hold. Collective."""
-        same = self._values is not None and np.array_equal(values, self._values)
+        same = self._values is not None and all(map(_is_same, values, self._values))
         if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
-            self.entries.set(values)
+            self.entries.set(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
             self._values = values
+
+    def factorised(self):
+        """There are factors of the matrix as it is now."""
+        self._factorised = self._values
+
+    def has_factors_near(self, values: list[npt.NDArray]) -> bool:
+        """Whether there are factors of nearly, but not quite, these entries. Collective."""
+        if self._factorised is None:
+            return False
+        sums = np.zeros(2)
+        for part, before in zip(values, self._factorised, strict=True):
+            change = 0.0 if part is before else np.linalg.norm(part - before)
+            sums += change**2, np.linalg.norm(before) ** 2
+        self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
+        return bool(0 < sums[0] <= NEAR**2 * sums[1])
+
+    def iterate(self, start: npt.NDArray) -> bool:
+        """Solve with factors of a matrix that is near, and say whether that worked. Collective.
+
+        Args:
+            start: This rank's part of what is near the solution.
+        """
+        assert self.ksp is not None
+        x, b = self.vectors
+        pc, r, dx = self.ksp.getPC(), b.duplicate(), x.duplicate()
+        if self._iterating is None:
+            self._iterating = PETSc.KSP().create(self.A.comm)
+            self._iterating.setType(PETSc.KSP.Type.GMRES)
+            self._iterating.setPC(pc)
+            self._iterating.setOperators(self.A)
+            self._iterating.setPCSide(PETSc.PC.Side.RIGHT)
+            self._iterating.setTolerances(rtol=REDUCED, max_it=ITERATIONS)
+        x.array[:] = start
+        self.A.mult(x, r)
+        r.aypx(-1.0, b)
+        pc.setReusePreconditioner(True)
+        self._iterating.solve(r, dx)
+        pc.setReusePreconditioner(False)
+        x.axpy(1.0, dx)
+        for obj in (r, dx):
+            obj.destroy()
+        return self._iterating.getConvergedReason() > 0
 
     def forget(self):
         """Nothing is known of the matrix. Collective."""
-        if self.ksp is not None:
-            self.ksp.destroy()
-        self.ksp = None
+        for ksp in (self.ksp, self._iterating):
+            if ksp is not None:
+                ksp.destroy()
+        self.ksp = self._iterating = self._factorised = None
 
     def destroy(self):
         """Collective."""
         self.forget()
-        self.A.destroy()
+        for obj in (*self.vectors, self.A):
+            obj.destroy()
+
+
+def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
+    return a is b or np.array_equal(a, b)
 
 
 class Tangent:
@@ -154,6 +218,7 @@ class Tangent:
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
         self._prefix, self._ways = prefix, list(ways)
         self._kept: _Kept | None = None
+        self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = 0
 
     def destroy(self):
@@ -167,12 +232,12 @@ class Tangent:
         self._load_step += 1
 
     def solve(
-        self, right: Sequence[PETSc.Vec], equations: Sequence[Linear], viscous: float
+        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
         """Solve with the values that the nested matrix has now.
 
         Args:
-            right: Right-hand side of bodies and ties.
+            right: This rank's right-hand side of bodies and ties.
             equations: Those of each contact.
             viscous: Share of the bodies' stiffness that is added.
 
@@ -205,13 +270,16 @@ class Tangent:
         return self.solve(right, equations, viscous)
 
     def _base(self, viscous: float) -> npt.NDArray:
-        """This rank's entries of the nested matrix."""
-        return np.concatenate(
-            [
-                block.getValuesCSR()[2] * (1 + viscous * (i == j < self._num_bodies))
-                for i, j, block in self._blocks()
-            ]
-        )
+        """This rank's entries of the nested matrix, the same array while they are the same."""
+        blocks = list(self._blocks())
+        state = [viscous, *(block.stateGet() for *_, block in blocks)]
+        if self._last_base is None or self._last_base[0] != state:
+            values = [block.getValuesCSR()[2] for *_, block in blocks]
+            if viscous:
+                for (i, j, _), part in zip(blocks, values, strict=True):
+                    part *= 1 + viscous * (i == j < self._num_bodies)
+            self._last_base = state, np.concatenate(values)
+        return self._last_base[1]
 
     def _values(
         self, equations: Sequence[Linear], num_base: int
@@ -231,23 +299,24 @@ class Tangent:
         kept = self._kept
         assert kept is not None
         ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
-        kept.fill(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
-        b, x = kept.A.createVecs()
-        own = [linear.right[rows.mine] for rows, linear in zip(self._rows, equations, strict=True)]
-        b.array[:] = np.concatenate([part.array_r for part in right] + own)
-        try:
+        near = way.keeps and kept.units is None and kept.has_factors_near(values)
+        kept.fill(values)
+        x, b = kept.vectors
+        pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
+        own = [linear.right[mine] for linear, mine in pairs]
+        b.array[:] = np.concatenate([*right, *own])
+        start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
+        if not (near and kept.iterate(np.concatenate(start))):
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
             message = saddle.failure(ksp, units=kept.units, bound=way.residual)
             if message:
                 raise SolveError(message)
-            if not np.isfinite(x.norm()):
-                raise SolveError("the linear solve gave no numbers.")
-            ends = np.cumsum([part.getLocalSize() for part in right] + [len(part) for part in own])
-            found = np.split(x.array_r.copy(), ends[:-1])
-        finally:
-            for obj in (b, x):
-                obj.destroy()
+            kept.factorised()
+        if not np.isfinite(x.norm()):
+            raise SolveError("the linear solve gave no numbers.")
+        ends = np.cumsum([len(part) for part in start])
+        found = np.split(x.array_r.copy(), ends[:-1])
         contacts = found[len(right) :]
         return found[: len(right)], [
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
@@ -302,7 +371,7 @@ class Tangent:
             units = np.ones(size)
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
-        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step)
+        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs())
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
         """A KSP for a matrix."""

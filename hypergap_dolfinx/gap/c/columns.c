@@ -6,31 +6,6 @@
 
 // Second derivatives of what columns hold by the dofs of both their facets.
 
-// The vectors of q, as gap/heights.py has them.
-enum { R, Z1, Z2, T1, T2, C1, C2, VECTORS };
-#define SIZE (3 * VECTORS)
-
-static void cross(const double *a, const double *b, double *c)
-{
-  for (int i = 0; i < 3; ++i)
-  {
-    int j = (i + 1) % 3, k = (i + 2) % 3;
-    c[i] = a[j] * b[k] - a[k] * b[j];
-  }
-}
-
-// Where q_u × q_v is multiplied with w: derivatives by both.
-static void add_normal(const double *q, int u, int v, const double *w, double *by)
-{
-  double c[3];
-  cross(q + 3 * v, w, c);
-  for (int i = 0; i < 3; ++i)
-    by[3 * u + i] += c[i];
-  cross(w, q + 3 * u, c);
-  for (int i = 0; i < 3; ++i)
-    by[3 * v + i] += c[i];
-}
-
 // A_uv += factor [a]×, with [a]× b = a × b.
 static void add_cross(double A[SIZE][SIZE], int u, int v, double factor, const double *a)
 {
@@ -66,14 +41,12 @@ static void add_product(double A[SIZE][SIZE], const double *a, const double *b)
 // bends   second derivatives of Γ0, (3, 3); NULL where it is flat
 static void half_hessian(const double *q, const double *bends, double A[SIZE][SIZE])
 {
-  double n0[3], n1[3], m[3], w[3], left[SIZE] = {0}, right[SIZE] = {0}, by_b[SIZE] = {0};
+  double w[3], left[SIZE] = {0}, right[SIZE] = {0}, by_b[SIZE] = {0};
+  Normals n = normals_of(q);
+  double h = n.h, slope = n.slope;
   memset(A, 0, SIZE * sizeof(A[0]));
-  cross(q + 3 * Z1, q + 3 * Z2, n0);
-  cross(q + 3 * T1, q + 3 * T2, n1);
-  cross(q + 3 * C1, q + 3 * C2, m);
-  double b = dot(n0, m), h = dot(n0, q + 3 * R) / b, slope = dot(n1, m) / b;
   for (int i = 0; i < 3; ++i)
-    w[i] = n1[i] - slope * n0[i];
+    w[i] = n.n1[i] - slope * n.n0[i];
   // Of N₀ · r, times the rest; then of N₁ · M and of N₀ · M
   add_cross(A, R, Z1, -slope, q + 3 * Z2);
   add_cross(A, R, Z2, slope, q + 3 * Z1);
@@ -83,89 +56,94 @@ static void half_hessian(const double *q, const double *bends, double A[SIZE][SI
   {
     int u = k ? Z1 : T1, v = k ? Z2 : T2;
     double factor = k ? -h * slope : h;
-    add_cross(A, u, v, -factor, m);
+    add_cross(A, u, v, -factor, n.m);
     add_cross_twice(A, u, C1, -factor, q + 3 * v, q + 3 * C2);
     add_cross_twice(A, u, C2, factor, q + 3 * v, q + 3 * C1);
     add_cross_twice(A, v, C1, factor, q + 3 * u, q + 3 * C2);
     add_cross_twice(A, v, C2, -factor, q + 3 * u, q + 3 * C1);
   }
   // First derivatives of two factors: half of what both orders have
-  add_normal(q, Z1, Z2, m, by_b);
-  add_normal(q, C1, C2, n0, by_b);
+  add_normal(q, Z1, Z2, n.m, by_b);
+  add_normal(q, C1, C2, n.n0, by_b);
   for (int i = 0; i < 3; ++i)
-    left[3 * R + i] = n0[i];
+    left[3 * R + i] = n.n0[i];
   add_normal(q, Z1, Z2, q + 3 * R, left);
-  add_normal(q, T1, T2, m, right);
-  add_normal(q, C1, C2, n1, right);
+  add_normal(q, T1, T2, n.m, right);
+  add_normal(q, C1, C2, n.n1, right);
   for (int i = 0; i < SIZE; ++i)
   {
     left[i] -= h * by_b[i];
-    right[i] = (right[i] - slope * by_b[i]) / b;
+    right[i] = (right[i] - slope * by_b[i]) / n.b;
   }
   add_product(A, left, right);
   if (!bends)
     return;
-  // How the ray's end moves on Γ0
-  double moves[2][SIZE] = {{0}};
-  for (int k = 0; k < 2; ++k)
-  {
-    cross(k ? m : q + 3 * Z2, k ? q + 3 * Z1 : m, w);
-    for (int i = 0; i < 3; ++i)
-    {
-      moves[k][3 * R + i] = -w[i] / b;
-      w[i] *= h / b;
-    }
-    add_normal(q, C1, C2, w, moves[k]);
-  }
-  double curve[3];
+  double feet[2][SIZE], curve[3];
+  find_feet(q, &n, feet);
   for (int k = 0; k < 3; ++k)
-    curve[k] = slope * dot(n0, bends + 3 * k);
+    curve[k] = slope * dot(n.n0, bends + 3 * k);
   for (int i = 0; i < SIZE; ++i)
   {
-    left[i] = 0.5 * curve[0] * moves[0][i] + curve[1] * moves[1][i];
-    right[i] = 0.5 * curve[2] * moves[1][i];
+    left[i] = 0.5 * curve[0] * feet[0][i] + curve[1] * feet[1][i];
+    right[i] = 0.5 * curve[2] * feet[1][i];
   }
-  add_product(A, moves[0], left);
-  add_product(A, moves[1], right);
+  add_product(A, feet[0], left);
+  add_product(A, feet[1], right);
 }
 
-// Add second derivatives at points to blocks: to those of dofs a and b ≤ a, of which the others are
+// Matrices by two vectors of q, (3, 3), and one that is 0: pairs of numbers are added at once.
+#define PADDED 10
+typedef double Matrix[VECTORS][VECTORS][PADDED];
+
+static inline void add_scaled(double factor, const double *restrict a, double *restrict to)
+{
+  for (int c = 0; c < PADDED; ++c)
+    to[c] += factor * a[c];
+}
+
+// Add Tᵀ A T to a block, with T as hang_on has it; those of dofs a and b ≤ a alone where it is
+// symmetric.
+static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], const Matrix A,
+                       int symmetric, double *block)
+{
+  int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
+  for (int a = 0; a < n; ++a)
+  {
+    int side = a >= num0, end = symmetric ? a + 1 : n;
+    double row[VECTORS][PADDED] = {{0}};
+    for (int k = 0; k < num_vectors[side]; ++k)
+      for (int v = 0; v < (end > num0 ? VECTORS : Z2 + 1); ++v) // Γ0's vectors come first
+        add_scaled(T[a][k], A[vectors[side][k]][v], row[v]);
+    for (int b = 0; b < end; ++b)
+    {
+      double part[PADDED] = {0};
+      for (int k = 0; k < num_vectors[b >= num0]; ++k)
+        add_scaled(T[b][k], row[vectors[b >= num0][k]], part);
+      for (int c = 0; c < 9; ++c)
+        block[9 * (n * a + b) + c] += part[c];
+    }
+  }
+}
+
+// Add second derivatives of heights to blocks: to those of dofs a and b ≤ a, of which the others are
 // the transposes.
 //
-// n        dofs of both facets
-// block    number of each point's block, (num)
+// block    number of each ray's block, (num)
 // factor   what each is multiplied with, (num)
-// q        (num, VECTORS, 3)
-// bends    (num, 3, 3) or NULL
-// T        ∂q/∂u, (num, VECTORS, n)
 // blocks   (num_blocks, n, n, 3, 3)
-void column_curvatures(int num, int n, const int *block, const double *factor, const double *q,
-                       const double *bends, const double *T, double *blocks)
+void column_curvatures(const Rays *rays, const int *block, const double *factor, double *blocks)
 {
-  double A[SIZE][SIZE], row[3][SIZE];
-  for (int p = 0; p < num; ++p, q += SIZE, T += VECTORS * n)
+  int n = rays->num_dofs[0] + rays->num_dofs[1];
+  double half[SIZE][SIZE], T[n][MOST_VECTORS];
+  Matrix A = {{{0}}};
+  for (int p = 0; p < rays->num; ++p)
   {
-    double *H = blocks + (size_t)9 * n * n * block[p];
-    half_hessian(q, bends ? bends + 9 * p : NULL, A);
+    half_hessian(rays->q + SIZE * p, rays->bends ? rays->bends + 9 * p : NULL, half);
     for (int i = 0; i < SIZE; ++i)
-      for (int j = 0; j <= i; ++j)
-        A[i][j] = A[j][i] = factor[p] * (A[i][j] + A[j][i]);
-    for (int a = 0; a < n; ++a)
-    {
-      memset(row, 0, sizeof row);
-      for (int u = 0; u < VECTORS; ++u)
-        for (int i = 0; T[n * u + a] != 0 && i < 3; ++i)
-          for (int k = 0; k < SIZE; ++k)
-            row[i][k] += T[n * u + a] * A[3 * u + i][k];
-      for (int b = 0; b <= a; ++b)
-      {
-        double *part = H + 9 * (n * a + b);
-        for (int u = 0; u < VECTORS; ++u)
-          for (int i = 0; T[n * u + b] != 0 && i < 3; ++i)
-            for (int j = 0; j < 3; ++j)
-              part[3 * i + j] += T[n * u + b] * row[i][3 * u + j];
-      }
-    }
+      for (int j = 0; j < SIZE; ++j)
+        A[i / 3][j / 3][3 * (i % 3) + j % 3] = factor[p] * (half[i][j] + half[j][i]);
+    hang_on(rays, p, T);
+    add_matrix(rays, T, A, 1, blocks + (size_t)9 * n * n * block[p]);
   }
 }
 
@@ -184,4 +162,14 @@ void add_products(int num, int n, const int *block, const double *a, const doubl
       for (int j = 0; j < 3 * (i / 3 + 1); ++j)
         H[9 * (n * (i / 3) + j / 3) + 3 * (i % 3) + j % 3] += a[i] * b[j] + b[i] * a[j];
   }
+}
+
+// Make the other blocks of those of dofs a and b ≤ a.
+void complete(int num, int n, double *blocks)
+{
+  for (int p = 0; p < num; ++p, blocks += (size_t)9 * n * n)
+    for (int a = 0; a < n; ++a)
+      for (int b = 0; b < a; ++b)
+        for (int i = 0; i < 9; ++i)
+          blocks[9 * (n * b + a) + 3 * (i % 3) + i / 3] = blocks[9 * (n * a + b) + i];
 }

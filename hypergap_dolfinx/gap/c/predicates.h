@@ -46,6 +46,15 @@ static inline double dot(const double *a, const double *b)
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+static inline void cross(const double *a, const double *b, double *c)
+{
+  for (int i = 0; i < 3; ++i)
+  {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    c[i] = a[j] * b[k] - a[k] * b[j];
+  }
+}
+
 // a · (b × c)
 static inline double triple(const double *a, const double *b, const double *c)
 {

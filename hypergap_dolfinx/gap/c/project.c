@@ -87,26 +87,16 @@ static void on_facet(const Curves *c, int f, const double *X, double *x, double 
   double at[2], slopes[2][2], by[2][3] = {{0}};
   in_facet(c, f, X, at, slopes);
   x[0] = x[1] = x[2] = 0;
+  double table[3][c->num_terms];
+  monomials(c->num_terms, c->powers, at, 3, table[0]);
   for (int n = 0; n < c->num_terms; ++n)
   {
     const double *factor = c->nodes + 3 * ((c->num_terms + 1) * f + n + 1);
-    int a = c->powers[2 * n], b = c->powers[2 * n + 1];
-    double pa = 1, pb = 1, da = 0, db = 0;
-    for (int k = 0; k < a; ++k)
-    {
-      da = (k + 1) * pa;
-      pa *= at[0];
-    }
-    for (int k = 0; k < b; ++k)
-    {
-      db = (k + 1) * pb;
-      pb *= at[1];
-    }
     for (int i = 0; i < 3; ++i)
     {
-      x[i] += pa * pb * factor[i];
-      by[0][i] += da * pb * factor[i];
-      by[1][i] += pa * db * factor[i];
+      x[i] += table[0][n] * factor[i];
+      by[0][i] += table[1][n] * factor[i];
+      by[1][i] += table[2][n] * factor[i];
     }
   }
   for (int j = 0; j < 2; ++j)

@@ -1,0 +1,31 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What Lagrange elements of facets interpolate with, as C takes it (``c/monomials.c``)."""
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+
+
+def terms(
+    element: basix.finite_element.FiniteElement, origin=(0.0, 0.0)
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """The terms of an element's polynomials, and the factors that each node's function has of them.
+
+    Args:
+        element: On a triangle or a quadrilateral.
+        origin: Where coordinates are counted from, of which terms are powers.
+
+    Returns:
+        Powers of both coordinates, ``(num_terms, 2)``, and ``(num_terms, num_nodes)``.
+    """
+    degree = element.degree
+    powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1)])
+    if element.cell_type == basix.CellType.triangle:
+        powers = powers[powers.sum(axis=1) <= degree]
+    values = ((element.points - origin)[:, None] ** powers).prod(axis=2)  # (node, term)
+    return powers, np.linalg.inv(values)
