@@ -218,12 +218,12 @@ if comm.rank == 0:
 # ## Fibres
 #
 # of boron in aluminium, 47 % of the volume, in a square array (moduli in GPa). The shear modulus
-# across the fibres converges to 45.8243 (matching faces: 45.82433 with `--size 0.01 --degree 2` and
+# across the fibres converges to 45.82433 (matching faces: so with `--size 0.01 --degree 2` and
 # with `--size 0.02 --degree 3`). The cell's left and lower faces have a third less cells than those
 # opposite, and are Γ1; the fibre is a body of its own.
 
 BORON, ALUMINIUM = (379.3, 0.1), (68.3, 0.3)
-SHEAR = 45.8243
+SHEAR = 45.82433
 
 
 def fibres(h, degree, matching):

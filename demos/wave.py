@@ -11,10 +11,11 @@
 # the line is no boundary to it, so whatever comes back from there is the method's error.
 #
 # This demo shows the error beside that of one fused mesh, whose cells are as wide as those on the
-# left and then on the right, and as high as their mean; and how much of the wave is reflected. It is
-# the meshes that differ: on the left of the tie the error is that of the fused mesh with as many rows
-# as the left one has, to 0.1 %, and the whole error is .97 to .99 of that mesh's (with 20 cells
-# a wavelength on the right .92 to .93, and 1.10 to 1.17 of the one with the mean, which is finer).
+# left and then on the right, and as high as their mean; and how much of the wave is reflected.
+# Where the two differ it is by their cells: on the left of the tie the error is that of the fused
+# mesh with as many rows as the left one has, to 0.1 %, and the whole error is .97 to .99 of that
+# mesh's. With 20 cells a wavelength on the right it is .92 to .93 of it, and 1.10 to 1.17 of the
+# mean's, which is finer on the left.
 
 # +
 import argparse

@@ -5,6 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """The weighted gap: its value, derivatives against finite differences, balance; active sets."""
 
+from functools import partial
+
 from mpi4py import MPI
 
 import numpy as np
@@ -245,13 +247,24 @@ def test_as_near():
     force = np.where(before, depth - (b**3 - a**3) / (3 * b) / np.maximum(depth, 1e-3), 0)
     scatter = np.random.default_rng(0).permutation(len(r)) % 7 == 0
     now = before & (force > 0) & ~scatter
-    result = active.as_near(before, now, r**2, force, 1e-9)
+    as_near = partial(active.as_near, plane=False)
+    result = as_near(before, now, r**2, force, 1e-9)
     assert (result == before & (r <= r[result].max())).all()  # whole again
     assert abs(r[result].max() / a - 1) <= 0.05
-    assert active.as_near(before, now, 1e-12 * r**2, force, 1e-9) is now  # all as near
-    assert active.as_near(before, now, r**2, np.maximum(force, 0), 1e-9) is now
-    assert active.as_near(before, now, r**2, -before.astype(float), 1e-9) is now
-    assert active.as_near(before, now, np.full(len(r), np.inf), force, 1e-9) is now
+    assert as_near(before, now, 1e-12 * r**2, force, 1e-9) is now  # all as near
+    assert as_near(before, now, r**2, np.maximum(force, 0), 1e-9) is now
+    assert as_near(before, now, r**2, -before.astype(float), 1e-9) is now
+    assert as_near(before, now, np.full(len(r), np.inf), force, 1e-9) is now
+
+
+def test_as_near_in_the_plane():
+    """The same of a cylinder, exact but for the mesh."""
+    x, a, b = np.linspace(-2, 2, 401), 0.61, 1.71
+    before = np.abs(x) < b
+    force = np.where(before, a**2 + b**2 - 2 * x**2, 0) / np.sqrt(np.maximum(b**2 - x**2, 1e-3))
+    result = active.as_near(before, force > 0, x**2, force, 1e-9, plane=True)
+    assert (result == (np.abs(x) < a)).sum() >= len(x) - 4
+    assert active.as_near(before, before, x**2, np.abs(force), 1e-9, plane=True) is before
 
 
 def test_without_pull():

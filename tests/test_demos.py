@@ -311,6 +311,9 @@ DEMOS = {
     "periodic_cell_3d_quadratic": Demo(
         "--dim 3 --degree 2", below={"rows.*.error": 2e-12}, slow=True, script="periodic_cell"
     ),
+    "periodic_cell_3d_cubic": Demo(
+        "--dim 3 --degree 3", below={"rows.*.error": 2e-12}, slow=True, script="periodic_cell"
+    ),
     "thermal_resistance": Demo(
         "--levels 2",
         {"rows.0.error": 1.691e-5, "rows.4.error": 2.00e-6, "rows.6.error": 1.508e-6},

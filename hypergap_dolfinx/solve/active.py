@@ -92,13 +92,13 @@ def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]
     return result
 
 
-def as_near(before, now, distance, force, none: float) -> npt.NDArray[np.bool_]:
+def as_near(before, now, distance, force, none: float, *, plane: bool) -> npt.NDArray[np.bool_]:
     """As :func:`without_pull`, where bodies come into contact: what was nearest stays.
 
     A set that is much too large pulls at its edge, and scatters all over. Ordered by how far apart
     things were, what pulls and what balances it are the outer ones; from a level on the rest has
     the whole force. Of two spheres that level is at r² = a³/b, a the radius that is looked for, b
-    the set's; hence :data:`REST`.
+    the set's; hence :data:`REST`. Of two cylinders pressures change their sign at 2x² = a² + b².
 
     Args:
         before: The last set, ``(num,)``.
@@ -107,6 +107,7 @@ def as_near(before, now, distance, force, none: float) -> npt.NDArray[np.bool_]:
             none.
         force: Pressures times areas, ``(num,)``.
         none: Difference of distances that is none.
+        plane: Whether bodies are in the plane.
 
     Returns:
         ``(num,)``.
@@ -114,12 +115,19 @@ def as_near(before, now, distance, force, none: float) -> npt.NDArray[np.bool_]:
     known = np.isfinite(distance)
     order = np.flatnonzero(before & known)
     order = order[np.argsort(-distance[order], kind="stable")]
-    balanced = np.flatnonzero(np.cumsum(force[order]) >= 0)
+    outer = np.cumsum(force[order])
+    balanced = np.flatnonzero(outer >= 0)
     if not len(balanced) or balanced[0] == 0:
         return now
     nearest = distance[known].min()
     last, rest = distance[order[[0, balanced[0]]]] - nearest
-    near = known & (distance - nearest <= rest**REST * last ** (1 - REST) + none)
+    level = rest**REST * last ** (1 - REST)
+    if plane:
+        k = outer.argmin()  # the innermost that pulls
+        pulls, pushes = force[order[[k, k + 1]]]
+        far, near = distance[order[[k, k + 1]]] - nearest
+        level = max(2 * (near * pulls - far * pushes) / (pulls - pushes) - last, rest)
+    near = known & (distance - nearest <= level + none)
     return before & near if (before & ~near).any() else now
 
 

@@ -277,15 +277,15 @@ class ContactSystem(NonlinearSystem):
             facets = rows.sides[1].reference.facets
             last = last[: len(rows.g)].astype(bool)
             force = rows.now.p * rows.m
-            if facets.shape[1] == 2:
-                rows.now.on = active.without_pull(last, rows.now.on, facets, force)
-                continue
+            plane = facets.shape[1] == 2
             if rows.apart is not None:
-                near = active.as_near(last, rows.now.on, rows.apart, force, rows.closed)
+                given = rows.apart, force, rows.closed
+                near = active.as_near(last, rows.now.on, *given, plane=plane)
                 if not np.array_equal(near, rows.now.on):
                     rows.now.on = near
                     continue
-            rows.now.on = active.without_pull_on_surface(last, rows.now.on, facets, force)
+            pulled = active.without_pull if plane else active.without_pull_on_surface
+            rows.now.on = pulled(last, rows.now.on, facets, force)
         for rows in self._rows:
             if isinstance(rows, FrictionRows):
                 rows.choose(stiffness, none, anew=not before)

@@ -121,7 +121,8 @@ class TiedSystem(disposal.Owner):
             if any(map(is_mixed, self._system.spaces)):
                 why.append(
                     "a pressure (or another scalar of a mixed space) is known up to a constant "
-                    "only; hold it at a node"
+                    "only; hold it at a node (or take more cells across, where there is one "
+                    "between prescribed walls)"
                 )
             if self._constraints.conducts:
                 why.append("a body is free that would be held by a conductance if that weren't 0")
