@@ -283,12 +283,16 @@ def test_seeded():
     x = np.linspace(-1, 1, 5)
     holds = np.column_stack((np.ones(5), x))
     distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
-    valid, none = np.ones(5, dtype=bool), np.zeros(5, dtype=bool)
-    on, free = active.seeded(none, distance, valid, holds, np.zeros(2))
+    valid, none, area = np.ones(5, dtype=bool), np.zeros(5, dtype=bool), np.ones(5)
+    on, free = active.seeded(none, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
-    on, free = active.seeded(np.arange(5) == 4, distance, valid, holds, np.zeros(2))
+    on, free = active.seeded(np.arange(5) == 4, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
-    on, free = active.seeded(none, distance, valid, np.column_stack((x, x**2)), np.array((-1, 0)))
+    on, free = active.seeded(
+        none, distance, area, valid, np.column_stack((x, x**2)), np.array((-1, 0))
+    )
     assert np.flatnonzero(on).tolist() == [0, 1] and free == 0  # those that don't pull
-    on, free = active.seeded(none, distance, np.arange(5) == 3, holds, np.zeros(2))
+    on, free = active.seeded(none, distance, area, np.arange(5) == 3, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [3] and free == 1
+    on, free = active.seeded(none, distance, area, valid, holds, np.array((1, 0.1)), first=True)
+    assert np.flatnonzero(on).tolist() == [2, 4] and free == 0  # on what it comes to rest

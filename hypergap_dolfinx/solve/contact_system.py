@@ -304,28 +304,27 @@ class ContactSystem(NonlinearSystem):
             if isinstance(rows, FrictionRows):
                 rows.choose(stiffness, none, anew=not before)
         if self._free.num:
-            self._hold()
+            self._hold(first=not before and not any(rows.now.p.any() for rows in self._rows))
         return [rows.sets for rows in self._rows]
 
-    def _hold(self):
-        """Enlarge the active sets until they hold what nothing else does. Collective."""
+    def _hold(self, *, first: bool):
+        """Enlarge active sets until they hold, ``first`` before anything pushes. Collective."""
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         moves = [self._free_moves(rows, modes) for rows in self._rows]
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
-        every, distance, valid = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for parts, name in (
-                ([rows.now for rows in self._rows], "on"),
-                (self._rows, "distance"),
-                (self._rows, "valid"),
-            )
+        every = np.concatenate([rows.now.on for rows in self._rows])
+        distance, area, valid = (
+            np.concatenate([getattr(rows, name) for rows in self._rows])
+            for name in ("distance", "m", "valid")
         )
         rubbing = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
         sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
         across = np.vstack([part.reshape(-1, self._free.num) for part in (holds[:0], *sticking)])
-        on, num_free = active.seeded(every, distance, valid, holds, self._load(modes), across)
+        on, num_free = active.seeded(
+            every, distance, area, valid, holds, self._load(modes), across, first=first
+        )
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(on, ends), strict=True):
             rows.now.on = part
