@@ -121,7 +121,7 @@ DEMOS = {
     ),
     "hertz": Demo(
         "--levels 1",
-        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 6},
+        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 4},
         {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
         pictures=("hertz",),
         needs=("matplotlib",),
