@@ -185,7 +185,7 @@ DEMOS = {
     "ironing_far": Demo(
         "--friction 0.5 --step 5 --steps 1 --back 1",
         {"rows.4.along_surfaces": 0.5},
-        {"rows.*.iterations": 7, "rows.*.halvings": 0},
+        {"rows.*.iterations": 9, "rows.*.halvings": 0},
         accuracy=1e-9,
         script="ironing",
     ),
