@@ -193,9 +193,7 @@ def interface(
         ValueError: A function on another mesh.
     """
     if not isinstance(tie, Tie) or f.function_space.mesh is not tie.sigma:
-        raise ValueError(
-            "interface draws functions on tie.sigma; field draws others, contact contacts."
-        )
+        raise ValueError("interface draws functions on tie.sigma; others: field, contact.")
     return _draw_gap_domains([tie], f, title, filename, distance, window)
 
 
