@@ -278,7 +278,7 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             now, c = rows.now, stiffness / rows.typical_area
             g = rows.clearance
-            if self._free.num and before:  # what holds a body leaves by its pull: p may be none
+            if before:  # what a step leaves of a closed gap is its curvature's: p alone tells
                 g = np.where(now.on, np.minimum(g, 0), g)
             on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
             now.on = np.where(rows.split, now.on, on)
