@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 from petsc4py import PETSc
 
+import numpy as np
+
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
@@ -158,6 +160,8 @@ class NonlinearTiedProblem(NonlinearSystem):
             failure = self._solver.failure()
         if failure:
             raise SolveError(failure)
+        if self._snes.getLinearSolveIterations() and np.isfinite(self._snes.getFunctionNorm()):
+            self._check_constants()  # what isn't held fails here
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
             f"Newton's iteration failed after {self._snes.getIterationNumber()} steps: SNES "
