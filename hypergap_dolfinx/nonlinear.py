@@ -113,8 +113,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._snes.setFromOptions()
 
     def _release(self) -> list:
-        snes = self.__dict__.pop("_snes", None)
-        return [*filter(None, [snes]), *super()._release()]
+        return [self.__dict__.pop("_snes", None), *super()._release()]
 
     def solve(self) -> list[fem.Function]:
         """Solve, from what u holds and the multipliers of the last solve. Collective.
