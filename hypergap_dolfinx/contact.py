@@ -272,7 +272,8 @@ class Contact:
         """
         if self._surfaces[0].gdim == 3:
             return Opening.between(self._comm, self._sides, u)
-        return PlaneOpening.between(self._sides, u, held)
+        shares = self._friction is None and self._compliance is None
+        return PlaneOpening.between(self._sides, u, held, shares=shares)
 
     @property
     def swapped(self) -> bool:

@@ -81,7 +81,7 @@ def dense(sparse, shape):
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
     g, _, C = opening.gap(u)
     size = 2 * sum(len(part) for part in u)
     shape = len(g), size
@@ -105,7 +105,7 @@ def test_derivatives(options):
 def test_balance(options, gap):
     """Forces and moments of any pressures, at any gap."""
     sides, u, rng = scene(gap, **options)
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
     g, m, C = opening.gap(u)
     assert (m >= 0).all() and m.sum() > 0.5
     p = rng.random(len(g))
@@ -283,12 +283,16 @@ def test_seeded():
     x = np.linspace(-1, 1, 5)
     holds = np.column_stack((np.ones(5), x))
     distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
-    valid, none = np.ones(5, dtype=bool), np.zeros(5, dtype=bool)
-    on, free = active.seeded(none, distance, valid, holds, np.zeros(2))
+    valid, none, area = np.ones(5, dtype=bool), np.zeros(5, dtype=bool), np.ones(5)
+    on, free = active.seeded(none, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
-    on, free = active.seeded(np.arange(5) == 4, distance, valid, holds, np.zeros(2))
+    on, free = active.seeded(np.arange(5) == 4, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
-    on, free = active.seeded(none, distance, valid, np.column_stack((x, x**2)), np.array((-1, 0)))
+    on, free = active.seeded(
+        none, distance, area, valid, np.column_stack((x, x**2)), np.array((-1, 0))
+    )
     assert np.flatnonzero(on).tolist() == [0, 1] and free == 0  # those that don't pull
-    on, free = active.seeded(none, distance, np.arange(5) == 3, holds, np.zeros(2))
+    on, free = active.seeded(none, distance, area, np.arange(5) == 3, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [3] and free == 1
+    on, free = active.seeded(none, distance, area, valid, holds, np.array((1, 0.1)), first=True)
+    assert np.flatnonzero(on).tolist() == [2, 4] and free == 0  # on what it comes to rest

@@ -121,7 +121,7 @@ DEMOS = {
     ),
     "hertz": Demo(
         "--levels 1",
-        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 6},
+        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 4},
         {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
         pictures=("hertz",),
         needs=("matplotlib",),
@@ -170,10 +170,24 @@ DEMOS = {
     ),
     "ironing": Demo(
         "--flat --steps 4",
-        {"rows.7.fy": -0.29285, "rows.7.halvings": 0},
+        {"rows.7.fy": -0.29492, "rows.7.halvings": 0},
         {"rows.*.energy_error": 1e-6},
         pictures=("ironing",),
         needs=("matplotlib",),
+    ),
+    "ironing_snaps": Demo(
+        "--flat --swap --friction 0.5 --steps 8",
+        {"rows.11.along_surfaces": 0.5},
+        {"rows.*.iterations": 10, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
+    ),
+    "ironing_far": Demo(
+        "--friction 0.5 --step 5 --steps 1 --back 1",
+        {"rows.4.along_surfaces": 0.5},
+        {"rows.*.iterations": 9, "rows.*.halvings": 0},
+        accuracy=1e-9,
+        script="ironing",
     ),
     "ironing_quadratic": Demo(
         "--flat --degree 2 --friction 0.2 --steps 8",
@@ -184,7 +198,7 @@ DEMOS = {
     ),
     "ironing_sticking": Demo(
         "--flat --degree 2 --friction 0.5 --steps 4",
-        below={"rows.*.halvings": 0, "rows.*.iterations": 14},
+        below={"rows.*.halvings": 0, "rows.*.iterations": 10},
         slow=True,
         script="ironing",
     ),

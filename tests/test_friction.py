@@ -20,6 +20,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.gap import slip_columns
 from hypergap_dolfinx.gap.opening import Opening
 from hypergap_dolfinx.gap.plane import PlaneOpening
+from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.relaxation import Relaxation
 
 comm = MPI.COMM_WORLD
@@ -210,30 +211,60 @@ def test_lent_directions():
 
 
 def test_relaxation():
-    """Where an equilibrium ends at a kink Newton's steps go to and fro, viscous ones flow on."""
+    """Where an equilibrium ends at a kink Newton's steps go to and fro, others flow on.
+
+    One step back, if the tangent's work tells of it, or viscous ones.
+    """
 
     def force(x):
         return (x - 0.05, 1.0) if x < 0 else (-0.05 - 0.5 * x, -0.5) if x < 1 else (x - 1.55, 1.0)
 
-    for use in (False, True):
+    needed = {}
+    for use in ("none", "viscous", "back"):
         x, relaxation, found = -0.1, Relaxation(MPI.COMM_SELF), []
         for _ in range(30):
             F, slope = force(x)
-            if use:
+            if use != "none":
                 relaxation.look(abs(F))
             dx = F / (slope + relaxation.share)
-            if relaxation.takes([np.array([dx])], exact=True):
-                x -= dx
+            work = slope * dx**2 if use == "back" else 1.0
+            x -= relaxation.takes([np.array([dx])], work, exact=True) * dx
             found.append(x)
-        assert (abs(found[-1] - 1.55) <= 1e-12) == use
-        assert relaxation.share == 0 or not use
+        near = np.abs(np.array(found) - 1.55) <= 1e-12
+        assert near[-1] == (use != "none")
+        assert relaxation.share == 0 or use == "none"
+        needed[use] = near.argmax()
+    assert needed["back"] < needed["viscous"]
     for before in (True, False):  # what puts an inexact step right is no turn
         relaxation = Relaxation(MPI.COMM_SELF)
         for move, exact in ((1.0, before), (-0.9, True)):
             relaxation.look(1.0)
-            assert relaxation.takes([np.array([move])], exact=exact)
+            assert relaxation.takes([np.array([move])], 1.0, exact=exact)
         relaxation.look(1.0)
         assert relaxation.acts == before
+
+
+def test_shortened_steps():
+    """A step that leads to where residuals are much larger, or none, is shortened, not for ever."""
+    for residual, exact, times in ((2.9, True, 0), (3.1, True, 4), (3.1, False, 0), (np.nan, 0, 4)):
+        relaxation = Relaxation(MPI.COMM_SELF)
+        relaxation.look(9.0)
+        assert relaxation.takes([np.ones(1)], 1.0, exact=True) == 1
+        relaxation.look(1.0)
+        assert relaxation.takes([np.ones(1)], 1.0, exact=bool(exact)) == 1
+        assert [relaxation.shortens(residual) for _ in range(5)] == [k < times for k in range(5)]
+
+
+def test_what_comes():
+    """What comes beside vertices that are all in contact begins as one of them is, others not."""
+    facets = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]])
+    come, on = (np.isin(np.arange(6), which) for which in ([0, 3, 5], [1, 2]))
+    lasting = ~come
+    np.testing.assert_array_equal(
+        active.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
+    )
+    split = active.beside(np.arange(6) == 0, lasting, facets)
+    np.testing.assert_array_equal(np.flatnonzero(split), [0, 1])
 
 
 def test_slides_off():

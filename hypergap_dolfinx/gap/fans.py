@@ -50,10 +50,12 @@ class Gaps:
     """Likewise."""
     x: npt.NDArray[np.float64]
     """Both ends of cells' bases and their apexes, ``(num_cells, 3, 2)``."""
+    sizes: npt.NDArray[np.float64]
+    """Sums of areas, of vertices, ``(num_vertices1,)``."""
     g: npt.NDArray[np.float64]
-    """Sums of volumes, ``(num_vertices1,)``."""
+    """L of sums of volumes, likewise."""
     m: npt.NDArray[np.float64]
-    """Sums of areas, likewise."""
+    """L of the sizes."""
     C: Sparse
     """∂g/∂u, by both sides' dofs, Γ1's behind all of Γ0's."""
 
@@ -62,10 +64,11 @@ def find_gaps(fans: Fans) -> Gaps:
     """Weighted gaps where the sides are."""
     num, num_vertices = len(fans.cells), fans.sigma.sides[1].num_vertices
     volumes, areas = np.empty((2, num))
-    x, (g, m) = np.empty((num, 3, 2)), np.empty((2, num_vertices))
-    pointers = [as_doubles(array) for array in (volumes, areas, x, g, m)]
+    x, (g, sizes) = np.empty((num, 3, 2)), np.empty((2, num_vertices))
+    pointers = [as_doubles(array) for array in (volumes, areas, x, g, sizes)]
     C = _entries(fans, False, lambda C: library().lib.find_gaps(fans.sigma, *pointers, C))
-    return Gaps(volumes, areas, x, g, m, C)
+    limited = fans.limited(g), fans.limited(sizes), fans.limited_rows(C)
+    return Gaps(volumes, areas, x, sizes, *limited)
 
 
 def gap_curvature(fans: Fans, p: npt.NDArray[np.float64]) -> Sparse:
@@ -75,7 +78,7 @@ def gap_curvature(fans: Fans, p: npt.NDArray[np.float64]) -> Sparse:
         fans: Where the sides are.
         p: ``(num_vertices1,)``.
     """
-    given = fans.sigma, as_doubles(p)
+    given = fans.sigma, as_doubles(fans.pressures(p))
 
     def add(H):
         slopes = np.zeros(fans.sigma.num_crossings)

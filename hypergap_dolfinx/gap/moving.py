@@ -110,3 +110,10 @@ class Sparse:
         found = cls(*(np.array(part) for part in triplets(matrix)))
         matrix.destroy()
         return found
+
+
+def joined(*parts: Sparse) -> Sparse:
+    """The sum of sparse matrices."""
+    return Sparse(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
+    )

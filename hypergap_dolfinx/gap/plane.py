@@ -62,11 +62,18 @@ class PlaneOpening:
     sides: Sides
     held: Sequence[npt.NDArray[np.bool_]]
     """Which dofs of both sides are prescribed, ``(num_dofs_i, 2)`` each."""
+    shares: bool = False
+    """Whether vertices of Γ1 beyond an end of Γ0 have a share."""
     _last: _State | None = field(default=None, repr=False)
 
     @classmethod
     def between(
-        cls, sides: Sides, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]
+        cls,
+        sides: Sides,
+        u: Displacements,
+        held: Sequence[npt.NDArray[np.bool_]],
+        *,
+        shares: bool = False,
     ) -> "PlaneOpening":
         """Σ where the bodies are.
 
@@ -74,11 +81,13 @@ class PlaneOpening:
             sides: Γ0 and Γ1.
             u: Their displacements.
             held: Which of them are prescribed.
+            shares: Whether vertices of Γ1 beyond an end of Γ0 have a share: they mustn't where
+                laws ask for the pressures themselves, as friction and what gives way do.
 
         Raises:
             InterfaceError: They don't face each other.
         """
-        opening = cls(sides, held)
+        opening = cls(sides, held, shares)
         opening._at(u)
         return opening
 
@@ -129,7 +138,8 @@ class PlaneOpening:
         if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
             surfaces = displaced(self.sides, u)
             walls = [wall.ends for wall in self._walls if wall.is_between(surfaces)]
-            found = rays.cast(self._in_c, surfaces, last.found if last else None, walls)
+            before = last.found if last else None
+            found = rays.cast(self._in_c, surfaces, before, walls, shares=self.shares)
             if not len(found.cells):
                 mesh_strip(*surfaces)  # says why
                 raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
@@ -215,10 +225,11 @@ class PlaneOpening:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
-        gaps, vertices = self._gaps(u), self._at(u).found.cells["vertices"]
-        halves = gaps.areas * p[vertices].mean(axis=1) / 2
+        gaps, found = self._gaps(u), self._at(u).found
+        vertices = found.cells["vertices"]
+        halves = gaps.areas * found.pressures(p)[vertices].mean(axis=1) / 2
         total = np.bincount(vertices.ravel(), np.repeat(halves, 2), self.num_multipliers)
-        return np.divide(total, gaps.m, out=np.zeros_like(total), where=gaps.m > 0)
+        return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
         """The cells where the bodies are, to look at.
@@ -227,7 +238,8 @@ class PlaneOpening:
             u: Displacements.
             p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
         """
-        gaps, cells = self._gaps(u), self._at(u).found.cells
+        gaps, found = self._gaps(u), self._at(u).found
+        cells, p = found.cells, found.pressures(p)
         rank = np.empty(len(cells), dtype=np.int32)
         for i, moving in enumerate(self.sides):
             on = cells["side"] == i

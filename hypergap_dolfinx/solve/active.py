@@ -8,6 +8,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.solve.resting import resting
+
 COVERED = 1e-3
 """Area m_a of a weight, over that of Γ1's facets around its vertex, from which it is one: what is
 cut off by the other side's end has little to say."""
@@ -29,6 +31,43 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
         area: Areas of Γ1 that the vertices stand for, ``(num,)``.
     """
     return m > COVERED * area
+
+
+def sources(come, lasting, on, facets) -> npt.NDArray[np.intp]:
+    """Vertices whose tractions new multipliers begin with, -1 if there are none.
+
+    Args:
+        come: The new ones, ``(num,)``.
+        lasting: Which others there are, ``(num,)``.
+        on: The active set, in which all of these beside a new one must be, ``(num,)``.
+        facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
+    """
+    result = np.full(len(come), -1)
+    i, j = _pairs(facets[come[facets].any(axis=1)])
+    use = come[i] & lasting[j]
+    result[i[use]] = j[use]
+    result[i[use & ~on[j]]] = -1
+    return result
+
+
+def beside(come, lasting, facets) -> npt.NDArray[np.bool_]:
+    """New multipliers, and those beside them that there were, ``(num,)``.
+
+    Args:
+        come: The new ones, ``(num,)``.
+        lasting: Which others there are, ``(num,)``.
+        facets: As for :func:`sources`.
+    """
+    result = come.copy()
+    i, j = _pairs(facets[come[facets].any(axis=1)])
+    result[j[come[i] & lasting[j]]] = True
+    return result
+
+
+def _pairs(facets) -> npt.NDArray[np.intp]:
+    """Vertices of the same facets, both ways and also with themselves, ``(2, num_pairs)``."""
+    k = facets.shape[1]
+    return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))
 
 
 def pushing(p, g, m, valid, stiffness, on, none: float) -> npt.NDArray[np.bool_]:
@@ -159,18 +198,23 @@ def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
     return result
 
 
-def seeded(active, distance, valid, holds, load, across=()) -> tuple[npt.NDArray[np.bool_], int]:
+def seeded(
+    active, distance, area, valid, holds, load, across=(), *, first=False
+) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set that is enlarged until it holds what nothing else does.
 
-    What the shortest way closes comes first; last what would have to pull against the load.
+    What the shortest way closes comes first, last what would have to pull against the load. If some
+    would have to even so, it is that on which rigid bodies would come to rest.
 
     Args:
         active: The set, ``(num,)``.
         distance: Gaps over areas, ``(num,)``.
+        area: Areas, ``(num,)``.
         valid: Which multipliers there are, ``(num,)``.
         holds: What each makes of the motions that are free without contact, ``(num, num_free)``.
         load: Forces on those motions that contact is to balance, ``(num_free,)``.
         across: What friction makes of them where it sticks, ``(num_sticking, num_free)``.
+        first: Whether nothing pushes yet: then what holds all can be what would have to pull.
 
     Returns:
         The set, and how many motions stay free even so.
@@ -179,17 +223,29 @@ def seeded(active, distance, valid, holds, load, across=()) -> tuple[npt.NDArray
     size = np.linalg.norm(holds, axis=1)
     rows = _unit(holds)
     basis, _ = _extended(np.empty((0, num)), _unit(np.reshape(across, (-1, num))))
-    result = active.copy()
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
     way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
     way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
-    order = np.lexsort((way, pulls, ~active))  # what is active first
-    order = order[valid[order] & (size[order] > HOLDS * size.max(initial=0))]
-    basis, taken = _extended(basis, rows[order])
-    result[order[taken]] = True
-    return result, num - len(basis)
+
+    def enlarged(leading):
+        order = np.lexsort((way, pulls, ~leading))
+        order = order[valid[order] & (size[order] > HOLDS * size.max(initial=0))]
+        held, taken = _extended(basis, rows[order])
+        on = leading.copy()
+        on[order[taken]] = True
+        return on, num - len(held)
+
+    result, num_free = enlarged(active)
+    if first or (result != active).any():
+        free = np.linalg.svd(basis)[2][len(basis) :].T if len(basis) else np.eye(num)
+        moves, wanted = holds @ free, load @ free
+        if not len(resting(moves[result], wanted, np.zeros(result.sum()))):  # some would pull
+            rests, closing = active.copy(), np.maximum(distance[can], 0) * area[can]
+            rests[np.flatnonzero(can)[resting(moves[can], wanted, closing)]] = True
+            result, num_free = enlarged(rests)
+    return result, num_free
 
 
 def stuck(sticks, can, surplus, holds, across) -> tuple[npt.NDArray[np.bool_], int]:

@@ -28,10 +28,11 @@ from hypergap_dolfinx.solve.contacts import (
 from hypergap_dolfinx.solve.friction import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
-from hypergap_dolfinx.solve.leading import leading, turns_together
+from hypergap_dolfinx.solve.leading import leading, motions_of, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.newton import NonlinearSystem
-from hypergap_dolfinx.solve.relaxation import RELAXED, Relaxation
+from hypergap_dolfinx.solve.relaxation import RELAXED, SHORTENED, Relaxation
+from hypergap_dolfinx.solve.states import State
 from hypergap_dolfinx.solve.strays import Strays
 from hypergap_dolfinx.solve.tangent import Tangent, ways
 
@@ -123,18 +124,22 @@ class ContactSystem(NonlinearSystem):
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
             self._strays = Strays(self._system.spaces, self._free, self._names)
 
-    def _state(self):
-        """What a failed load step gives back."""
+    def _state(self) -> State:
         parts = self._x.getNestSubVecs()
-        return [part.array_r.copy() for part in parts], [rows.now.copy() for rows in self._rows]
+        return State([part.array_r.copy() for part in parts], [r.now.copy() for r in self._rows])
 
-    def _restore(self, state):
-        values, pressed = state
-        for part, value in zip(self._x.getNestSubVecs(), values, strict=True):
+    def _restore(self, state: State):
+        for part, value in zip(self._x.getNestSubVecs(), state.values, strict=True):
             part.array[:] = value
         self._assign(self._x)
-        for rows, now in zip(self._rows, pressed, strict=True):
-            rows.now = now
+        for rows, now in zip(self._rows, state.pressed, strict=True):
+            rows.now = now.copy()
+
+    def _go(self, start: State, end: State, share: float) -> tuple[State, State]:
+        """Take a share of the way between two states: the one, and where that leads."""
+        end = start.towards(end, share)
+        self._restore(end)
+        return start, end
 
     def _newton(self) -> int:
         """Newton's iteration for the values that are set. Collective.
@@ -154,7 +159,7 @@ class ContactSystem(NonlinearSystem):
         self._lead()
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
-        polished, returned, self._largest = False, 0, 0.0
+        polished, returned, self._largest, way = False, 0, 0.0, None
         relaxation = Relaxation(self._u[0].function_space.mesh.comm)
         for step in range(STEPS + RELAXED + 1):
             for rows in self._rows:
@@ -180,6 +185,12 @@ class ContactSystem(NonlinearSystem):
                 polished = True
             if step >= STEPS and not relaxation.acts:
                 break
+            if way and relaxation.shortens(self._unbalanced):
+                way = self._go(*way, SHORTENED)
+                continue
+            if not np.isfinite(self._unbalanced):
+                raise SolveError("Newton's iteration diverged: the residual is no number.")
+            lasting = bool(before) and all(map(ContactRows.as_before, self._rows, before, held))
             before = held
             relaxation.look(self._unbalanced)
             if step:
@@ -188,18 +199,20 @@ class ContactSystem(NonlinearSystem):
                 self._carry()
             else:
                 # The last load step's pressures are as good as those of sets that are settled
-                exact = settled or (step == 0 and self._continues())
-                state = self._state()
-                if not relaxation.takes(self._step(exact, jump, relaxation.share), exact=exact):
-                    self._restore(state)
+                exact = settled or lasting or (step == 0 and self._continues())
+                start = self._state()
+                moves, work = self._step(exact, jump, relaxation.share)
+                way = start, self._state()
+                share = relaxation.takes(moves, work, exact=exact)
+                if share != 1:
+                    way = self._go(*way, share)
             self._iterations += 1
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
 
     def _assemble_what_moved(self):
         """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
-        self._slack = SLACK * min(
-            float(side.reference.size.min()) for rows in self._rows for side in rows.sides
-        )
+        sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
+        self._slack = SLACK * float(min(sizes))
         self.assemble_matrix()
         self._slack = 0.0
 
@@ -267,7 +280,8 @@ class ContactSystem(NonlinearSystem):
             g = rows.clearance
             if self._free.num and before:  # what holds a body leaves by its pull: p may be none
                 g = np.where(now.on, np.minimum(g, 0), g)
-            now.on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
+            on = active.pushing(now.p, g, rows.m, rows.valid, rows.in_series(c), now.on, none)
+            now.on = np.where(rows.split, now.on, on)
             if not before:
                 rows.apart = None
                 if not rows.now.p.any():
@@ -290,28 +304,27 @@ class ContactSystem(NonlinearSystem):
             if isinstance(rows, FrictionRows):
                 rows.choose(stiffness, none, anew=not before)
         if self._free.num:
-            self._hold()
+            self._hold(first=not before and not any(rows.now.p.any() for rows in self._rows))
         return [rows.sets for rows in self._rows]
 
-    def _hold(self):
-        """Enlarge the active sets until they hold what nothing else does. Collective."""
+    def _hold(self, *, first: bool):
+        """Enlarge active sets until they hold, ``first`` before anything pushes. Collective."""
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         moves = [self._free_moves(rows, modes) for rows in self._rows]
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
-        every, distance, valid = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for parts, name in (
-                ([rows.now for rows in self._rows], "on"),
-                (self._rows, "distance"),
-                (self._rows, "valid"),
-            )
+        every = np.concatenate([rows.now.on for rows in self._rows])
+        distance, area, valid = (
+            np.concatenate([getattr(rows, name) for rows in self._rows])
+            for name in ("distance", "m", "valid")
         )
         rubbing = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
         sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
         across = np.vstack([part.reshape(-1, self._free.num) for part in (holds[:0], *sticking)])
-        on, num_free = active.seeded(every, distance, valid, holds, self._load(modes), across)
+        on, num_free = active.seeded(
+            every, distance, area, valid, holds, self._load(modes), across, first=first
+        )
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(on, ends), strict=True):
             rows.now.on = part
@@ -333,7 +346,7 @@ class ContactSystem(NonlinearSystem):
         """This rank's owned displacements of each body."""
         return [owned_values(u) for u in self._u]
 
-    def _lost(self, state, error: Exception) -> str:
+    def _lost(self, state: State, error: Exception) -> str:
         """Where a load step that failed led bodies that only contact holds. Collective.
 
         Args:
@@ -341,7 +354,7 @@ class ContactSystem(NonlinearSystem):
             error: Why it failed.
         """
         assert self._free is not None
-        return self._strays.lost(state[0], self._owned(), str(error)) if self._free.num else ""
+        return self._strays.lost(state.values, self._owned(), str(error)) if self._free.num else ""
 
     def _load(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective.
@@ -391,11 +404,10 @@ class ContactSystem(NonlinearSystem):
         """Whether the residual is none and what is in contact is closed. Collective."""
         num = len(self._b.getNestSubVecs()) - len(self._constraints.bodies)  # forces at jumps too
         parts = [*self._forces_left()[:num], *self._owned()]
+        self._left = parts[: len(self._u)]
         squares = np.array([np.vdot(part, part).real for part in parts])
         self._u[0].function_space.mesh.comm.Allreduce(MPI.IN_PLACE, squares)
         self._unbalanced = worst = np.sqrt(squares[:num].sum())
-        if not np.isfinite(worst):
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
         if not all(rows.is_closed(rows.closed) for rows in self._rows):
             return False  # forces needn't be known to see that
         size, least = sum(force**2 for force in self._forces), 0.0
@@ -445,20 +457,9 @@ class ContactSystem(NonlinearSystem):
         if not (far or moved_by_user or any(motion.turns for motion in motions)):
             return
         for rows in self._rows:
-            assert rows.start is not None
-            now = rows.displacements([owned_values(f) for f in rows.fields])
-            x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
-            of_sides = []
-            for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):
-                moved = None if body is not None else side.displaced(u).x - x  # by the user
-                motion = motions[body] if moved is None else leading(MPI.COMM_SELF, x, moved)
-                of_sides.append(motion)
+            of_sides, apart = motions_of(rows, motions)
             turn = None not in of_sides and turns_together(*of_sides)
             together &= turn
-            apart = np.inf
-            if None not in of_sides:
-                shift0, shift1 = (motion.shift(x1) for motion in of_sides)
-                apart = np.abs(shift1 - shift0).max() / rows.sides[1].reference.size.max()
             if far and apart > FAR:
                 rows.forget()
             elif turn and isinstance(rows, FrictionRows):
@@ -485,7 +486,7 @@ class ContactSystem(NonlinearSystem):
 
     def _step(
         self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
-    ) -> list[npt.NDArray[np.float64]]:
+    ) -> tuple[list[npt.NDArray[np.float64]], float]:
         """Solve for one step, and take it. Collective.
 
         Args:
@@ -495,7 +496,8 @@ class ContactSystem(NonlinearSystem):
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
-            This rank's changes of displacements, of each body.
+            This rank's changes of displacements, of each body, and the work that changes of forces
+            do on them: Hill's second-order work, below 0 where an equilibrium isn't stable.
         """
         assert self._free is not None
         stiffness, equations, moves = self._stiffness(), [], None
@@ -516,13 +518,17 @@ class ContactSystem(NonlinearSystem):
                 equations.append(rows.without_forces(stiffness))
             if settled or (rolls and not isinstance(rows, FrictionRows)):
                 equations[-1] = equations[-1].stiffened(rows.curvature())
+        last = [(rows.now.p, rows.clearance) for rows in self._rows]
         changes, unknowns = self._take(self._right(), equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             if rows.now.on.any():
                 rows.take(linear, values)
             else:
                 rows.forget()
-        return changes
+        work = comm.allreduce(sum(map(np.dot, changes, self._left)))
+        for rows, (p, g) in zip(self._rows, last, strict=True):
+            work -= ((rows.now.p - p) * g)[rows.now.on].sum()
+        return changes, work
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body. Collective."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
-from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse
+from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, Sparse, joined
 from hypergap_dolfinx.gap.surface import lengths, normals_by_area
 from hypergap_dolfinx.solve import active
 from hypergap_dolfinx.solve.every import look_up
@@ -50,11 +50,17 @@ class Pressed:
     """``(num_multipliers,)``."""
     on: npt.NDArray[np.bool_]
     """The active set, ``(num_multipliers,)``."""
+    there: npt.NDArray[np.bool_]
+    """Which multipliers there were, ``(num_multipliers,)``."""
 
     def copy(self):
         """One that keeps its arrays."""
-        arrays = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
-        return replace(self, **arrays)
+        return replace(self, **{k: v.copy() for k, v in self.arrays.items()})
+
+    @property
+    def arrays(self) -> dict[str, npt.NDArray]:
+        """All of them, ``(..., num_multipliers)`` each."""
+        return {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray)}
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,7 @@ class ContactRows:
         sides, bodies = self.sides, self.bodies
         self._n = sides[0].reference.gdim
         num = len(sides[1].reference.x)
-        self.now = Pressed(None, np.zeros(num), np.zeros(num, dtype=bool))
+        self.now = Pressed(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
         self._held = [
             np.ones((len(side.dofs), self._n), dtype=bool)
             if body is None
@@ -175,6 +181,23 @@ class ContactRows:
             for weights in (1.0, ~held[self.C.j])
         )
         self.valid = active.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
+        self._hand_on()
+
+    def _hand_on(self):
+        """Let multipliers that come among those in contact begin as these are.
+
+        Their weights were part of these before: so forces stay, and nothing tells yet what parts.
+        """
+        now = self.now
+        self.lasting = now.there & self.valid
+        facets = self.sides[1].reference.facets
+        come = self.valid & ~now.there
+        source = active.sources(come, self.lasting, now.on, facets)
+        come = source >= 0
+        for values in now.arrays.values():
+            values[..., come] = values[..., source[come]]
+        now.there = self.valid
+        self.split = active.beside(come, self.lasting, facets)
 
     def _follow(self):
         """Find the gaps of a Σ that follows the bodies; none where they don't face each other."""
@@ -438,6 +461,11 @@ class ContactRows:
         """Where it is in contact; equal ones need no new tangent."""
         return self.now.on.copy()
 
+    def as_before(self, last: npt.NDArray, sets: npt.NDArray) -> bool:
+        """Whether sets are the last ones but for multipliers that came or went."""
+        changed = (last != sets).reshape(-1, len(self.g))
+        return not changed[:, self.lasting].any()
+
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """What multipliers make of motions, over areas, ``(num_multipliers, num)``."""
         result = np.zeros((len(self.g), len(moves)))
@@ -509,10 +537,3 @@ def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
     """This rank's owned values, ``(num_dofs,)``."""
     dofmap = u.function_space.dofmap
     return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
-
-
-def joined(*parts: Sparse) -> Sparse:
-    """The sum of sparse matrices."""
-    return Sparse(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
-    )

@@ -181,8 +181,14 @@ class FrictionRows(ContactRows):
         c = stiffness / self.typical_area
         stuck = self.stuck
         self._surplus = np.where(stuck, -np.inf, 0)
-        if anew or self._carried:
+        if self._carried:  # what is beyond its facets has slipped there
+            size = np.linalg.norm(self.slip, axis=0)
+            slips = size > self.sides[1].reference.size.max()
+            now.sticks &= ~slips
+            now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
+        elif anew:
+            pass
         elif self._soft:
             size = np.linalg.norm(self._reach, axis=0)
             now.sticks = (size <= self._soft) & (self.mu > 0)

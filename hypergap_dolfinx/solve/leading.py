@@ -5,12 +5,15 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Rigid motions that prescribed displacements lead bodies along: linear ones distort what turns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+
+from hypergap_dolfinx.solve.contacts import ContactRows, owned_values
 
 SPREAD = 1e-12
 """Square of the extent of points, over that of their longest direction, that says nothing of how
@@ -69,6 +72,34 @@ def leading(
     left, _, right = np.linalg.svd(product)
     left[:, -1] *= np.linalg.det(left @ right)  # no reflection
     return RigidMotion(left @ right, *middles)
+
+
+def motions_of(
+    rows: ContactRows, motions: Sequence[RigidMotion]
+) -> tuple[list[RigidMotion | None], float]:
+    """Rigid motions of a contact's sides, and how far they take these apart. Collective.
+
+    Args:
+        rows: The contact.
+        motions: Of each body; those of rigid ones, by the user, are found here.
+
+    Returns:
+        Those that are told, and the distance in sizes of facets, infinite if one isn't.
+    """
+    assert rows.start is not None
+    now = rows.displacements([owned_values(f) for f in rows.fields])
+    x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
+    found: list[RigidMotion | None] = []
+    for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):
+        if body is None:
+            found.append(leading(MPI.COMM_SELF, x, side.displaced(u).x - x))
+        else:
+            found.append(motions[body])
+    motion0, motion1 = found
+    if motion0 is None or motion1 is None:
+        return found, np.inf
+    shift0, shift1 = motion0.shift(x1), motion1.shift(x1)
+    return found, np.abs(shift1 - shift0).max() / rows.sides[1].reference.size.max()
 
 
 def turns_together(a: RigidMotion, b: RigidMotion) -> bool:

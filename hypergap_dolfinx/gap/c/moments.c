@@ -55,15 +55,15 @@ static Moments moments_of(int num_corners, const double *X, double least, int fl
 
 // Points and weights on convex polygons.
 //
-// X         corners, of which the last one may be repeated, (num, num_corners, 2)
-// points    where the mean and the standard deviations are 0 and 1, (num_points, 2)
-// least     standard deviation over that along a polygon, squared, that is none
-// num_terms   of the polynomials; 0: all weights are the same
-// powers      of both coordinates, (num_terms, 2)
-// inverse     what makes weights of moments, (num_terms, num_points)
-// inner       points and weights on the reference triangle, (num_inner, 3)
-// at          (num, num_points, 2)
-// weights     (num, num_points)
+// X          corners, of which the last one may be repeated, (num, num_corners, 2)
+// points     where the mean and the standard deviations are 0 and 1, (num_points, 2)
+// least      standard deviation over that along a polygon, squared, that is none
+// num_terms  of the polynomials; 0: all weights are the same
+// powers     of both coordinates, (num_terms, 2)
+// inverse    what makes weights of moments, (num_terms, num_points)
+// inner      points and weights on the reference triangle, (num_inner, 3)
+// at         (num, num_points, 2)
+// weights    (num, num_points)
 void polygon_rule(int num, int num_corners, const double *X, int num_points, const double *points,
                   double least, int num_terms, const int *powers, const double *inverse,
                   int num_inner, const double *inner, double *at, double *weights)

@@ -89,7 +89,8 @@ static void map_to(const Point *quad, const Point *other, double last, const dou
       q[i] = c[2][i] + c[3][i] * s[0];
     }
     double det = p[0] * q[1] - p[1] * q[0];
-    double moves[2] = {(rest[0] * q[1] - rest[1] * q[0]) / det, (p[0] * rest[1] - p[1] * rest[0]) / det};
+    double moves[2] = {(rest[0] * q[1] - rest[1] * q[0]) / det,
+                       (p[0] * rest[1] - p[1] * rest[0]) / det};
     for (int i = 0; i < 2; ++i)
       s[i] = fmin(fmax(s[i] + moves[i], -BEYOND), 1 + BEYOND);
     step = fmax(fabs(moves[0]), fabs(moves[1]));
@@ -240,7 +241,8 @@ static void put_balls(const Facets *side, const int *order, int start, int end, 
 //
 // order     Γ0's facets along a curve that fills space
 // normals   unit normals of Γ0's facets, (num_facets0, 3)
-// planes    across the normals of Γ1's facets: origins, dual bases and unit normals, (num_facets1, 4, 3)
+// planes    across the normals of Γ1's facets: origins, dual bases and unit normals,
+//           (num_facets1, 4, 3)
 // reach     how far these facets reach from there, (num_facets1)
 // parts     of Γ1's reference facet, one for each vertex, (num_corners, 4, 2)
 // leans     cosine between normals from which facets face each other

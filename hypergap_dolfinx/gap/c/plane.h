@@ -70,7 +70,7 @@ typedef struct {
 void kinks_of(const Side *side, double kink, int *kinks);
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
               int num_walls, const int *walls, double end, double faces, double farther,
-              int *whole);
+              const double *beyond, int *whole, int *owners);
 void find_crossings(Sigma *sigma);
 void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, double *g, double *m,
                Entries *C);

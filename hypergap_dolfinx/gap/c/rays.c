@@ -23,7 +23,8 @@ typedef struct {
   int cut[2];     // edges of Γ0 that end opposite of it: of what starts, and of what ends there
   double foot[2]; // where
   int limits[2];  // parameters of what is covered
-  int owner;      // number (0 or 1) of the vertex that has all, if only one has
+  int owner;      // number (0 or 1) of the vertex that has all, or most, if not both have the same
+  int beyond;     // whether the other one, beyond Γ0's end, has a share
 } Opposite;
 
 typedef struct {
@@ -164,7 +165,8 @@ static int add_crossing(const Cast *cast, int g, int f, int unknown, double s, d
 //
 // walls       places that are known, of the start and the end
 // least       part of the edge: if more is covered both vertices have a weight
-static void cover(const Cast *cast, int f, const Place *walls, double least)
+// beyond      the same for a share of a vertex beyond Γ0's end
+static void cover(const Cast *cast, int f, const Place *walls, double least, double beyond)
 {
   Opposite *own = cast->opposite + f;
   Place *places = own->places;
@@ -186,6 +188,8 @@ static void cover(const Cast *cast, int f, const Place *walls, double least)
     places[AT_START].edge = places[AT_END].edge = places[AT_MIDDLE].edge = NOWHERE;
   if (position[1] - position[0] <= least)
     places[AT_MIDDLE].edge = NOWHERE;
+  own->beyond = places[AT_MIDDLE].edge < 0 && places[AT_START].edge >= 0
+                && cuts[1 - own->owner] && position[1] - position[0] > beyond;
   for (int k = 0; k < 3; ++k)
   {
     int g = places[k].edge, at = own->t[k] == 1;
@@ -215,6 +219,15 @@ static void emit(const Cast *cast, Cell cell)
   ++sigma->num_cells;
 }
 
+// Whether a vertex beyond Γ0's end has a share: not if it is opposite of something else.
+static int has_share(const Cast *cast, int f)
+{
+  const Opposite *own = cast->opposite + f;
+  int k = 1 - own->owner, vertex = cast->above->vertices[2 * f + k];
+  int other = cast->above->beside[2 * vertex + k];
+  return own->beyond && (other < 0 || cast->opposite[other].places[AT_START].edge < 0);
+}
+
 // Cells with their bases on Γ1.
 static void add_base(const Cast *cast, int f)
 {
@@ -224,7 +237,7 @@ static void add_base(const Cast *cast, int f)
   Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
   Cell cell = {1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}, {0}};
   for (int k = 0; k < 2; ++k)
-    cell.vertices[k] = vertices[whole ? k : own->owner];
+    cell.vertices[k] = vertices[whole || own->beyond ? k : own->owner];
   if (apex.edge >= 0)
     emit(cast, cell);
 }
@@ -318,9 +331,12 @@ static void add_fans(const Cast *cast, int vertex, int kink)
 // end      distance along an edge, in its lengths, of ends that are opposite to each other
 // faces    cosine between edges from which they face each other
 // farther  longest way on Γ0 between neighbouring rays, in lengths of their edges
+// beyond   parts of Γ1's edges: where more is covered a vertex beyond Γ0's end has a share
 // whole    edges of Γ1 of which both vertices have a weight
+// owners   number of the vertex before Γ0's end where that beyond it has a share, −1 elsewhere
 int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
-              int num_walls, const int *walls, double end, double faces, double farther, int *whole)
+              int num_walls, const int *walls, double end, double faces, double farther,
+              const double *beyond, int *whole, int *owners)
 {
   const Side *below = sigma->sides, *above = below + 1;
   Opposite *opposite = malloc((above->num_edges + 1) * sizeof(Opposite));
@@ -339,8 +355,13 @@ int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double
     for (const int *wall = walls; wall < walls + 4 * num_walls; wall += 4)
       if (wall[0] == f)
         known[wall[1]] = (Place){wall[2], wall[3]};
-    cover(&cast, f, known, least[f]);
+    cover(&cast, f, known, least[f], beyond[f]);
     whole[f] = opposite[f].places[AT_MIDDLE].edge >= 0;
+  }
+  for (int f = 0; f < above->num_edges; ++f)
+  {
+    opposite[f].beyond = has_share(&cast, f);
+    owners[f] = opposite[f].beyond ? opposite[f].owner : NOWHERE;
     add_base(&cast, f);
   }
   for (int v = 0; v < above->num_vertices; ++v)
