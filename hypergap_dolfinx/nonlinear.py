@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 from petsc4py import PETSc
 
+import numpy as np
+
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
@@ -111,8 +113,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._snes.setFromOptions()
 
     def _release(self) -> list:
-        snes = self.__dict__.pop("_snes", None)
-        return [*filter(None, [snes]), *super()._release()]
+        return [self.__dict__.pop("_snes", None), *super()._release()]
 
     def solve(self) -> list[fem.Function]:
         """Solve, from what u holds and the multipliers of the last solve. Collective.
@@ -158,6 +159,8 @@ class NonlinearTiedProblem(NonlinearSystem):
             failure = self._solver.failure()
         if failure:
             raise SolveError(failure)
+        if self._snes.getLinearSolveIterations() and np.isfinite(self._snes.getFunctionNorm()):
+            self._check_constants()  # what isn't held fails here
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
             f"Newton's iteration failed after {self._snes.getIterationNumber()} steps: SNES "

@@ -27,7 +27,7 @@ from test_compliance import HELD, TIED, Slab, blocks, error, stretched, traction
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import SolveError, Tie, TiedProblem
+from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 
@@ -228,6 +228,24 @@ def test_nonlinear():
     h.value = -1.0
     with raises(ValueError, "the conductance is -1"):
         p.solve()
+
+
+@two_ranks()
+def test_nonlinear_and_nothing_conducts():
+    """Newton's iteration fails where a body is free; the message says why."""
+    bodies = blocks()
+    t = tie(bodies, *TIED, conductance=0.0)
+    us, F = [fem.Function(body.V) for body in bodies], []
+    for body, u in zip(bodies, us, strict=True):
+        v = ufl.TestFunction(body.V)
+        load = fem.Constant(body.mesh, default_scalar_type((0.1, 0.2)))
+        F.append(
+            ufl.inner(body.stress(u), ufl.sym(ufl.grad(v))) * ufl.dx - ufl.inner(load, v) * ufl.dx
+        )
+    below = fem.locate_dofs_topological(bodies[0].V, 1, bodies[0].facets(BOTTOM))
+    bc = fem.dirichletbc(default_scalar_type((0, 0)), below, bodies[0].V)
+    with raises(SolveError, "singular: a body is free that would be held by a conductance"):
+        NonlinearTiedProblem(F, us, bcs=[bc], ties=[t]).solve()
 
 
 @pytest.mark.ranks(2)

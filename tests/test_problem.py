@@ -248,6 +248,7 @@ def test_ranks_may_forget_problems_in_any_order():
     assert B1.norm() == tie.blocks()[1].norm() > 0  # its own; and made anew
 
 
+@pytest.mark.ranks
 def test_what_outlives_its_owner():
     """PETSc's objects stay as long as someone has them, also parts of what is gone."""
     _, a, L, bcs, tie = two_blocks()

@@ -58,13 +58,13 @@ def tied(bodies, exact, degree, *, swap=False, E=(1.0, 1.0)):
         exact: The displacement, a function of a UFL coordinate or an array; one for each body or
             one for all.
         degree: Degree of each space.
-        swap: Whether the first body is on Γ1.
+        swap: Whether the first body, which all others are tied to, is on Γ1.
         E: Young's moduli.
 
     Returns:
-        The relative errors of displacement and stress, the problem and the tie.
+        The relative errors of displacement and stress, the problem and the first tie.
     """
-    exacts = exact if isinstance(exact, tuple) else (exact, exact)
+    exacts = exact if isinstance(exact, tuple) else (exact,) * len(bodies)
     forms, loads, bcs, sides = [], [], [], []
     for (mesh, facets, held), e, k, modulus in zip(bodies, exacts, degree, E, strict=True):
         V = fem.functionspace(mesh, ("Lagrange", k, (3,)))
@@ -82,9 +82,9 @@ def tied(bodies, exact, degree, *, swap=False, E=(1.0, 1.0)):
         g.interpolate(lambda x, e=e: np.array(e(x)))
         bcs.append(fem.dirichletbc(g, fem.locate_dofs_topological(V, 2, held)))
         sides.append((V, facets))
-    tie = Tie(*(sides[::-1] if swap else sides))
-    problem = TiedProblem(forms, loads, bcs=bcs, ties=[tie])
-    return *errors(problem.solve(), exacts, E), problem, tie
+    ties = [Tie(*((other, sides[0]) if swap else (sides[0], other))) for other in sides[1:]]
+    problem = TiedProblem(forms, loads, bcs=bcs, ties=ties)
+    return *errors(problem.solve(), exacts, E), problem, ties[0]
 
 
 def integration_entities(mesh, facets):
@@ -377,14 +377,27 @@ def test_sides_prescribed_all_around(n, degree, swap):
     assert l2 <= 2e-11 and error <= 1e-10
 
 
+def outside(n, tag, low, high, cell):
+    """A block's mesh, its facets with a tag, and all others."""
+    mesh, ft = meshes.block(comm, n, lambda x: low + x * np.subtract(high, low), cell=cell)
+    return mesh, ft.find(tag), ft.indices[ft.values != tag]
+
+
 @pytest.mark.ranks(2, cell=["hexahedron"])
 @pytest.mark.parametrize("cell", ("tetrahedron", "hexahedron"))
 def test_one_cell_wide(cell):
     """Γ1's rim is held, and what is left lies on a line: λ's slope across it was missing."""
-    bodies = []
-    for i, (n, tag) in enumerate((((1, 3, 2), meshes.RIGHT), ((1, 1, 3), meshes.LEFT))):
-        mesh, ft = meshes.block(comm, n, lambda x, i=i: x + i * np.eye(3)[0], cell=cell)
-        held = np.concatenate([ft.find(other) for other in np.unique(ft.values) if other != tag])
-        bodies.append((mesh, ft.find(tag), np.unique(held)))
-    l2, error, *_ = tied(bodies, quadratic, (2, 2))
+    below = outside((1, 3, 2), meshes.RIGHT, (0, 0, 0), (1, 1, 1), cell)
+    strip = outside((1, 1, 3), meshes.LEFT, (1, 0, 0), (2, 1, 1), cell)
+    l2, error, *_ = tied((below, strip), quadratic, (2, 2))
+    assert l2 <= 1e-12 and error <= 1e-11
+
+
+def test_strips_side_by_side():
+    """Their slopes are for the same dofs of Γ0, which has few."""
+    bodies = [outside((1, 2, 2), meshes.RIGHT, (0, 0, 0), (1, 1, 1), "hexahedron")]
+    for n, y in ((3, 0), (2, 0.5)):
+        ends = (1, y, 0), (2, y + 0.5, 1)
+        bodies.append(outside((1, 1, n), meshes.LEFT, *ends, "hexahedron"))
+    l2, error, *_ = tied(bodies, quadratic, (2,) * 3, E=(1.0,) * 3)
     assert l2 <= 1e-12 and error <= 1e-11

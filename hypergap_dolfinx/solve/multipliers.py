@@ -344,7 +344,7 @@ class _Assembly:
             at = column[others, component]
             num = len(others)
             self._entries.append((np.full(num, m), np.full(num, component), at, weights))
-        for piece in new + slopes(every, self._drop, self._entries, self._prescribed):
+        for piece in new + slopes(every, self._drop, self._entries, self._prescribed, new):
             self._add_replacement(piece)
         return self._numbered()
 

@@ -183,6 +183,14 @@ def _short_patches(every: Every, label, drop, prescribed) -> list[Replacement]:
     return found
 
 
+def _take_in_turn(patches: Sequence[Replacement], accepted: defaultdict[int, Rows]):
+    """One for every piece, then a second, …: none goes without for another's sake."""
+    for number in range(1, max((patch.wanted for patch in patches), default=0) + 1):
+        for patch in patches:
+            while patch.values and len(patch.taken) < min(number, patch.wanted):
+                patch.add(accepted[patch.component], *patch.values.pop(0))
+
+
 def replacements(every: Every, label, held, drop, prescribed) -> list[Replacement]:
     """Choose other multipliers for pieces with too few; drops these. Collective.
 
@@ -195,11 +203,7 @@ def replacements(every: Every, label, held, drop, prescribed) -> list[Replacemen
     """
     patches = _short_patches(every, label, drop, prescribed)
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
-    # One for every piece, then a second, …: none goes without for another's sake
-    for number in range(1, max((patch.wanted for patch in patches), default=0) + 1):
-        for patch in patches:
-            while patch.values and len(patch.taken) < min(number, patch.wanted):
-                patch.add(accepted[patch.component], *patch.values.pop(0))
+    _take_in_turn(patches, accepted)
     for patch in patches:
         if held[patch.numbers, patch.component].all() and len(patch.units) <= FEW:
             # A small one that is prescribed all over takes all that don't follow from others:
@@ -214,7 +218,9 @@ def replacements(every: Every, label, held, drop, prescribed) -> list[Replacemen
     return patches
 
 
-def slopes(every: Every, drop, entries, prescribed) -> list[Replacement]:
+def slopes(
+    every: Every, drop, entries, prescribed, instead: Sequence[Replacement]
+) -> list[Replacement]:
     """Multipliers that narrow pieces have beside their own, where these lie on lines. Collective.
 
     Along the lines λ follows from what is left; it gets polynomials across them, of all of a tie
@@ -225,44 +231,51 @@ def slopes(every: Every, drop, entries, prescribed) -> list[Replacement]:
         drop: Which are dropped, ``(num_multipliers, block_size)``.
         entries: Multiplier, component, column and value of each nonzero of E, in parts.
         prescribed: Which owned dofs of each body are prescribed.
+        instead: What pieces with too few have.
     """
     found = []
     for component in range(drop.shape[1]):
-        for t, lists in enumerate(every.lists):
-            mine = slice(*every.starts[t : t + 2])
-            lacking = lists.lacking(drop[mine, component])
-            if not lacking:
-                continue
-            lacking = [(at + mine.start, values) for at, values in lacking]
-            narrow = np.unique(np.concatenate([at for at, _ in lacking]))
-            # E of what these follow
-            m, of, column, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
-            use = np.isin(column, column[np.isin(m, narrow) & (of == component)])
-            m, weights = m[use], weights[use]
-            numbers = np.union1d(m, narrow)
-            row = np.searchsorted(numbers, m)
-            own, at = np.unique(column[use], return_inverse=True)
-            E = np.zeros((len(numbers), len(own)))
-            E[row, at] = weights
-            stands = ~drop[m, component]  # for itself: where a column's value is λ
-            place = np.zeros(len(own), dtype=np.intp)
-            place[at[stands]] = row[stands]
-            values = []
-            for value, sine in _polynomials(every.x(numbers), lists.surface.element.degree):
-                rest = np.isin(numbers, narrow) * (value - E @ value[place])
-                if np.abs(rest).max() > NARROW:
-                    values.append((rest, sine))
-            for at, part in lacking:
-                value = np.zeros(len(numbers))
-                value[np.searchsorted(numbers, at)] = part / np.abs(part).max()
-                values.append((value, INDEPENDENT))
-            columns, free, B = _gathered(every, numbers, prescribed, component)
-            new = Replacement(component, numbers, columns, free, B, E.T, values, len(values))
-            rows = Rows()
-            for unit in new.units:
-                rows.add(columns, unit @ B * free, 0.0)
-            while new.values:
-                new.add(rows, *new.values.pop(0))
-            new.complete = True
-            found.append(new)
+        for t in range(len(every.lists)):
+            found += _across(every, t, component, drop, entries, prescribed)
+    accepted: defaultdict[int, Rows] = defaultdict(Rows)
+    # All others have dofs of Γ1 that answer to them
+    known = [(piece, piece.taken) for piece in instead] + [(piece, piece.units) for piece in found]
+    for piece, values in known:
+        for value in values:
+            accepted[piece.component].add(piece.columns, value @ piece.B * piece.free, 0.0)
+    _take_in_turn(found, accepted)
     return found
+
+
+def _across(every: Every, t: int, component: int, drop, entries, prescribed) -> list[Replacement]:
+    """Those of one tie to try, if there are any. Collective."""
+    lists, mine = every.lists[t], slice(*every.starts[t : t + 2])
+    lacking = lists.lacking(drop[mine, component])
+    if not lacking:
+        return []
+    lacking = [(at + mine.start, values) for at, values in lacking]
+    narrow = np.unique(np.concatenate([at for at, _ in lacking]))
+    # E of what these follow
+    m, of, column, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
+    use = np.isin(column, column[np.isin(m, narrow) & (of == component)])
+    m, weights = m[use], weights[use]
+    numbers = np.union1d(m, narrow)
+    row = np.searchsorted(numbers, m)
+    own, at = np.unique(column[use], return_inverse=True)
+    E = np.zeros((len(numbers), len(own)))
+    E[row, at] = weights
+    stands = ~drop[m, component]  # for itself: where a column's value is λ
+    place = np.zeros(len(own), dtype=np.intp)
+    place[at[stands]] = row[stands]
+    values = []
+    for value, sine in _polynomials(every.x(numbers), lists.surface.element.degree):
+        rest = np.isin(numbers, narrow) * (value - E @ value[place])
+        if np.abs(rest).max() > NARROW:
+            values.append((rest, sine))
+    for at, part in lacking:
+        value = np.zeros(len(numbers))
+        value[np.searchsorted(numbers, at)] = part / np.abs(part).max()
+        values.append((value, INDEPENDENT))
+    columns, free, B = _gathered(every, numbers, prescribed, component)
+    num = len(values)
+    return [Replacement(component, numbers, columns, free, B, E.T, values, num, complete=True)]

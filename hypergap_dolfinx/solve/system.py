@@ -6,7 +6,6 @@
 """The saddle system of tied bodies: what linear and nonlinear problems share."""
 
 from collections.abc import Sequence
-from itertools import chain
 
 from petsc4py import PETSc
 
@@ -134,8 +133,7 @@ class TiedSystem(disposal.Owner):
         single = ("_solver", "_A", "_b", "_x", "_constraints", "_pieces")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
-        objects += chain.from_iterable(self.__dict__.pop(name, []) for name in several)
-        return [obj for obj in objects if obj is not None]
+        return objects + [obj for name in several for obj in self.__dict__.pop(name, [])]
 
     def assemble_matrix(self):
         """Assemble the bodies' stiffness, and what ties give way by, into A. Collective.
