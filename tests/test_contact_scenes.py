@@ -130,6 +130,33 @@ def test_force_of_flat_punch():
     assert abs(between / matching - 1) <= 0.012
 
 
+def test_slender_body():
+    """A beam forty times as long as thick, bent far by a stiff round one: one or two nodes touch.
+
+    What curvature leaves of a gap that a step closes opens it again if it outweighs the pressure.
+    """
+    u, F, bcs, sides, rise = [], [], [], [], 0.75
+
+    def place(i, s):
+        if i == 0:
+            return np.column_stack((2 * s[:, 0], 0.05 * (s[:, 1] - 1) + s[:, 0]))
+        x = np.column_stack((1.5 + 0.4 * (s[:, 0] - 0.5), rise + 0.02 + 0.3 * s[:, 1]))
+        x[:, 1] += (1 - s[:, 1]) * (s[:, 0] - 0.5) ** 2 / 5
+        return x
+
+    for i, n in enumerate(((60, 2), (20, 6))):
+        mesh, ft = meshes.block(comm, n, lambda s, i=i: place(i, s), cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V, lame_constants((1.0, 100.0)[i]), large=True)
+        u.append(body.u)
+        F.append(body.F)
+        away = ft.find((meshes.LEFT, meshes.TOP)[i])
+        bcs += [held(V, 0, away), held(V, 1, away, -0.2 * i)]
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact, problem = solve(F, u, bcs, sides, swap=True)
+    assert problem.iterations <= 25 and problem.halvings == 0 and contact.active.any()
+
+
 def test_stiff_and_fine_on_soft_and_coarse(caplog):
     """A round bottom 1e6 times as stiff, three times as fine: told, and `between` avoids it."""
     u, F, bcs, sides, stiff = [], [], [], [], (1.0, 1e6)

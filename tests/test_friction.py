@@ -242,6 +242,10 @@ def test_relaxation():
             assert relaxation.takes([np.array([move])], 1.0, exact=exact)
         relaxation.look(1.0)
         assert relaxation.acts == before
+    for k in range(9):
+        assert relaxation.creeps == (k > 3)  # the share grows as long as it helps nothing
+        relaxation.takes([np.array([(-1.0) ** k])], 1.0, exact=True)
+        relaxation.look(1.0)
 
 
 def test_shortened_steps():

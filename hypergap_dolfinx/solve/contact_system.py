@@ -193,6 +193,8 @@ class ContactSystem(NonlinearSystem):
             lasting = bool(before) and all(map(ContactRows.as_before, self._rows, before, held))
             before = held
             relaxation.look(self._unbalanced)
+            if relaxation.creeps:
+                break
             if step:
                 self.assemble_matrix()
             if step == 0 and self._slides(jump):

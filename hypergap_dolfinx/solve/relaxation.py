@@ -39,6 +39,8 @@ FALLS = 0.1
 """Times the share at least from step to step where the residual falls."""
 LEAST = 1e-3
 """Share that is none."""
+MOST = 5.0
+"""Share from which bodies only creep: half a load step is faster."""
 REFUSED = 4
 """Times in a row that a step is too long: viscosity doesn't shorten what closes gaps."""
 BACK = 3
@@ -84,6 +86,11 @@ class Relaxation:
         elif self._turns and self._exact:
             self.acts, self.share, self._longest = True, SHARE, self._length
         self._residual, self._turns = residual, False
+
+    @property
+    def creeps(self) -> bool:
+        """Whether it leads nowhere."""
+        return self.share > MOST
 
     def shortens(self, residual: float) -> bool:
         """Whether less is to be taken of the last step.
