@@ -59,6 +59,21 @@ class Blocks:
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
 
+def test_given_back():
+    """Σ hangs on where bodies came from: where a load step fails, that is forgotten with it."""
+    scene = Blocks(swap=True)
+    problem, rows, x = scene.problem, scene.contact.rows, scene.u[1].x.array
+    x[::2] = 0.05
+    problem._prepare()
+    rows.look()
+    before, m = problem._state(), rows.m
+    x[::2] = 0.2
+    rows.look()
+    problem._restore(before)
+    rows.look()
+    np.testing.assert_array_equal(rows.m, m)
+
+
 @two_ranks(sliding=["finite"])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_touches_and_parts(sliding):
