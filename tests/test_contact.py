@@ -17,6 +17,7 @@ from helpers import raises, two_ranks
 import meshes
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
+from hypergap_dolfinx.solve import checks
 
 comm = MPI.COMM_WORLD
 
@@ -57,6 +58,21 @@ class Blocks:
         self.contact = Contact(*(sides[::-1] if swap else sides), **options)
         self.F = F
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
+
+
+def test_inverted_cells(monkeypatch):
+    """Where a Newton step leads to a stiffness that is no number, the load step is halved."""
+    scene, calls = Blocks(), []
+
+    def check(*_):
+        calls.append(1)
+        if len(calls) == 3:
+            raise ValueError("no number")
+
+    monkeypatch.setattr(checks, "check_finite", check)
+    scene.top.value = -0.05
+    scene.problem.solve()
+    assert scene.problem.halvings == 1
 
 
 def test_given_back():

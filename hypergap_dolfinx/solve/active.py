@@ -160,7 +160,7 @@ def as_near(before, now, distance, force, none: float, *, plane: bool) -> npt.ND
     last, rest = distance[order[[0, balanced[0]]]] - nearest
     level = rest**REST * last ** (1 - REST)
     if plane:
-        k = outer.argmin()  # the innermost that pulls
+        k = outer[: balanced[0]].argmin()  # the innermost that pulls
         pulls, pushes = force[order[[k, k + 1]]]
         far, near = distance[order[[k, k + 1]]] - nearest
         level = max(2 * (near * pulls - far * pushes) / (pulls - pushes) - last, rest)

@@ -194,7 +194,10 @@ class ContactSystem(NonlinearSystem):
             before = held
             relaxation.look(self._unbalanced)
             if step:
-                self.assemble_matrix()
+                try:
+                    self.assemble_matrix()
+                except ValueError as error:  # points of the residual needn't see cells inverted
+                    raise SolveError(f"Newton's iteration diverged: {error}") from error
             if step == 0 and self._slides(jump):
                 self._carry()
             else:
