@@ -139,7 +139,7 @@ def field(
     For functions on Σ, which has no volume, there is :func:`interface`.
 
     Args:
-        fs: Function on each body.
+        fs: Function on each body, or on a side of ties: ``tie.traction(problem, on="side1")``.
         filename: Where to save the picture.
         title: Title of the scale.
         window: Whether to open a window.
@@ -192,8 +192,8 @@ def interface(
     Raises:
         ValueError: A function on another mesh.
     """
-    if f.function_space.mesh is not tie.sigma:
-        raise ValueError("interface draws functions on tie.sigma; draw those on bodies with field.")
+    if not isinstance(tie, Tie) or f.function_space.mesh is not tie.sigma:
+        raise ValueError("interface draws functions on tie.sigma; others: field, contact.")
     return _draw_gap_domains([tie], f, title, filename, distance, window)
 
 
@@ -288,8 +288,10 @@ def contact(
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         drawn = _drawn(surface, p)
         x = surface.x
-        if dim == 3:  # before Γ0's body, not in it
-            x = x - LIFT * extent * direction
+        if dim == 3:  # before Γ0's body, also where they overlap
+            rows = problem.rows(contact)
+            overlap = -(rows.g[rows.now.on] / rows.m[rows.now.on]).min(initial=0)
+            x = x - (LIFT * extent + 2 * overlap) * direction
             drawn.points = x
         plotter.add_mesh(drawn, line_width=8, **scale, **bar)
         on = contact.active
@@ -503,6 +505,9 @@ def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str =
             "diffuse": 0.6,
         }
         plotter.add_mesh(_straight(cells), **options)
+        return
+    if cells.n_cells and cells.get_cell(0).dimension == 1:  # a side's traction in the plane
+        plotter.add_mesh(cells, lighting=False, line_width=8, **options)
         return
     plotter.add_mesh(cells, lighting=False, **options)
     plotter.add_mesh(cells.extract_all_edges(), color=edges, line_width=1.5)

@@ -581,7 +581,8 @@ class Tie(disposal.Owner):
                 change within a few facets, λ is as good.
 
         Returns:
-            Force per area (2D: per length and unit depth).
+            Force per area (2D: per length and unit depth), of the side's own area: where the sides
+            lie apart these differ, and it is λ's integral that has the force.
 
         Raises:
             ValueError: Not one of the problem's ties, or not solved yet; an unknown place.
