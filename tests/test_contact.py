@@ -17,6 +17,7 @@ from helpers import raises, two_ranks
 import meshes
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
+from hypergap_dolfinx.solve import checks
 
 comm = MPI.COMM_WORLD
 
@@ -57,6 +58,36 @@ class Blocks:
         self.contact = Contact(*(sides[::-1] if swap else sides), **options)
         self.F = F
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
+
+
+def test_inverted_cells(monkeypatch):
+    """Where a Newton step leads to a stiffness that is no number, the load step is halved."""
+    scene, calls = Blocks(), []
+
+    def check(*_):
+        calls.append(1)
+        if len(calls) == 3:
+            raise ValueError("no number")
+
+    monkeypatch.setattr(checks, "check_finite", check)
+    scene.top.value = -0.05
+    scene.problem.solve()
+    assert scene.problem.halvings == 1
+
+
+def test_given_back():
+    """Σ hangs on where bodies came from: where a load step fails, that is forgotten with it."""
+    scene = Blocks(swap=True)
+    problem, rows, x = scene.problem, scene.contact.rows, scene.u[1].x.array
+    x[::2] = 0.05
+    problem._prepare()
+    rows.look()
+    before, m = problem._state(), rows.m
+    x[::2] = 0.2
+    rows.look()
+    problem._restore(before)
+    rows.look()
+    np.testing.assert_array_equal(rows.m, m)
 
 
 @two_ranks(sliding=["finite"])

@@ -265,6 +265,10 @@ def test_as_near_in_the_plane():
     result = active.as_near(before, force > 0, x**2, force, 1e-9, plane=True)
     assert (result == (np.abs(x) < a)).sum() >= len(x) - 4
     assert active.as_near(before, before, x**2, np.abs(force), 1e-9, plane=True) is before
+    # What pulls most of all is nearest
+    pulled, every = np.array((-5.0, 2, -1)), np.ones(3, dtype=bool)
+    result = active.as_near(every, pulled > 0, np.arange(3.0), pulled, 1e-9, plane=True)
+    assert result.tolist() == [True, True, False]
 
 
 def test_without_pull():

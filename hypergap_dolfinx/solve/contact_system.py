@@ -28,7 +28,7 @@ from hypergap_dolfinx.solve.contacts import (
 from hypergap_dolfinx.solve.friction import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.solve.held import FreeMotions
 from hypergap_dolfinx.solve.interface import Pieces
-from hypergap_dolfinx.solve.leading import leading, motions_of, turns_together
+from hypergap_dolfinx.solve.leading import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.solve.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.solve.newton import NonlinearSystem
 from hypergap_dolfinx.solve.relaxation import RELAXED, SHORTENED, Relaxation
@@ -196,7 +196,10 @@ class ContactSystem(NonlinearSystem):
             if relaxation.creeps:
                 break
             if step:
-                self.assemble_matrix()
+                try:
+                    self.assemble_matrix()
+                except ValueError as error:  # points of the residual needn't see cells inverted
+                    raise SolveError(f"Newton's iteration diverged: {error}") from error
             if step == 0 and self._slides(jump):
                 self._carry()
             else:
@@ -333,16 +336,10 @@ class ContactSystem(NonlinearSystem):
         if num_free and rubbing:
             num_free = hold_by_sticking(rubbing, np.vstack((holds[on], across)))
         if num_free:
-            slid = ": it fell or slid away, its load may be more than friction can hold"
             sticking = [rows.holds_across(part)[rows.stuck] for rows, part in rubbing]
             across = np.vstack([part.reshape(-1, self._free.num) for part in (across, *sticking)])
-            who = self._strays.unheld(self._owned(), np.vstack((holds[on], across)))
-            raise SolveError(
-                f"{num_free} rigid motion{'s'[: num_free > 1]} of the bodies "
-                f"{'are' if num_free > 1 else 'is'} held by nothing, not even by contact"
-                f"{slid if rubbing else ' without friction'}: {who}; hold them by boundary "
-                "conditions."
-            )
+            found = np.vstack((holds[on], across))
+            raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(rubbing)))
 
     def _owned(self) -> list[npt.NDArray[np.float64]]:
         """This rank's owned displacements of each body."""
@@ -446,12 +443,8 @@ class ContactSystem(NonlinearSystem):
         pushes = any(rows.now.p.any() for rows in self._rows)
         if self._tied or self._free.num or not (goes and pushes):
             return
-        motions = []
         prescribed = self._constraints.prescribed
-        for x, u, moves, held in zip(self._free.places, self._u, jump, prescribed, strict=True):
-            whole = held.reshape(x.shape).all(axis=1)
-            x = (x + owned_values(u).reshape(x.shape))[whole]
-            motions.append(leading(comm, x, moves.reshape(-1, x.shape[1])[whole]))
+        motions = prescribed_motions(comm, self._free.places, self._owned(), jump, prescribed)
         if None in motions:
             return
         far, together = self._slides(jump), True

@@ -6,6 +6,7 @@
 """One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,8 +55,9 @@ class Pressed:
     """Which multipliers there were, ``(num_multipliers,)``."""
 
     def copy(self):
-        """One that keeps its arrays."""
-        return replace(self, **{k: v.copy() for k, v in self.arrays.items()})
+        """One that keeps its arrays, and the Σ that the next one hangs on."""
+        arrays = {k: v.copy() for k, v in self.arrays.items()}
+        return replace(self, opening=copy(self.opening), **arrays)
 
     @property
     def arrays(self) -> dict[str, npt.NDArray]:

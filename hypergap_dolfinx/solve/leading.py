@@ -74,6 +74,30 @@ def leading(
     return RigidMotion(left @ right, *middles)
 
 
+def prescribed_motions(
+    comm: MPI.Comm,
+    places: Sequence[npt.NDArray[np.float64]],
+    u: Sequence[npt.NDArray[np.float64]],
+    moves: Sequence[npt.NDArray[np.float64]],
+    held: Sequence[npt.NDArray[np.bool_]],
+) -> list[RigidMotion | None]:
+    """Rigid motions on which what is prescribed leads each body, if it tells one. Collective.
+
+    Args:
+        comm: Communicator.
+        places: Where this rank's owned nodes of each body were first, ``(num_nodes, n)`` each.
+        u: Their displacements, ``(num_dofs,)`` each.
+        moves: What prescribed ones still have to move, likewise.
+        held: Which are prescribed, likewise.
+    """
+    found = []
+    for x, now, way, on in zip(places, u, moves, held, strict=True):
+        whole = on.reshape(x.shape).all(axis=1)
+        x = x + now.reshape(x.shape)
+        found.append(leading(comm, x[whole], way.reshape(x.shape)[whole]))
+    return found
+
+
 def motions_of(
     rows: ContactRows, motions: Sequence[RigidMotion]
 ) -> tuple[list[RigidMotion | None], float]:

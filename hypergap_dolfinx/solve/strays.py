@@ -45,13 +45,32 @@ class Strays:
         sizes = np.sqrt(self._comm.allreduce(np.array(sizes)))
         self._moves = sizes > MOVES * sizes.max()
 
-    def unheld(self, u: Sequence[npt.NDArray[np.float64]], holds: npt.NDArray[np.float64]) -> str:
-        """Bodies that move where nothing holds them, and how if that is one motion. Collective.
+    def unheld(
+        self,
+        u: Sequence[npt.NDArray[np.float64]],
+        holds: npt.NDArray[np.float64],
+        num: int,
+        friction: bool,
+    ) -> str:
+        """What is wrong where nothing holds bodies, and how they move if that is one motion.
+
+        Collective.
 
         Args:
             u: This rank's owned displacements of each body, ``(num_dofs,)``.
             holds: What is in contact makes of the free motions, ``(num_rows, num_free)``.
+            num: How many motions nothing holds.
+            friction: Whether there is any.
         """
+        slid = ": it fell or slid away, its load may be more than friction can hold"
+        return (
+            f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
+            f"by nothing, not even by contact{slid if friction else ' without friction'}: "
+            f"{self._moving(u, holds)}; hold them by boundary conditions."
+        )
+
+    def _moving(self, u, holds) -> str:
+        """The bodies that nothing holds, of the same arguments. Collective."""
         size = np.maximum(np.linalg.norm(holds, axis=1), 1e-300)
         every = np.vstack((holds / size[:, None], np.zeros((self._free.num,) * 2)))
         _, values, motions = np.linalg.svd(every)
