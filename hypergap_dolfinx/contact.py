@@ -14,7 +14,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
+import ufl
+from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.coefficient import Coefficient, Value
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.friction import Friction, friction_of
@@ -32,7 +33,7 @@ LOG = logging.getLogger("hypergap_dolfinx")
 ALIKE = 1.1  # ratio of the sides' sizes of facets up to which stiffness decides
 STIFF = 100.0  # ratio of stiffnesses from which the softer side is Γ1, whatever the sizes
 FINER = 1.5  # how much finer than Γ0 a Γ1 may be unwarned
-BEHIND = 0.5  # overlap, in extents of the thinner body, from which surfaces face away
+BEHIND = 0.5  # overlap, in thicknesses of the thinner body, from which surfaces face away
 FLAT = 1e-6  # turn of a surface in space, in radians, that is none
 TURNED = 0.5  # length of the mean normal up to which a surface looks to all sides
 
@@ -504,7 +505,10 @@ def _size(surface: Surface) -> float:
 
 
 def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
-    """Extent of a body along the mean normal of its surface, or its smallest one. Collective."""
+    """Extent of a body along the mean normal of its surface, or its smallest one. Collective.
+
+    But no more than twice its volume over its area: a ring is as thin as its wall.
+    """
     n = surface.gdim
     size = surface.size ** (n - 1)
     mean = (size[:, None] * surface.normals).sum(axis=0) / size.sum()
@@ -513,7 +517,10 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     x = V.mesh.geometry.x[:, :n] @ along.T
     ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(part) for part in zip(*ends, strict=True))
-    return float((high.max(axis=0) - low.min(axis=0)).min())
+    one = fem.Constant(V.mesh, default_scalar_type(1))
+    here = [fem.assemble_scalar(fem.form(one * dx)).real for dx in (ufl.dx, ufl.ds)]
+    volume, area = V.mesh.comm.allreduce(np.array(here))
+    return float(min((high.max(axis=0) - low.min(axis=0)).min(), 2 * volume / area))
 
 
 def _is_round(surface: Surface) -> bool:
