@@ -13,11 +13,8 @@ from assembly import (
     SOLVED,
     comm,
     held_outside,
-    in_halves,
-    is_regular,
     linear,
     problem,
-    rectangle,
     tie,
     traction_error,
 )
@@ -162,35 +159,6 @@ def test_slides():
     p.solve()
     opening = np.array((0, traction_of(bodies[0], stretched)[1] / 2.0))
     assert error(p, stretched, lambda x: opening[:, None]) <= SOLVED
-
-
-@two_ranks(same=[False])
-@pytest.mark.parametrize("same", (True, False))
-def test_pieces(same):
-    """One interface in two pieces, and bodies that are tied to each other where these meet."""
-    halves = [rectangle((2, 2), (x, 1), (x + 1, 2)) for x in (0, 1)]
-    bodies = [rectangle((6, 2), (0, 0), (2, 1)), *halves]
-    h = [0.7, 0.7 if same else fem.Constant(bodies[0].mesh, default_scalar_type(0.7))]
-    upper = [(1, BOTTOM), (2, BOTTOM)]
-    ties = [
-        tie(bodies, (0, TOP), side, conductance=value) for side, value in zip(upper, h, strict=True)
-    ]
-    ties.append(tie(bodies, (1, RIGHT), (2, LEFT)))
-    tied = [(0, TOP), *upper, (1, RIGHT), (2, LEFT)]
-    p = problem(bodies, ties, tied, HELD)
-    p.solve()
-    opening = traction_of(bodies[0], linear) / 0.7
-    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
-    assert max(traction_error(p, t, bodies) for t in ties) <= 10 * SOLVED
-
-    block = rectangle((4, 2), (0, 1), (2, 2), cell="triangle")
-    bodies = [bodies[0], block]
-    pieces = zip(in_halves(bodies, TIED, 1), h, strict=True)
-    ties = [Tie(*sides, conductance=value) for sides, value in pieces]
-    p = problem(bodies, ties, TIED, HELD)
-    p.solve()
-    assert error(p, linear, lambda x: opening[:, None]) <= SOLVED
-    assert is_regular(p)
 
 
 @two_ranks()

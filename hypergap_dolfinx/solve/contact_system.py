@@ -109,8 +109,7 @@ class ContactSystem(NonlinearSystem):
         self._softest, self._stiffness_of = 0.0, list[int | None]()
 
     def _release(self) -> list:
-        tangent = self.__dict__.pop("_tangent", None)
-        return [*filter(None, [tangent]), *super()._release()]
+        return [self.__dict__.pop("_tangent", None), *super()._release()]
 
     def _prepare(self):
         """Once: what nothing but contact holds. Collective."""
