@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 import dolfinx
 from dolfinx import fem, graph
+from dolfinx.cpp import mesh as cpp_mesh
 from dolfinx.mesh import Mesh
 
 VERSION = tuple(int(v) for v in dolfinx.__version__.split(".")[:2])
@@ -31,6 +32,20 @@ def coordinate_element(mesh: Mesh):
 def geometry_dofmap(mesh: Mesh) -> npt.NDArray[np.int32]:
     """Geometry nodes of each cell, ``(num_cells, num_nodes)``."""
     return mesh.geometry.dofmaps[0] if VERSION >= (0, 11) else mesh.geometry.dofmap
+
+
+def entities_to_geometry(
+    mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]
+) -> npt.NDArray[np.int32]:
+    """Geometry nodes of the vertices of entities, ``(num_entities, num_vertices)``.
+
+    DOLFINx 0.9 divides by the number of entities: without any the process ends in a floating-point
+    exception, on a rank that has no facets of an interface for instance.
+    """
+    if len(entities) == 0:
+        kind = cpp_mesh.cell_entity_type(mesh.topology.cell_type, dim, 0)
+        return np.empty((0, cpp_mesh.cell_num_vertices(kind)), dtype=np.int32)
+    return dolfinx.mesh.entities_to_geometry(mesh, dim, entities)
 
 
 def destinations(rank: npt.NDArray[np.int32]):

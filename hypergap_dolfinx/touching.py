@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
+from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx import compat, graph
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.component import Component
@@ -211,7 +211,7 @@ def _exterior_facets(V: fem.FunctionSpace, name: str) -> _Facets:
     topology.create_connectivity(n - 1, n)
     topology.create_connectivity(n, n - 1)
     index = exterior_facet_indices(topology)
-    facet_nodes = entities_to_geometry(mesh, n - 1, index)
+    facet_nodes = compat.entities_to_geometry(mesh, n - 1, index)
     to_cells = topology.connectivity(n - 1, n)
     cells = to_cells.array[to_cells.offsets[index]]
     all_x = mesh.geometry.x[:, :n]

@@ -54,3 +54,15 @@ def test_vector_has_ghosts(shape):
     with b.localForm() as local:
         assert local.getSize() == len(u.x.array)
     b.destroy()
+
+
+@pytest.mark.parametrize("shape, cell", (((3, 2), "triangle"), ((2, 2, 2), "hexahedron")))
+def test_facets_of_ranks_that_have_none(shape, cell):
+    """DOLFINx 0.9 kills the process where an interface has no facets on a rank."""
+    mesh, _ = meshes.block(comm, shape, cell=cell)
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    num = 0 if comm.rank == comm.size - 1 else mesh.topology.index_map(dim - 1).size_local
+    nodes = compat.entities_to_geometry(mesh, dim - 1, np.arange(num, dtype=np.int32))
+    assert nodes.shape == (num, 2 if dim == 2 else 4)
+    assert nodes.dtype == np.int32

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
-from dolfinx.mesh import entities_to_geometry
 from hypergap_dolfinx import compat
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.gap.jit import as_doubles, as_ints
@@ -398,7 +397,7 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     to_cells = mesh.topology.connectivity(n - 1, n)
     cells = to_cells.array[to_cells.offsets[facets]]
     x = mesh.geometry.x[:, :n]
-    v = x[entities_to_geometry(mesh, n - 1, facets)[:, : 2 ** (n - 1)]]
+    v = x[compat.entities_to_geometry(mesh, n - 1, facets)[:, : 2 ** (n - 1)]]
     height = np.einsum(
         "fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], unit_normals(v)
     )
