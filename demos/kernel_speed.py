@@ -29,8 +29,9 @@ from dolfinx import fem
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap import kernel, slab, strip
-from hypergap_dolfinx.gap.surface import Surface, create_surface
+from hypergap_dolfinx.gap_mesh import slab, strip
+from hypergap_dolfinx.mortar import kernel
+from hypergap_dolfinx.surface.trace import Surface, create_surface
 
 # -
 

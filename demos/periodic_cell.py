@@ -29,7 +29,8 @@ from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem, progress
+from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.core import progress
 
 parser = argparse.ArgumentParser(description="Effective stiffness of periodic cells.")
 parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
@@ -283,7 +284,7 @@ if args.plot:
     import pyvista
 
     import dolfinx.plot
-    from hypergap_dolfinx import display
+    from hypergap_dolfinx.core import display
 
     strain = 0.12 * (np.eye(dim, k=1) + np.eye(dim, k=-1)) + 0.1 * np.diag((1, -1, 0)[:dim])
     bodies = grids(drawn.solve(strain))

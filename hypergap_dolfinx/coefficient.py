@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.errors import raise_on_all
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.surface import create_surface, lagrange_element
-from hypergap_dolfinx.solve.every import look_up
+from hypergap_dolfinx.multipliers.numbering import look_up
+from hypergap_dolfinx.surface.moving import MovingSurface
+from hypergap_dolfinx.surface.trace import create_surface, lagrange_element
 
 Value = float | fem.Constant | fem.Function
 

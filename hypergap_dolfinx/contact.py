@@ -17,16 +17,16 @@ import numpy.typing as npt
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.coefficient import Coefficient, Value
+from hypergap_dolfinx.contact_geometry.opened import on_sigma
+from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
+from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching, owned_values
+from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
 from hypergap_dolfinx.friction import Friction, friction_of
-from hypergap_dolfinx.gap.moving import Displacements, MovingSurface, displaced
-from hypergap_dolfinx.gap.opened import on_sigma
-from hypergap_dolfinx.gap.opening import Opening
-from hypergap_dolfinx.gap.plane import PlaneOpening
-from hypergap_dolfinx.gap.strip import turns
-from hypergap_dolfinx.gap.surface import KINK, Surface, create_surface, facet_pairs
-from hypergap_dolfinx.solve.contacts import ContactRows, Touching, owned_values
-from hypergap_dolfinx.solve.friction import FrictionRows
+from hypergap_dolfinx.gap_mesh.strip import turns
+from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
+from hypergap_dolfinx.surface.trace import KINK, Surface, create_surface, facet_pairs
 
 LOG = logging.getLogger("hypergap_dolfinx")
 

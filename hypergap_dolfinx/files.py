@@ -16,8 +16,8 @@ functions on mixed spaces: give them ``w.sub(0).collapse()``.
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.compat import interpolation_points
-from hypergap_dolfinx.solve.system import TiedSystem
+from hypergap_dolfinx.core.compat import interpolation_points
+from hypergap_dolfinx.solvers.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 

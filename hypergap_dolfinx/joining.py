@@ -16,11 +16,11 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.gap.component import Component
-from hypergap_dolfinx.gap.multipliers import Multipliers, smooth_pieces
-from hypergap_dolfinx.gap.surface import NOISE, STRAIGHT, Surface
-from hypergap_dolfinx.graph import PartsOf, components
+from hypergap_dolfinx.mortar.multiplier_space import Multipliers, smooth_pieces
+from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.trace import NOISE, STRAIGHT, Surface
 from hypergap_dolfinx.tie import Tie
 
 NEAR = 0.5

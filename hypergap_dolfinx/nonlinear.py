@@ -16,8 +16,8 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solve import solvers
-from hypergap_dolfinx.solve.newton import NonlinearSystem
+from hypergap_dolfinx.solvers import choice
+from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.tie import Tie
 
 
@@ -100,7 +100,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
         )
-        self._solver = solvers.create(
+        self._solver = choice.create(
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
         self._snes = PETSc.SNES().create(self._A.comm)

@@ -22,11 +22,11 @@ import pyvista
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx.plot import vtk_mesh
-from hypergap_dolfinx import display
-from hypergap_dolfinx.compat import geometry_dofmap
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
-from hypergap_dolfinx.gap.surface import Surface, is_mixed
+from hypergap_dolfinx.core import display
+from hypergap_dolfinx.core.compat import geometry_dofmap
+from hypergap_dolfinx.surface.trace import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
 
 _BODY, _EDGE, _SHEAR = "#e8e4da", "#555555", "#1b7837"

@@ -14,10 +14,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
+from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solve import checks, solvers
-from hypergap_dolfinx.solve.system import TiedSystem
+from hypergap_dolfinx.solvers import choice
+from hypergap_dolfinx.solvers.system import TiedSystem
 from hypergap_dolfinx.tie import Tie
 
 
@@ -133,7 +134,7 @@ class TiedProblem(TiedSystem):
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
         super().__init__(fem.form(list(a), **options), bcs or (), Joined(ties), solutions)
-        self._solver = solvers.create(self._system, solver, petsc_options_prefix, petsc_options)
+        self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""

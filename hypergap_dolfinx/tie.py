@@ -19,20 +19,21 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx import disposal
+from hypergap_dolfinx.core import lifetime
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap import carried, fields, quality
-from hypergap_dolfinx.gap import compliance as soft
-from hypergap_dolfinx.gap import law as laws
-from hypergap_dolfinx.gap.adjust import adjust_surface, with_surfaces
-from hypergap_dolfinx.gap.carried import Motion
-from hypergap_dolfinx.gap.component import Component
-from hypergap_dolfinx.gap.constraint import Constraint, create_constraint, expand
-from hypergap_dolfinx.gap.domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.gap.given import Given
-from hypergap_dolfinx.gap.jump import Jump, gaping, right_side
-from hypergap_dolfinx.gap.recovery import Recovery
-from hypergap_dolfinx.gap.surface import Surface, create_surface, thinness
+from hypergap_dolfinx.interface_laws import compliance as soft
+from hypergap_dolfinx.interface_laws import law as laws
+from hypergap_dolfinx.interface_laws.given_values import Given
+from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
+from hypergap_dolfinx.mortar import fields, quality
+from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
+from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint, expand
+from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.mortar.recovery import Recovery
+from hypergap_dolfinx.surface import carried
+from hypergap_dolfinx.surface.carried import Motion
+from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.trace import Surface, create_surface, thinness
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -40,7 +41,7 @@ ALIKE = 1.1  # ratio of the sides' distances between nodes up to which stiffness
 THIN = 0.01  # thickness of cells, over their length, of a layer that is Γ1 even if it is finer
 
 
-class Tie(disposal.Owner):
+class Tie(lifetime.Owner):
     """Ties two surfaces whose meshes don't match.
 
     Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
@@ -166,7 +167,7 @@ class Tie(disposal.Owner):
                 )
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
-        self._ticket = disposal.enter(comm)
+        self._ticket = lifetime.enter(comm)
         if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
                 "the meshes of Γ0 and Γ1 live on different communicators; make both on one."

@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
-from hypergap_dolfinx import compat, graph
+from hypergap_dolfinx.core import compat, graph
+from hypergap_dolfinx.core.intersection import axes_across, common_part
 from hypergap_dolfinx.errors import InterfaceError, raise_on_all
-from hypergap_dolfinx.gap.component import Component
-from hypergap_dolfinx.gap.surface import lagrange_element, unit_normals
-from hypergap_dolfinx.intersection import axes_across, common_part
+from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.trace import lagrange_element, unit_normals
 
 NEAR = 1e-3  # distance of flat facets, over the smaller one's size, at which they touch
 BULGES = 2  # the same of curved ones, in heights over the facet that turns tell of

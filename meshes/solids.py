@@ -16,7 +16,7 @@ import numpy.typing as npt
 import basix.ufl
 import dolfinx
 from dolfinx import fem, la
-from hypergap_dolfinx import compat
+from hypergap_dolfinx.core import compat
 from meshes.session import gmsh_session
 from meshes.structured import (
     BACK,

@@ -17,7 +17,7 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap.surface import Surface
+from hypergap_dolfinx.surface.trace import Surface
 
 comm = MPI.COMM_WORLD
 thorough = False  # whether slow tests run too, set in conftest

@@ -19,7 +19,7 @@ import meshes.solids
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
-from hypergap_dolfinx.gap import adjust
+from hypergap_dolfinx.mortar import adjust
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
 FULL = 2 * np.pi

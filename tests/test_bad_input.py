@@ -17,8 +17,9 @@ import basix
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem, compat
-from hypergap_dolfinx.solve import checks
+from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx.algebra import checks
+from hypergap_dolfinx.core import compat
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 TIED = [(0, TOP), (1, BOTTOM)]
@@ -261,7 +262,7 @@ def test_facets_of_strange_kinds(facets):
 @pytest.mark.serial
 def test_workspace(monkeypatch):
     """MUMPS runs out of workspace, gets more, and all is well."""
-    from hypergap_dolfinx.solve import saddle
+    from hypergap_dolfinx.algebra import saddle
 
     bodies = [
         rectangle((n, 12), (0, i), (1, i + 1), degree=2, E=E)

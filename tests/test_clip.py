@@ -13,11 +13,11 @@ from helpers import sweep
 from test_front import check_cells, side
 
 from hypergap_dolfinx import InterfaceError
-from hypergap_dolfinx.gap import slab
-from hypergap_dolfinx.gap.clip import clip
-from hypergap_dolfinx.gap.cutting import Cutting
-from hypergap_dolfinx.gap.overhang import overhang
-from hypergap_dolfinx.gap.projection import Triangles
+from hypergap_dolfinx.gap_mesh import slab
+from hypergap_dolfinx.gap_mesh.overhang import overhang
+from hypergap_dolfinx.surface.projection import Triangles
+from hypergap_dolfinx.trimming.clip import clip
+from hypergap_dolfinx.trimming.delaunay import Cutting
 
 pytestmark = pytest.mark.serial
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)

@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from dolfinx import fem
-from hypergap_dolfinx import compat
+from hypergap_dolfinx.core import compat
 
 pytestmark = pytest.mark.ranks
 

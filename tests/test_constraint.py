@@ -17,8 +17,8 @@ import dolfinx
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap.constraint import expand
-from hypergap_dolfinx.solve.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.mortar.constraint import expand
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (1, 2), (2, 1), (1, 3), (3, 2))
 MODES = "interpolated", "free"

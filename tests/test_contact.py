@@ -17,7 +17,7 @@ from helpers import raises, two_ranks
 import meshes
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
-from hypergap_dolfinx.solve import checks
+from hypergap_dolfinx.algebra import checks
 
 comm = MPI.COMM_WORLD
 

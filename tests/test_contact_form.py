@@ -17,12 +17,12 @@ import basix
 import meshes
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx.contact_geometry import fans, rays
+from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
+from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap import fans, rays
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.plane import PlaneOpening
-from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.solve import active
+from hypergap_dolfinx.surface.moving import MovingSurface
+from hypergap_dolfinx.surface.trace import create_surface
 
 comm = MPI.COMM_WORLD
 STEP = 2e-5  # of differences of the fourth order
@@ -215,7 +215,7 @@ def test_what_is_at_both_limits_stays_in_the_set():
     g[2:4], g[6] = (1e-16, -1e-16), -1.0
     m, valid = np.ones(7), np.ones(7, dtype=bool)
     for on in (valid, ~valid):
-        result = active.pushing(p, g, m, valid, 2.0, on, 1e-8)
+        result = active_set.pushing(p, g, m, valid, 2.0, on, 1e-8)
         assert result.tolist() == [*on[:4], True, False, True]
 
 
@@ -229,13 +229,13 @@ def test_without_pull_on_surface():
     force = np.array((0.0, -1.0, 0.5, 8.0, 5.0))[ring]
     before, now = ring > 0, force > 0
     now[0] = True
-    result = active.without_pull_on_surface(before, now, facets, force)
+    result = active_set.without_pull_on_surface(before, now, facets, force)
     assert result[0] and not result[ring == 2].any() and result[ring > 2].all()
     now[number[4, 4]] = False  # a hole
     force[number[4, 4]] = -100
-    hole = active.without_pull_on_surface(before, now, facets, force)
+    hole = active_set.without_pull_on_surface(before, now, facets, force)
     assert (hole == (result & now)).all()
-    assert (active.without_pull_on_surface(before, before, facets, force) == before).all()
+    assert (active_set.without_pull_on_surface(before, before, facets, force) == before).all()
 
 
 def test_as_near():
@@ -247,7 +247,7 @@ def test_as_near():
     force = np.where(before, depth - (b**3 - a**3) / (3 * b) / np.maximum(depth, 1e-3), 0)
     scatter = np.random.default_rng(0).permutation(len(r)) % 7 == 0
     now = before & (force > 0) & ~scatter
-    as_near = partial(active.as_near, plane=False)
+    as_near = partial(active_set.as_near, plane=False)
     result = as_near(before, now, r**2, force, 1e-9)
     assert (result == before & (r <= r[result].max())).all()  # whole again
     assert abs(r[result].max() / a - 1) <= 0.05
@@ -262,12 +262,12 @@ def test_as_near_in_the_plane():
     x, a, b = np.linspace(-2, 2, 401), 0.61, 1.71
     before = np.abs(x) < b
     force = np.where(before, a**2 + b**2 - 2 * x**2, 0) / np.sqrt(np.maximum(b**2 - x**2, 1e-3))
-    result = active.as_near(before, force > 0, x**2, force, 1e-9, plane=True)
+    result = active_set.as_near(before, force > 0, x**2, force, 1e-9, plane=True)
     assert (result == (np.abs(x) < a)).sum() >= len(x) - 4
-    assert active.as_near(before, before, x**2, np.abs(force), 1e-9, plane=True) is before
+    assert active_set.as_near(before, before, x**2, np.abs(force), 1e-9, plane=True) is before
     # What pulls most of all is nearest
     pulled, every = np.array((-5.0, 2, -1)), np.ones(3, dtype=bool)
-    result = active.as_near(every, pulled > 0, np.arange(3.0), pulled, 1e-9, plane=True)
+    result = active_set.as_near(every, pulled > 0, np.arange(3.0), pulled, 1e-9, plane=True)
     assert result.tolist() == [True, True, False]
 
 
@@ -277,9 +277,9 @@ def test_without_pull():
     force = np.array((5.0, 5, 4, 3, 2, -1, 2, -6, 0))
     before, now = force != 0, force > 0
     now[8] = True
-    result = active.without_pull(before, now, facets, force)
+    result = active_set.without_pull(before, now, facets, force)
     assert np.flatnonzero(result).tolist() == [0, 1, 2, 3, 8]
-    assert (active.without_pull(before, before, facets, force) == before).all()
+    assert (active_set.without_pull(before, before, facets, force) == before).all()
 
 
 def test_seeded():
@@ -288,15 +288,15 @@ def test_seeded():
     holds = np.column_stack((np.ones(5), x))
     distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
     valid, none, area = np.ones(5, dtype=bool), np.zeros(5, dtype=bool), np.ones(5)
-    on, free = active.seeded(none, distance, area, valid, holds, np.zeros(2))
+    on, free = active_set.seeded(none, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
-    on, free = active.seeded(np.arange(5) == 4, distance, area, valid, holds, np.zeros(2))
+    on, free = active_set.seeded(np.arange(5) == 4, distance, area, valid, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
-    on, free = active.seeded(
+    on, free = active_set.seeded(
         none, distance, area, valid, np.column_stack((x, x**2)), np.array((-1, 0))
     )
     assert np.flatnonzero(on).tolist() == [0, 1] and free == 0  # those that don't pull
-    on, free = active.seeded(none, distance, area, np.arange(5) == 3, holds, np.zeros(2))
+    on, free = active_set.seeded(none, distance, area, np.arange(5) == 3, holds, np.zeros(2))
     assert np.flatnonzero(on).tolist() == [3] and free == 1
-    on, free = active.seeded(none, distance, area, valid, holds, np.array((1, 0.1)), first=True)
+    on, free = active_set.seeded(none, distance, area, valid, holds, np.array((1, 0.1)), first=True)
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0  # on what it comes to rest

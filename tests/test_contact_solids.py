@@ -19,11 +19,11 @@ import meshes
 from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
-from hypergap_dolfinx.gap import moments
-from hypergap_dolfinx.gap.moving import MovingSurface
-from hypergap_dolfinx.gap.opening import Opening
-from hypergap_dolfinx.gap.opposite import Frames, find_pieces
-from hypergap_dolfinx.gap.surface import create_surface
+from hypergap_dolfinx.contact_geometry import moments
+from hypergap_dolfinx.contact_geometry.opposite import Frames, find_pieces
+from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.surface.moving import MovingSurface
+from hypergap_dolfinx.surface.trace import create_surface
 
 comm = MPI.COMM_WORLD
 SPANS = (((0, 0, -0.5), (2, 2, 0)), ((0.5, 0.5, 0), (1.5, 1.5, 0.5)))

@@ -15,8 +15,9 @@ from helpers import close, comm, skew, two_blocks, two_rings
 
 import meshes
 from dolfinx import fem, la
-from hypergap_dolfinx import Tie, compat
-from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
+from hypergap_dolfinx import Tie
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
 
 LENGTH = 2  # of the blocks' interface
 

@@ -17,11 +17,11 @@ from helpers import close, raises
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Contact, ContactProblem
-from hypergap_dolfinx.gap import slip_columns
-from hypergap_dolfinx.gap.opening import Opening
-from hypergap_dolfinx.gap.plane import PlaneOpening
-from hypergap_dolfinx.solve import active
-from hypergap_dolfinx.solve.relaxation import Relaxation
+from hypergap_dolfinx.contact_geometry import slips
+from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
+from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 
 comm = MPI.COMM_WORLD
 STEP = 1e-5  # of differences of the fourth order
@@ -84,8 +84,8 @@ def test_slip_in_space(monkeypatch):
     sides, u, rng = space.rough()
     opening = Opening.between(comm, sides, u)
     state = opening._at(u)
-    fixed = slip_columns.directions(state.surfaces[1], state.frames)
-    monkeypatch.setattr(slip_columns, "directions", lambda *_: fixed)
+    fixed = slips.directions(state.surfaces[1], state.frames)
+    monkeypatch.setattr(slips, "directions", lambda *_: fixed)
     slip_of(opening, sides, u, rng, space._positions)
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
 
@@ -265,9 +265,9 @@ def test_what_comes():
     come, on = (np.isin(np.arange(6), which) for which in ([0, 3, 5], [1, 2]))
     lasting = ~come
     np.testing.assert_array_equal(
-        active.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
+        active_set.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
     )
-    split = active.beside(np.arange(6) == 0, lasting, facets)
+    split = active_set.beside(np.arange(6) == 0, lasting, facets)
     np.testing.assert_array_equal(np.flatnonzero(split), [0, 1])
 
 

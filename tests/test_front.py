@@ -16,13 +16,13 @@ import pytest
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap import front, prisms, slab, swaps
-from hypergap_dolfinx.gap.cavity import is_whole, linear_program
-from hypergap_dolfinx.gap.metric import FACES, areas, single_faces
-from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.rim import in_walls
-from hypergap_dolfinx.gap.surface import Surface
-from hypergap_dolfinx.gap.walls import rims
+from hypergap_dolfinx.gap_mesh import front, prisms, slab, swaps
+from hypergap_dolfinx.gap_mesh.cavity import is_whole, linear_program
+from hypergap_dolfinx.gap_mesh.rim import in_walls
+from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, areas, single_faces
+from hypergap_dolfinx.gap_mesh.walls import rims
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.trace import Surface
 
 P1 = basix.create_element(basix.ElementFamily.P, basix.CellType.triangle, 1)
 pytestmark = pytest.mark.serial
@@ -347,7 +347,7 @@ def test_same_each_time():
 def test_compiled_by_many_at_once(tmp_path):
     """Processes that start together with an empty cache all get the library, and leave one file."""
     code = (
-        "from mpi4py import MPI\nfrom hypergap_dolfinx.gap.jit import library\n"
+        "from mpi4py import MPI\nfrom hypergap_dolfinx.core.compiled import library\n"
         "assert library().lib.front_fill\n"
     )
     env = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}

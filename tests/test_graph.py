@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 import dolfinx
 from dolfinx import fem
-from hypergap_dolfinx.graph import components, parts
+from hypergap_dolfinx.core.graph import components, parts
 
 comm = MPI.COMM_WORLD
 

@@ -17,7 +17,7 @@ from helpers import close
 
 import basix
 from hypergap_dolfinx import InvertedCellError
-from hypergap_dolfinx.gap.kernel import (
+from hypergap_dolfinx.mortar.kernel import (
     GapElement,
     affine_gap_matrices,
     alpha_derivatives,

@@ -30,7 +30,7 @@ from hypergap_dolfinx import (
     files,
     find_touching,
 )
-from hypergap_dolfinx.gap.component import Component
+from hypergap_dolfinx.surface.component import Component
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 comm = MPI.COMM_WORLD

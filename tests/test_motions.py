@@ -16,8 +16,8 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
-from hypergap_dolfinx.solve.leading import leading, turns_together
-from hypergap_dolfinx.solve.motions import free_motions
+from hypergap_dolfinx.algebra.rigid_motions import free_motions
+from hypergap_dolfinx.contact_solver.predictor import leading, turns_together
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
 comm = MPI.COMM_WORLD

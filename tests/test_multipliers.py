@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which multipliers exist: the invariant of ``solve/multipliers.py``, on what it leaves."""
+"""Which multipliers exist: the invariant of ``multipliers/existence.py``, on what it leaves."""
 
 from itertools import product
 
@@ -14,9 +14,9 @@ from helpers import sweep
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
-from hypergap_dolfinx.gap.coverage import covered_parts
-from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.solve.replacements import CONSISTENT, INDEPENDENT, Rows
+from hypergap_dolfinx.multipliers.replacements import CONSISTENT, INDEPENDENT, Rows
+from hypergap_dolfinx.surface.coverage import covered_parts
+from hypergap_dolfinx.surface.trace import create_surface
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 SINE = 0.05

@@ -20,7 +20,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
-from hypergap_dolfinx.solve import solvers
+from hypergap_dolfinx.solvers import choice
 
 comm = MPI.COMM_WORLD
 
@@ -209,7 +209,7 @@ def assert_same(us, reference):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-10)
 
 
-@pytest.mark.parametrize("solver", solvers.SOLVERS)
+@pytest.mark.parametrize("solver", choice.SOLVERS)
 def test_solvers_agree(solver):
     reference, newton, *_ = load_steps(steps=(0.3,))
     us, its, *_ = load_steps(solver, steps=(0.3,))

@@ -13,10 +13,10 @@ from test_front import check_cells, side
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, exterior_facet_indices, locate_entities_boundary
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap.clip import clip
-from hypergap_dolfinx.gap.parting import pairs_of_pieces
-from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.slab import fill
+from hypergap_dolfinx.gap_mesh.slab import fill
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.trimming.clip import clip
+from hypergap_dolfinx.trimming.parting import pairs_of_pieces
 
 
 def sides(cell, corner, whole):

@@ -17,7 +17,7 @@ from basix.ufl import mixed_element
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
-from hypergap_dolfinx.solve.motions import free_motions
+from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from meshes import BACK, BOTTOM, END, FRONT, LEFT, RIGHT, START, TOP
 
 FACES = (LEFT, RIGHT), (BOTTOM, TOP), (BACK, FRONT)

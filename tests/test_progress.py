@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 import pytest
 
-from hypergap_dolfinx import progress
+from hypergap_dolfinx.core import progress
 
 pytestmark = pytest.mark.ranks
 

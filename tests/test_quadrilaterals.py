@@ -20,11 +20,11 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem
-from hypergap_dolfinx.gap import slab
-from hypergap_dolfinx.gap.pieces import Side
-from hypergap_dolfinx.gap.quadrilaterals import HALVES, QUARTERS, middle_rows
-from hypergap_dolfinx.gap.quality import unevenness
-from hypergap_dolfinx.gap.surface import SAME_NODE, create_surface, tabulate
+from hypergap_dolfinx.gap_mesh import slab
+from hypergap_dolfinx.mortar.quality import unevenness
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS, middle_rows
+from hypergap_dolfinx.surface.trace import SAME_NODE, create_surface, tabulate
 
 VARIANTS = basix.LagrangeVariant.gll_warped, basix.LagrangeVariant.equispaced
 

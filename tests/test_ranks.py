@@ -18,7 +18,8 @@ from test_contact import Blocks
 import meshes
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx import Tie, TiedProblem, compat
+from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.core import compat
 
 pytestmark = pytest.mark.ranks
 

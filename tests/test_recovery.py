@@ -16,8 +16,9 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx import Tie, TiedProblem, compat
-from hypergap_dolfinx.gap.surface import tabulate
+from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.surface.trace import tabulate
 
 EXACT = 2e-11  # ε times the condition of the system, 1e4; what is seen is up to 1e-12
 

@@ -20,11 +20,12 @@ import dolfinx.mesh
 import meshes
 from dolfinx import fem, la
 from hypergap_dolfinx import InterfaceError, Tie
-from hypergap_dolfinx.gap import domain, front
-from hypergap_dolfinx.gap.kernel import alpha_derivatives, geometry_at_points
-from hypergap_dolfinx.gap.projection import Triangles
-from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.gap.triangulation import components, kinks, neighbours
+from hypergap_dolfinx.gap_mesh import front
+from hypergap_dolfinx.mortar import domain
+from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
+from hypergap_dolfinx.surface.projection import Triangles
+from hypergap_dolfinx.surface.trace import create_surface
+from hypergap_dolfinx.surface.triangulation import components, kinks, neighbours
 
 pytest.importorskip("gmsh")  # for the unstructured meshes
 

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Σ in space is the same on any number of ranks, when it is made and when it follows surfaces."""
+"""Σ in space is the same on any number of ranks, interior nodes included."""
 
 import runpy
 from pathlib import Path
@@ -16,8 +16,6 @@ from helpers import comm
 
 from dolfinx import fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap.slab import mesh_slab
-from hypergap_dolfinx.gap.update import moved, update_slab
 
 pytestmark = pytest.mark.ranks(2)
 ANY_SURFACES = Path(__file__).parents[1] / "demos" / "any_surfaces.py"
@@ -56,22 +54,3 @@ def test_any_surfaces(demo, seed, degree):
     assert demo["stands_up"](domain)
     each, here = moments(domain.x[:, :4], domain.alpha_vertices, scale, comm)
     assert each == num and abs(here - wave) < 1e-11 * num
-
-
-def test_update(demo):
-    """Cells are kept on all ranks or on none, and are the same."""
-    surfaces = ties(demo, 180, 1, comm).domain.surfaces
-    first = mesh_slab(comm, *surfaces)
-    for way, expected in ((0.01, False), (0.6, True)):
-        x = surfaces[1].nodes
-        size = way * surfaces[1].size.mean()
-        new = moved(surfaces[1], x + size * np.sin(7 * x[..., [1, 2, 0]] / np.ptp(x)))
-        made = [update_slab(on, first, surfaces[0], new) for on in (comm, MPI.COMM_SELF)]
-        assert [rebuilt for _, rebuilt in made] == [expected] * 2
-        gap, alone = (each for each, _ in made)
-        np.testing.assert_array_equal(gap.cells, alone.cells)
-        np.testing.assert_array_equal(gap.x, alone.x)
-        points = np.full((1, 3), 0.25)
-        one, other = (each.hosts(points, np.arange(len(gap.cells))) for each in (gap, alone))
-        for i in (0, 1):
-            np.testing.assert_array_equal(one.facets[i], other.facets[i])

@@ -19,9 +19,9 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem
-from hypergap_dolfinx.gap import outlines
-from hypergap_dolfinx.gap.clip import clip
-from hypergap_dolfinx.gap.pieces import Side
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.trimming import outlines
+from hypergap_dolfinx.trimming.clip import clip
 
 SCENES = {
     "inside": (0, 0.45, (0.51, 0.5)),

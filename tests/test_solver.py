@@ -17,8 +17,8 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
-from hypergap_dolfinx.solve import solvers
-from hypergap_dolfinx.solve.substructures import order_of_bodies
+from hypergap_dolfinx.solvers import choice
+from hypergap_dolfinx.solvers.substructures import order_of_bodies
 
 comm = MPI.COMM_WORLD
 
@@ -212,7 +212,7 @@ def test_units_do_not_matter(unit):
 
 @two_ranks(E=[1e15])
 @pytest.mark.parametrize("E", (1e-15, 1e15))
-@pytest.mark.parametrize("solver", solvers.SOLVERS)
+@pytest.mark.parametrize("solver", choice.SOLVERS)
 def test_displacements_in_other_units(solver, E):
     """Round-off of a tie between large displacements is no residual next to small loads."""
     u = []
@@ -271,7 +271,7 @@ def test_small_forces_of_stiff_bodies(contrast):
 
 
 @two_ranks()
-@pytest.mark.parametrize("solver", solvers.SOLVERS)
+@pytest.mark.parametrize("solver", choice.SOLVERS)
 def test_without_forces(solver):
     """A body that floats closes its gap to one that rests: round-off is no wrong answer."""
     V, sides, a = [], [], []
@@ -374,7 +374,7 @@ def test_a_body_in_two_parts():
 def test_a_part_that_nothing_holds():
     """It is counted, also if no load moves it: a factor may not notice."""
     pytest.importorskip("gmsh")
-    for solver in solvers.SOLVERS:
+    for solver in choice.SOLVERS:
         problem = two_parts(solver, num_ties=1)
         with pytest.raises(SolveError, match="singular: 1 rigid motion of the bodies is free"):
             problem.solve()
@@ -468,7 +468,7 @@ def test_the_default(monkeypatch):
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
     problem.solve()
     assert problem.solver.getPC().getType() == "lu"
-    monkeypatch.setattr(solvers, "LARGE", 100)
+    monkeypatch.setattr(choice, "LARGE", 100)
     large = TiedProblem(a, L, bcs=bcs, ties=ties)
     large.solve()
     assert large.solver.getPC().getType() == "python"
@@ -481,11 +481,11 @@ def test_the_default(monkeypatch):
 @pytest.mark.ranks(2)
 def test_the_default_falls_back(monkeypatch):
     """A much stiffer Γ1 would take hundreds of iterations."""
-    monkeypatch.setattr(solvers, "LARGE", 100)
+    monkeypatch.setattr(choice, "LARGE", 100)
     pytest.importorskip("gmsh")
     a, L, bcs, ties = pile(3, stiffness=(1.0, 1e3))
-    options = dict(solvers.Bodies.OPTIONS, ksp_max_it=5)
-    monkeypatch.setattr(solvers.Bodies, "OPTIONS", options)
+    options = dict(choice.Bodies.OPTIONS, ksp_max_it=5)
+    monkeypatch.setattr(choice.Bodies, "OPTIONS", options)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
     given_up = problem.solver
     problem.solve()

@@ -17,7 +17,7 @@ import hypergap_dolfinx
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.gap import strip
+from hypergap_dolfinx.gap_mesh import strip
 
 PACKAGE = str(Path(hypergap_dolfinx.__file__).parent)
 

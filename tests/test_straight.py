@@ -14,11 +14,11 @@ from helpers import close, comm, interpolated, raises, residual
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import InvertedCellError, Tie
-from hypergap_dolfinx.gap import mending, straight, swaps
-from hypergap_dolfinx.gap.cells import geometry_element
-from hypergap_dolfinx.gap.slab import mesh_slab
-from hypergap_dolfinx.gap.surface import create_surface
-from hypergap_dolfinx.gap.triangulation import kinks, neighbours
+from hypergap_dolfinx.gap_mesh import repair, straightening, swaps
+from hypergap_dolfinx.gap_mesh.cells import geometry_element
+from hypergap_dolfinx.gap_mesh.slab import mesh_slab
+from hypergap_dolfinx.surface.trace import create_surface
+from hypergap_dolfinx.surface.triangulation import kinks, neighbours
 
 CELLS = np.array([(0, 1, 2, 4), (1, 3, 2, 5), (1, 2, 4, 5)])  # vertices 0–3 on Γ0, 4 and 5 on Γ1
 ALPHA = np.array([0, 0, 0, 0, 1, 1.0])
@@ -69,8 +69,8 @@ def test_no_cell_is_turned_over(monkeypatch):
     monkeypatch.setattr(swaps, "improve", lambda cells, *_: cells)
     domain = Tie(*curved_sides(2, 0.3)).domain
     domain.gap_matrices()
-    monkeypatch.setattr(straight, "straighten", lambda *_: straight.NONE)
-    monkeypatch.setattr(mending, "straighten", lambda *_: straight.NONE)
+    monkeypatch.setattr(straightening, "straighten", lambda *_: straightening.NONE)
+    monkeypatch.setattr(repair, "straighten", lambda *_: straightening.NONE)
     with raises(InvertedCellError, "inverted"):
         Tie(*curved_sides(2, 0.3)).domain.gap_matrices()
 
@@ -114,9 +114,9 @@ def test_which_edges():
 
     through = {(0, 4), (1, 4), (2, 4)}
     for wanted in (set(), through, through | {(1, 2)}):
-        found = straight.straighten(CELLS, ALPHA, margins(wanted))
+        found = straightening.straighten(CELLS, ALPHA, margins(wanted))
         assert {tuple(edge) for edge in found.tolist()} == wanted
-    found = straight.straighten(CELLS, ALPHA, margins({(7, 8)}))
+    found = straightening.straighten(CELLS, ALPHA, margins({(7, 8)}))
     assert len(found) == 6
 
 

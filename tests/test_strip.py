@@ -12,7 +12,7 @@ from helpers import close, polyline, skew
 from hypothesis import given, settings
 
 from hypergap_dolfinx import InterfaceError
-from hypergap_dolfinx.gap.strip import chains, mesh_strip, triangulate
+from hypergap_dolfinx.gap_mesh.strip import chains, mesh_strip, triangulate
 
 pytestmark = pytest.mark.serial
 

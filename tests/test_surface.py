@@ -15,8 +15,8 @@ import basix
 import dolfinx
 import meshes
 from dolfinx import fem
-from hypergap_dolfinx import compat
-from hypergap_dolfinx.gap.surface import create_surface, tabulate
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.surface.trace import create_surface, tabulate
 
 CELLS = "triangle", "quadrilateral", "tetrahedron", "hexahedron"
 DIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}

@@ -13,9 +13,10 @@ from helpers import elasticity, two_blocks
 from test_contact import Blocks
 
 from dolfinx import fem
-from hypergap_dolfinx.gap.moving import Sparse
-from hypergap_dolfinx.solve import pattern, saddle, tangent
-from hypergap_dolfinx.solve.dependence import Dependence
+from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.algebra.dependence import Dependence
+from hypergap_dolfinx.contact_solver import pattern, tangent
+from hypergap_dolfinx.surface.moving import Sparse
 
 
 def dense(entries, size):

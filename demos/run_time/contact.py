@@ -75,11 +75,11 @@ def part_of(function):
     """The part of the time that a function belongs to, by its file and name, or None."""
     file, _, name = function
     file = Path(file).as_posix()
-    if "/hypergap_dolfinx/gap/" in file:
+    if "/hypergap_dolfinx/contact_geometry/" in file or "/hypergap_dolfinx/surface/" in file:
         return PARTS[2]
-    if "/hypergap_dolfinx/solve/" in file and name in ("assemble_matrix", "_residual"):
+    if "/hypergap_dolfinx/" in file and name in ("assemble_matrix", "_residual"):
         return PARTS[1]
-    if file.endswith("/solve/saddle.py") and name == "solve":
+    if file.endswith("/algebra/saddle.py") and name == "solve":
         return PARTS[3]
     return None
 

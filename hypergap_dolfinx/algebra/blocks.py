@@ -1,0 +1,381 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The constraints of several ties on several bodies, as blocks of one saddle system."""
+
+from collections.abc import Sequence
+from itertools import chain
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.algebra.checks import Coincidences
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.mortar.constraint import coo_matrix
+from hypergap_dolfinx.multipliers.compliance_blocks import Compliances
+from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
+from hypergap_dolfinx.multipliers.interface import Interface
+from hypergap_dolfinx.multipliers.law_fields import openings
+from hypergap_dolfinx.multipliers.numbering import prescribed_dofs, values_at
+from hypergap_dolfinx.multipliers.prolongation import Extension
+from hypergap_dolfinx.surface.component import Component
+
+UNTIED = 1e-12
+"""Sum of a row's entries at displacements of Γ0 that can move, over the largest such sum, up to
+which nothing moves there: entries of prescribed ones are exact zeros, others are integrals of shape
+functions or round-off."""
+
+
+class ConstraintBlocks:
+    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
+
+    An interface is a tie, or several that are its pieces: those between the same two bodies.
+
+    The fields are the bodies' displacements, then the free interior nodes of ties that have them,
+    then the jumps of ties with a law.
+    Rows of prescribed dofs are gone, and so are columns: what they hold is known.
+    """
+
+    def __init__(
+        self,
+        spaces: Sequence[fem.FunctionSpace],
+        bcs: Sequence[Sequence[fem.DirichletBC]],
+        ties: Sequence[Interface],
+        names: Sequence[str] | None = None,
+    ):
+        """Pull the ties back to the bodies. Collective.
+
+        Args:
+            spaces: Function space of each body.
+            bcs: Dirichlet conditions of each body.
+            ties: The ties.
+            names: What messages call them; by their numbers if not given.
+
+        Raises:
+            ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
+                a part of that field.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        self._spaces = list(spaces)
+        self._ties = list(ties)
+        self._names = names or [f"tie {t}" for t in range(len(self._ties))]
+        self._components: list[tuple[int, Component]] = []  # with the numbers of their bodies
+        tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
+        self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
+        self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        self._pairs: dict[int, Coincidences] = {}
+        held = [part.of_body(self._held[i]) for i, part in self._components]
+        choice = choose(self._ties, tied, held)
+        self._interfaces = choice.interfaces
+        self._of_tie = {t: g for g, group in enumerate(choice.interfaces) for t in group}
+        self._bodies = [self._sides[group[0]] for group in self._interfaces]
+        for t, lost in enumerate(choice.lost):
+            self._check_lost_rows(t, lost)
+        self._own = [
+            self._own_dofs(columns, self._ties[group[0]])
+            for columns, group in zip(choice.columns, choice.interfaces, strict=True)
+        ]
+        self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
+        unknown = [
+            name if unsaid else None
+            for name, unsaid in zip(self._names, choice.unsaid, strict=True)
+        ]
+        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
+        self.openings = openings(self._ties, self._rows)
+        self._full = self._pulled_back()
+        self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
+        self._free = [
+            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
+        ]
+
+    def destroy(self):
+        """Destroy the PETSc matrices. Collective."""
+        wanted = self._wanted or []
+        for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
+            if obj is not None:
+                obj.destroy()
+        for owner in (self.compliances, *self.openings):
+            owner.destroy()
+
+    @property
+    def conducts(self) -> bool:
+        """Whether a tie has a conductance, which may be 0."""
+        return any(opening.linear for opening in self.openings)
+
+    @property
+    def free(self) -> list[list[PETSc.Mat | None]]:
+        """B on what is not prescribed, ``[interface][field]``."""
+        return self._free
+
+    @property
+    def full(self) -> list[list[PETSc.Mat | None]]:
+        """B on all dofs, ``[interface][field]``."""
+        return self._full
+
+    @property
+    def sides(self) -> list[tuple[int, int]]:
+        """Γ0's and Γ1's body of each tie."""
+        return self._sides
+
+    @property
+    def bodies(self) -> list[tuple[int, int]]:
+        """Γ0's and Γ1's body of each interface."""
+        return self._bodies
+
+    @property
+    def moved(self) -> list[list[int]]:
+        """The bodies besides Γ1's that each interface moves: Γ0's, and others at cross points."""
+        num = len(self._spaces)
+        return [
+            [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
+            for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
+        ]
+
+    def carried(self) -> list[npt.NDArray[np.bool_]]:
+        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        found = []
+        for g, row in enumerate(self._full):
+            rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
+            for tie, E in zip(self._ties, self._rows, strict=True):
+                if tie.motion is not None and g in E:
+                    rows[E[g].reached()] = True
+            found.append(rows)
+        return found
+
+    @property
+    def prescribed(self) -> list[npt.NDArray[np.bool_]]:
+        """Which owned dofs (unrolled) of each body are prescribed."""
+        return self._held
+
+    @property
+    def own(self) -> list[npt.NDArray[np.int64]]:
+        """Global dofs (unrolled) of Γ1's body that answer to this rank's multipliers.
+
+        Of each interface.
+
+        One a multiplier; fewer than rows where several dofs answer to one together.
+        """
+        return self._own
+
+    @property
+    def interior_sizes(self) -> list[tuple[int, int]]:
+        """Local and global numbers of free interior dofs, of the ties that have them."""
+        return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
+
+    def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
+        """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
+
+        What it is to be, of jumps and of positions, is subtracted, as :meth:`read_jumps` found it.
+
+        Args:
+            g: Number of the interface.
+            fields: u_i; of the bodies alone or of all fields.
+            c: Takes the result.
+        """
+        c.set(0.0)
+        for u, B in zip(fields, self._full[g], strict=False):
+            if B is not None:
+                B.multAdd(u, c, c)
+        if self._wanted is None:
+            self.read_jumps()
+        wanted = self._wanted and self._wanted[g]
+        if wanted:
+            c.axpy(-1.0, wanted)
+
+    def read_jumps(self):
+        """Take the jumps as they are now. Collective."""
+        for wanted in filter(None, self._wanted or []):
+            wanted.destroy()
+        self._wanted = [None] * len(self._interfaces)
+        for tie, row in zip(self._ties, self._rows, strict=True):
+            offset = tie.offset()
+            if offset is None:
+                continue
+            for g, E in row.items():
+                wanted = self._wanted[g]
+                if wanted is None:
+                    wanted = next(B for B in self._full[g] if B).createVecLeft()
+                    wanted.set(0.0)
+                    self._wanted[g] = wanted
+                E.add_transposed(offset, wanted)
+            offset.destroy()
+
+    def check_prescribed(self, values: Sequence[PETSc.Vec]):
+        """Raise where both sides of a tie are prescribed, and differently. Collective.
+
+        Args:
+            values: The prescribed displacements of each body, zero elsewhere.
+
+        Raises:
+            InterfaceError: With the place and the values.
+        """
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+            if tie.closes_gap or tie.gives_way is not None:
+                continue
+            jump = tie.nodal_jump()
+            if t not in self._pairs:
+                self._pairs[t] = Coincidences(tie)
+            pairs, both, given = self._pairs[t], [], []
+            for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
+                part = tie.components[i]
+                both.append(prescribed_dofs(tie, i, part.of_body(self._held[body]), dofs))
+                owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
+                given.append(values_at(tie, i, owned, dofs))
+            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
+            at = None
+            if jump is not None:
+                side, nodal = jump
+                at = values_at(tie, side, nodal, pairs.dofs[side])
+            pairs.check(self._names[t], both, given, size, at)
+
+    def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
+        """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
+
+        Args:
+            t: Number of the tie.
+            x: λ' of each interface.
+        """
+        full = self._ties[t].blocks()[0].createVecLeft()
+        full.set(0.0)
+        for g, E in self._rows[t].items():
+            E.add(x[g], full)
+        values = full.array_r.copy()
+        full.destroy()
+        return values.reshape(-1, self._ties[t].block_size)
+
+    def _fields_of(self, t: int, tie: Interface) -> tuple[int, int]:
+        """Numbers of the components on both sides of a tie, among those that ties have."""
+        found = []
+        for side, part in enumerate(tie.components):
+            body = part.among(self._spaces)
+            if body is None:
+                raise ValueError(
+                    f"Γ{side} of {self._names[t]} is on a space that is in no form; make the tie "
+                    "and the forms on the same function spaces."
+                )
+            others = [other for _, other in self._components]
+            known = next((f for f, other in enumerate(others) if part.same(other)), None)
+            if known is None:
+                if any(part.overlaps(other) for other in others):
+                    raise ValueError(
+                        f"Γ{side} of {self._names[t]} and another tie's side are on a field and on "
+                        "a component of it; tie the field's components one by one in both."
+                    )
+                known = len(self._components)
+                self._components.append((body, part))
+            found.append(known)
+        return found[0], found[1]
+
+    @staticmethod
+    def _own_dofs(columns: Columns, tie: Interface) -> npt.NDArray[np.int64]:
+        """Dofs of Γ1's body that answer to this rank's multipliers, of an interface."""
+        part = tie.components[1]
+        own = columns.own[(columns.rank == tie.sigma.comm.rank) & (columns.own >= 0)]
+        start = part.space.dofmap.index_map.local_range[0] * tie.block_size
+        return part.global_dofs()[own - start]
+
+    @staticmethod
+    def _prescribed(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.bool_]:
+        """Which owned dofs (unrolled) of a body are prescribed."""
+        marker = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
+        for bc in bcs:
+            dofs = bc.dof_indices()[0]  # 0.9 may count ghosts as owned
+            marker[dofs[dofs < len(marker)]] = True
+        return marker
+
+    def _extensions(self, t: int, choice: Choice) -> dict[int, Extension]:
+        """E with λ = Σ_g E_g λ'_g of a tie, by the interface g. Collective.
+
+        Free interior nodes have multipliers of their own, which always remain.
+        """
+        tie, own = self._ties[t], self._of_tie.get(t)
+        if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
+            return {own: Extension()}
+        comm, block_size = tie.sigma.comm, tie.block_size
+        i, group, j, value = choice.entries[t]
+        multiplier, component = np.divmod(i, block_size)
+        row = tie.constraint.rows[multiplier] * block_size + component
+        start, end = np.multiply(tie.constraint.R_A.getOwnershipRangeColumn(), block_size)
+        here = (start <= row) & (row < end)
+        interior = np.setdiff1d(np.arange(start, end), row) if tie.free_interior else row[:0]
+        offset = np.append(0, np.cumsum(comm.allgather(len(interior))))
+        found = {}
+        for g in sorted({*group.tolist(), *([] if own is None else [own])}):
+            mine = here & (group == g)
+            rank = choice.columns[g].rank
+            num = int((rank == comm.rank).sum())
+            rows, columns, values = row[mine], j[mine], value[mine]
+            if g == own and tie.free_interior:
+                columns = columns + offset[rank[columns]]
+                last = np.searchsorted(rank, comm.rank, side="right") + offset[comm.rank]
+                rows = np.concatenate((rows, interior))
+                columns = np.concatenate((columns, last + np.arange(len(interior))))
+                values = np.concatenate((values, np.ones(len(interior))))
+                num += len(interior)
+            found[g] = Extension(coo_matrix(comm, (end - start, num), rows, columns, values))
+        return found
+
+    def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
+        """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
+        interior = len(self._spaces)
+        num_fields = interior + len(self.interior_sizes) + len(self.openings)
+        full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
+        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+            for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
+                for g, E in self._rows[t].items():
+                    product = E.rows_of(B)
+                    before = full[g][i]
+                    if before is None:
+                        full[g][i] = product
+                    else:  # pieces of one interface, or both sides on one body
+                        before.axpy(1.0, product)
+                        product.destroy()
+            interior += tie.free_interior
+        for field, opening in enumerate(self.openings, interior):
+            for g, block in opening.blocks.items():
+                full[g][field] = block
+        return full
+
+    def _without_prescribed(self, i: int, B: PETSc.Mat | None) -> PETSc.Mat | None:
+        """A block without the columns of prescribed dofs. Collective."""
+        if B is None:
+            return None
+        B = B.copy()
+        if i < len(self._held):
+            mask = B.createVecRight()
+            mask.array[:] = ~self._held[i]
+            B.diagonalScale(R=mask)
+            mask.destroy()
+        return B
+
+    def _check_lost_rows(self, t: int, lost: npt.NDArray[np.intp]):
+        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
+        tie = self._ties[t]
+        if not len(lost):
+            return
+        multiplier, component = np.divmod(lost, tie.block_size)
+        lost = tie.constraint.rows[multiplier] * tie.block_size + component
+        B0 = tie.blocks()[0].copy()
+        mask = B0.createVecRight()
+        mask.array[:] = ~self._held[self._sides[t][0]]
+        B0.diagonalScale(R=mask)
+        start, end = B0.getOwnershipRange()
+        lost = lost[(start <= lost) & (lost < end)]
+        indptr, _, values = B0.getValuesCSR()
+        size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
+        largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
+        untied = (size[lost - start] > UNTIED * largest).sum()
+        mask.destroy()
+        B0.destroy()
+        untied = tie.sigma.comm.allreduce(int(untied))
+        if untied:
+            raise InterfaceError(
+                f"{untied} displacements of Γ1 of {self._names[t]} are prescribed on whole facets "
+                "while Γ0 can move there, so nothing would tie it; swap the sides of the tie."
+            )

@@ -1,0 +1,268 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Input that no solver would complain about: tangled cells, numbers that are none, contradictions.
+
+Every check is collective and raises the same exception on every rank.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all, spot
+from hypergap_dolfinx.multipliers.interface import Interface
+from hypergap_dolfinx.multipliers.numbering import SAME_PLACE
+from hypergap_dolfinx.surface.trace import NOISE, STRAIGHT
+
+CHUNK = 100_000  # cells at a time
+FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts as none
+TURNED = 1e-10
+"""How negative det J may be at a cell's corner, over its diameter to the power n: corners of 180°
+are flat up to the digits that files have."""
+CONTRADICT = 1e-6
+"""Difference of values prescribed on both sides, over the largest of them, that contradicts: what
+both meshes interpolate from one function differs by 1e-16, or by 1e-7 in single precision."""
+NO_LENGTH = 1e-12
+"""Difference of prescribed displacements, in sizes of the interface, that never contradicts."""
+
+
+def check_cells(mesh: Mesh, name: str):
+    """Raise where a cell has no volume or is turned over somewhere. Collective.
+
+    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part.
+
+    Args:
+        mesh: Mesh of a body.
+        name: What the message calls it.
+
+    Raises:
+        ValueError: With the place of the first such cell.
+    """
+    n = mesh.geometry.dim
+    cmap = compat.coordinate_element(mesh)
+    cell_type = getattr(basix.CellType, mesh.topology.cell_name())
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    element = basix.create_element(basix.ElementFamily.P, cell_type, cmap.degree, variant)
+    cells = compat.geometry_dofmap(mesh)
+    simplex = cell_type in (basix.CellType.triangle, basix.CellType.tetrahedron)
+    if simplex:
+        straight = _straight(mesh.geometry.x[:, :n], cells, element.points)
+        middle, _ = basix.make_quadrature(cell_type, 1)
+        lots = [(cells[straight], middle, middle[:0])]
+        cells = cells[~straight]
+    else:
+        lots = []
+    # On simplices det J is a polynomial of this degree. It is looked at in as many points as it has
+    # coefficients: where it is negative anywhere, it mostly is in one of these too
+    degree = n * (cmap.degree - 1) if simplex else 2 * cmap.degree
+    inside, _ = basix.make_quadrature(cell_type, 2 * cmap.degree)
+    lattice = basix.create_lattice(cell_type, max(degree, 1), basix.LatticeType.equispaced, True)
+    lots.append((cells, inside, lattice))
+    message = None
+    for x, det, num_inside in (
+        part for lot in lots for part in _determinants(mesh.geometry.x[:, :n], element, *lot)
+    ):
+        size = np.ptp(x, axis=1).max(axis=1) ** n
+        sign = np.sign(det[:, :1])
+        bad = ~(sign * det[:, :num_inside] > FLAT * size[:, None]).all(axis=1)
+        # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
+        bad |= (sign * det < -TURNED * size[:, None]).any(axis=1)
+        # NaN and infinity in coordinates are told by others, with the name of the surface or body
+        bad &= np.isfinite(det).all(axis=1)
+        if bad.any():
+            i = int(bad.argmax())
+            message = (
+                f"{name} has a cell without volume or turned over in part, at {spot(x[i])} "
+                f"(det J from {det[i].min():.3g} to {det[i].max():.3g}); mend its mesh."
+            )
+            break
+    raise_on_all(mesh.comm, message, ValueError)
+
+
+def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
+    """Which simplices' geometry nodes lie where straight edges have them, ``(num_cells,)``."""
+    n = x.shape[1]
+    straight = np.ones(len(cells), dtype=bool)
+    if cells.shape[1] == n + 1:
+        return straight
+    weights = np.column_stack((1 - points.sum(axis=1), points))
+    for start in range(0, len(cells), CHUNK):
+        nodes = x[cells[start : start + CHUNK]]
+        deviation = np.abs(weights @ nodes[:, : n + 1] - nodes).max(axis=(1, 2))
+        straight[start : start + CHUNK] = ~(deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2)))
+    return straight
+
+
+def _determinants(x, element, cells, inside, boundary):
+    """Values of det J at points, a chunk of the cells at a time.
+
+    Args:
+        x: Geometry nodes, ``(num_nodes, n)``.
+        element: Basix element of the geometry.
+        cells: Nodes of each cell.
+        inside: Reference points, ``(num_inside, n)``.
+        boundary: More of them.
+
+    Yields:
+        Nodes of the chunk's cells, det J ``(num_cells, num_points)``, and num_inside.
+    """
+    dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
+    for start in range(0, len(cells), CHUNK):
+        nodes = x[cells[start : start + CHUNK]]  # (cell, node, n)
+        J = np.einsum("cmi,jpm->cpij", nodes, dpsi, optimize=True)
+        with np.errstate(invalid="ignore"):  # NaN in coordinates are told by others
+            det = _det(J)
+        yield nodes, det, len(inside)
+
+
+def _det(J: npt.NDArray) -> npt.NDArray:
+    """Determinants ``(...,)`` of small matrices ``(..., n, n)``: LAPACK takes ten times as long."""
+    if J.shape[-1] == 1:
+        return J[..., 0, 0]
+    minors = (_det(np.delete(J[..., 1:, :], k, axis=-1)) for k in range(J.shape[-1]))
+    return sum((-1) ** k * J[..., 0, k] * minor for k, minor in enumerate(minors))
+
+
+def check_finite(objects: Sequence[PETSc.Object], what: str):
+    """Raise where a body's matrix or vector has a NaN or an infinity. Collective.
+
+    Args:
+        objects: Matrices or vectors of the bodies.
+        what: What the message calls them.
+
+    Raises:
+        ValueError: Names the body.
+    """
+    for i, obj in enumerate(objects):
+        if not np.isfinite(obj.norm()):
+            raise ValueError(
+                f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
+                "coordinates and prescribed displacements."
+            )
+
+
+def check_scalars(
+    forms: Sequence[ufl.Form | None], functions: Sequence[fem.Function], bcs: Sequence = ()
+):
+    """Raise where something is real and PETSc's scalars are complex, or the other way round.
+
+    Args:
+        forms: UFL forms of the bodies; None has nothing.
+        functions: Solutions of the bodies.
+        bcs: Dirichlet conditions; what is none is left to others.
+
+    Raises:
+        ValueError: Says what it is.
+    """
+    found: list[tuple[str, npt.DTypeLike]] = []
+    for form in forms:
+        for f in (*form.coefficients(), *form.constants()) if form is not None else ():
+            if isinstance(f, fem.Function | fem.Constant):
+                found.append((f"the {type(f).__name__} {f} of a form", f.dtype))
+    found += [(f"the function of body {i}", u.dtype) for i, u in enumerate(functions)]
+    for bc in bcs:
+        if isinstance(bc, fem.DirichletBC):
+            value = bc.g.value if hasattr(bc.g, "value") else bc.g.x.array
+            found.append(("the value of a Dirichlet condition", value.dtype))
+    for what, dtype in found:
+        if dtype != PETSc.ScalarType:
+            raise ValueError(
+                f"{what} is of {np.dtype(dtype).name}, and PETSc's scalars here are "
+                f"{np.dtype(PETSc.ScalarType).name}; make it with "
+                "dtype=dolfinx.default_scalar_type."
+            )
+
+
+def check_apart(ties: Sequence[Interface]):
+    """Raise where two ties tie the same field on the same facets to each other.
+
+    Args:
+        ties: The ties.
+
+    Raises:
+        InterfaceError: Names the ties.
+    """
+    every = [part for tie in ties for part in tie.components]
+    sides = []
+    for tie in ties:
+        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
+        sides.append(
+            [
+                {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
+                for surface, field in zip(tie.surfaces, fields, strict=True)
+            ]
+        )
+    for t, s in combinations(range(len(ties)), 2):
+        others = sides[s][0] | sides[s][1]
+        if sides[t][0] & others and sides[t][1] & others:
+            raise InterfaceError(
+                f"ties {t} and {s} tie the same facets to each other; once is enough."
+            )
+
+
+class Coincidences:
+    """Nodes of Γ0 and Γ1 at the same place, where both sides may be prescribed."""
+
+    def __init__(self, tie: Interface):
+        """Find them, on every rank alike."""
+        x, dofs = [], []
+        for surface in tie.domain.surfaces:
+            every, first = np.unique(surface.dofs, return_index=True)
+            facet, local = np.divmod(first, surface.dofs.shape[1])
+            x.append(surface.points(facet, surface.element.points[local]))
+            dofs.append(every)
+        h = min(surface.size.min() for surface in tie.surfaces)
+        cell = SAME_PLACE * h + NOISE * np.abs(x[0]).max()
+        keys = [np.rint((p - x[0].min(axis=0)) / cell).astype(np.int64) for p in x]
+        _, at = np.unique(np.vstack(keys), axis=0, return_inverse=True)
+        at0, at1 = np.split(at.ravel(), [len(x[0])])
+        _, i, j = np.intersect1d(at0, at1, return_indices=True)
+        self.dofs = dofs[0][i], dofs[1][j]
+        """Global dofs (blocks) of both sides, ``(num_pairs,)`` each."""
+        self.x: npt.NDArray[np.float64] = x[0][i]
+        """Where they are, ``(num_pairs, n)``."""
+        self.extent = float(np.ptp(x[0], axis=0).max())
+        """Size of Γ0."""
+        self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
+        """Whether the values are displacements."""
+
+    def check(self, name: str, prescribed, values, size: float, jump=None):
+        """Raise where both sides are prescribed, and differently.
+
+        Args:
+            name: What the message calls the tie.
+            prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
+            values: The prescribed values.
+            size: Of displacements, the largest that either body has prescribed anywhere.
+            jump: What u₁ − u₀ is to be, as the values; nothing if not given.
+
+        Raises:
+            InterfaceError: With the place and the values.
+        """
+        both = prescribed[0] & prescribed[1]
+        noise = NO_LENGTH * self.extent if self.lengths else 0.0
+        difference = values[1] - values[0] - (0 if jump is None else jump)
+        wrong = both & (np.abs(difference) > CONTRADICT * size + noise)
+        if wrong.any():
+            i = int(wrong.any(axis=1).argmax())
+            raise InterfaceError(
+                f"the prescribed displacements contradict {name} at {spot(self.x[i])}: "
+                f"{values[0][i]} on Γ0, {values[1][i]} on Γ1"
+                + (
+                    "; prescribe the same on both, or on one side only."
+                    if jump is None
+                    else f", with a jump of {jump[i]}; prescribe one side only."
+                )
+            )

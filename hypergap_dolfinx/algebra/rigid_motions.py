@@ -1,0 +1,256 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Rigid motions that neither boundary conditions nor ties hinder."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem, la
+from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.matrices import (
+    absolute,
+    column_length,
+    nonzero_columns,
+    product,
+    row_length,
+)
+from hypergap_dolfinx.algebra.rigid_modes import NOTHING, common_modes, places, rigid_modes
+from hypergap_dolfinx.core.graph import components, parts
+from hypergap_dolfinx.surface.component import Component, lagrange_components
+
+APART = 0.5
+"""Distance across a tie, over the size of the cells beside it, from which on that isn't an error of
+the meshes. Closed rings of 12 and 20 cells have 0.05, polygons of 3 edges in rings of 7 up to 0.28;
+blocks that are one cell apart 0.74 with 3 cells on 4, and 0.99 with 4 on 4."""
+
+Field = tuple[int, Component]
+"""A body, and one of its fields: of a mixed space each has motions of its own."""
+Modes = dict[int, npt.NDArray[np.float64]]
+"""By a field's number, this rank's rows of motions that fields make together,
+``(num_dofs, num_modes)``."""
+
+
+def fields_of(spaces: Sequence[fem.FunctionSpace]) -> list[Field]:
+    """The fields of bodies that can move rigidly, or be constant. Collective."""
+    return [(i, part) for i, V in enumerate(spaces) for part in lagrange_components(V)]
+
+
+def free_motions(
+    spaces: Sequence[fem.FunctionSpace], K: Sequence[PETSc.Mat], constraints: ConstraintBlocks
+) -> int:
+    """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
+
+    Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
+    moves together if nothing else holds it. Where tied surfaces nearly coincide, such a rotation
+    strains the tie a little; that is an error of the meshes and holds nothing. Where they are apart
+    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie whose
+    motion carries one side to the other is across a distance, however short.
+
+    Args:
+        spaces: Space of each body.
+        K: Assembled stiffness of each body.
+        constraints: The ties.
+    """
+    fields = fields_of(spaces)
+    if not fields:
+        return 0
+    in_part = [parts(part.space) for _, part in fields]
+    alone: list[Modes] = []
+    for f, ((i, part), numbered) in enumerate(zip(fields, in_part, strict=True)):
+        nothing = np.zeros_like(part.of_body(constraints.prescribed[i]))
+        alone.append({f: rigid_modes(part.space, nothing, *numbered)})
+    every = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
+    groups, apart = tied_groups(fields, in_part, constraints)
+    together: list[Modes] = []
+    for g in range(max(int(group.max()) for group in groups) + 1):
+        nodes = {f: group[in_part[f][0]] == g for f, group in enumerate(groups) if g in group}
+        modes = common_modes([fields[f][1].space for f in nodes], list(nodes.values()))
+        together.append(dict(zip(nodes, modes, strict=True)))
+    free = (
+        unhindered(fields, K, constraints, alone, every),
+        unhindered(fields, K, constraints, together, apart),
+    )
+    return max(map(len, free))
+
+
+def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:
+    """This rank's rows of a row of blocks."""
+    return next(B for B in row if B is not None).getLocalSize()[0]
+
+
+def _rotates(V: fem.FunctionSpace) -> bool:
+    """Whether a body's field is a displacement."""
+    return V.value_shape == (V.mesh.geometry.dim,)
+
+
+def _apart(
+    fields: Sequence[Field],
+    num_bodies: int,
+    sizes: Sequence[npt.NDArray[np.float64] | None],
+    row: Sequence[PETSc.Mat | None],
+) -> npt.NDArray[np.bool_]:
+    """Which of a tie's rows tie what is apart, ``(num_rows,)``. Collective.
+
+    A row makes nothing of constants; so what it makes of positions is its weight times a distance.
+
+    Args:
+        fields: The bodies' fields.
+        num_bodies: Number of bodies.
+        sizes: Size of the cells around each node, of fields that are displacements.
+        row: The tie's block on each field.
+    """
+    first = fields[0][1].space
+    n, num_rows = first.mesh.geometry.dim, _num_rows(row)
+    # Nobody here knows where free interior nodes are
+    if any(B is not None for B in row[num_bodies:]):
+        return np.zeros(num_rows, dtype=bool)
+    moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
+    for (i, part), h in zip(fields, sizes, strict=True):
+        B = row[i]
+        if B is None or h is None:
+            continue
+        x = places(part.space)
+        # Digits are few far from the origin, which may be anywhere, but the same for all bodies
+        origin = first.mesh.comm.bcast(places(first)[:1].sum(axis=0))
+        columns = np.column_stack((x - origin, np.ones(len(x)), h))
+        columns = part.into_body(np.repeat(columns, part.space.dofmap.index_map_bs, axis=0))
+        moment += product(B, columns[:, :n]).real
+        magnitudes = absolute(B)
+        mine, weighted = product(magnitudes, columns[:, n:]).real.T
+        magnitudes.destroy()
+        weight += mine
+        size = np.maximum(size, np.divide(weighted, mine, out=np.zeros(num_rows), where=mine > 0))
+    # Half of the weight is on either side
+    return 2 * np.linalg.norm(moment, axis=1) > APART * size * weight
+
+
+def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Mean extent of the cells around each of this rank's owned nodes, ``(num_nodes,)``."""
+    nodes, topology = V.dofmap.index_map, V.mesh.topology
+    cells = V.dofmap.list[: topology.index_map(topology.dim).size_local]
+    extent = np.ptp(V.tabulate_dof_coordinates()[cells], axis=1).max(axis=1, initial=0.0)
+    sums = []
+    for values in (extent, np.ones(len(cells))):
+        total = la.vector(nodes)
+        total.array[:] = 0.0
+        np.add.at(total.array, cells, values[:, None])
+        total.scatter_reverse(la.InsertMode.add)
+        sums.append(total.array[: nodes.size_local])
+    return sums[0] / sums[1]
+
+
+def tied_groups(
+    fields: Sequence[Field], in_part, constraints: ConstraintBlocks
+) -> tuple[list[npt.NDArray[np.int32]], list[npt.NDArray[np.bool_]]]:
+    """Groups of parts that ties without a distance connect. Collective.
+
+    Args:
+        fields: The bodies' fields.
+        in_part: Part of each of their nodes, and the number of parts.
+        constraints: The ties.
+
+    Returns:
+        The group of each part of each field, the same on every rank; and which of this rank's rows
+        of each tie tie what is apart.
+    """
+    num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
+    num_places = num_bodies + len(constraints.interior_sizes)
+    sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
+    apart = [
+        _apart(fields, num_bodies, sizes, row[:num_places]) | carried
+        for row, carried in zip(constraints.full, constraints.carried(), strict=True)
+    ]
+    comm = fields[0][1].space.mesh.comm
+    starts = np.cumsum([0, *(num for _, num in in_part)])
+    # One displacement of several may be tied to a scalar: these don't move as one
+    kinds = [part.space.dofmap.index_map_bs for _, part in fields]
+    kind = np.repeat(kinds, np.diff(starts))
+    pairs = [np.empty((0, 2), dtype=np.intp)]
+    for row, far in zip(constraints.full, apart, strict=True):  # prescribed dofs tie too
+        touched = np.zeros(starts[-1], dtype=np.int32)
+        for (i, field), (part, _), start in zip(fields, in_part, starts, strict=False):
+            B = row[i]
+            if B is not None:
+                mask = np.zeros(B.getLocalSize()[1], dtype=bool)
+                mask[nonzero_columns(B, ~far)] = True
+                nodes = np.flatnonzero(field.of_body(mask)) // field.space.dofmap.index_map_bs
+                touched[start + part[nodes]] = 1
+        touched = comm.allreduce(touched)
+        for alike in set(kinds):
+            tied = np.flatnonzero(touched * (kind == alike))
+            pairs.append(np.stack((np.repeat(tied[:1], max(len(tied) - 1, 0)), tied[1:]), axis=1))
+    i, j = np.vstack(pairs).T
+    return np.split(components(starts[-1], i, j), starts[1:-1]), apart
+
+
+def unhindered(
+    fields: Sequence[Field],
+    K: Sequence[PETSc.Mat],
+    constraints: ConstraintBlocks,
+    moved: Sequence[Modes],
+    rows,
+) -> npt.NDArray:
+    """The combinations of motions that nothing hinders. Collective.
+
+    Args:
+        fields: The bodies' fields.
+        K: Stiffness of each body.
+        constraints: The ties.
+        moved: The motions.
+        rows: Which rows of each tie hinder them.
+
+    Returns:
+        Orthonormal, ``(num_free, num_motions)``.
+    """
+    comm, prescribed = K[0].comm.tompi4py(), constraints.prescribed
+    ends = np.cumsum([0, *(next(iter(modes.values())).shape[1] for modes in moved)])
+    found = [np.zeros((1, ends[-1]))]  # of this rank: what holds the motions
+
+    def add(parts: dict[int, npt.NDArray]):
+        """As few rows as some motions are say as much."""
+        if parts:
+            R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
+            found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
+            columns = [np.arange(ends[m], ends[m + 1]) for m in parts]
+            found[-1][:, np.concatenate(columns)] = R
+
+    held = [part.of_body(prescribed[i])[:, None] for i, part in fields]
+    for f, (i, part) in enumerate(fields):
+        mine = {m: modes[f] for m, modes in enumerate(moved) if f in modes}
+        # Fields have units of their own, and so have their columns
+        size = (row_length(K[i]) if part.dofs is None else column_length(K[i], part.dofs)) or 1.0
+        add(
+            {
+                m: np.vstack(
+                    (
+                        product(K[i], part.into_body(np.where(held[f], 0, modes))) / size,
+                        np.where(held[f], modes, 0),
+                    )
+                )
+                for m, modes in mine.items()
+            }
+        )
+    for row, hinder in zip(constraints.free, rows, strict=True):
+        blocks = {i: B for i, B in enumerate(row[: len(K)]) if B is not None}
+        # One for all: what the bodies' motions make together is to vanish as it does
+        size = max(row_length(B) for B in blocks.values()) or 1.0
+        parts = {}
+        for m, modes in enumerate(moved):
+            forces = [
+                product(blocks[i], part.into_body(np.where(held[f], 0, modes[f])))
+                for f, (i, part) in enumerate(fields)
+                if i in blocks and f in modes
+            ]
+            if forces:
+                parts[m] = np.sum(forces, axis=0)[hinder] / size
+        add(parts)
+    R = np.linalg.qr(np.vstack(found), mode="r")
+    _, values, combinations = np.linalg.svd(np.vstack(comm.allgather(R)), full_matrices=False)
+    return combinations[values < NOTHING * values.max(initial=1.0)]

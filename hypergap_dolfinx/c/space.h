@@ -1,0 +1,67 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// What contact in space is made of. Python reads this file too (core/compiled.py).
+
+#define MOST_CORNERS 19 // of a quadrilateral, convex or not, that is cut four times
+
+// A side where it is. Facets are polynomials of the reference coordinates from the middle.
+typedef struct {
+  int num_facets;
+  int num_corners;         // of a facet
+  const int *vertices;     // around each facet, (num_facets, num_corners)
+  const double *x;         // of the vertices, (num_vertices, 3)
+  double middle[2];        // of the reference facet
+  int num_terms;           // of the polynomials
+  const int *powers;       // of both coordinates, (num_terms, 2)
+  const double *origins;   // places from which these are counted, (num_facets, 3)
+  const double *factors;   // of the terms, (num_facets, num_terms, 3)
+  int num_dofs;            // of displacements of a facet
+  const double *functions; // factors of the terms in their functions, (num_terms, num_dofs)
+} Facets;
+
+// Rays from points of Γ1 along its facets' normals to Γ0 (contact_geometry/heights.py).
+typedef struct {
+  int num, num_dofs[2];
+  double *xi;           // where they meet Γ0, (num, 2)
+  double *q;            // what gaps are functions of, (num, 7, 3)
+  double *bends;        // second derivatives of Γ0 there, (num, 3, 3); NULL for straight triangles
+  double *functions;    // of the dofs, with slopes, Γ1's behind Γ0's, (num, 3, num_dofs0 + num_dofs1)
+  const double *middle; // slopes of Γ1's functions in the middle, (2, num_dofs1)
+} Rays;
+
+// What of Γ1 lies opposite Γ0 (contact_geometry/opposite.py). If there is no room for all, num is what they need.
+typedef struct {
+  int max, num;
+  int *facets[2];
+  int *part;  // of Γ1's facet, which has one for each vertex
+  int *count; // of corners
+  int *edge;  // of the part, then of Γ0's facet, that each edge is on, (max, MOST_CORNERS)
+  double *y;  // corners in the plane across the normal, of which the last one is repeated
+  double *X;  // on the reference facet, (max, MOST_CORNERS, 2) both
+} Pieces;
+
+int find_pieces(const Facets *sides, const int *order, const double *normals, const double *planes,
+                const double *reach, const double *parts, double leans, double sliver, double last,
+                Pieces *pieces);
+void cast_columns(const Facets *sides, const double *tangents, int steps, double last,
+                  const int *f0, const int *f1, const double *X, Rays *rays);
+void polygon_rule(int num, int num_corners, const double *X, int num_points, const double *points,
+                  double least, int num_terms, const int *powers, const double *inverse,
+                  int num_inner, const double *inner, double *at, double *weights);
+void column_heights(const Rays *rays, double *heights, double *areas, double *by_q);
+void column_edges(const Rays *rays, const double *normal, double *motion, double *slopes);
+void sum_by_dofs(const Rays *rays, const int *block, const double *factor, const double *by_q,
+                 double *blocks);
+void column_curvatures(const Rays *rays, const int *block, const double *factor, double *blocks);
+void add_products(int num, int n, const int *block, const double *a, const double *b,
+                  double *blocks);
+void complete(int num, int n, double *blocks);
+void column_slips(const Rays *rays, const int *block, const double *e, const double *moves,
+                  double *by_q);
+void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks);
+int merge_blocks(int num_rows, int num_columns, int num, int a, const int *rows, int b,
+                 const int *columns, int size, double *values, int *first);

@@ -1,0 +1,88 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Quadrature on polygons, from their moments.
+
+Integrands aren't polynomials where facets are curved: a rule on triangles that a polygon is cut
+into gives another value where another cut is taken, or where a corner comes on a straight edge.
+Points and weights that depend on moments alone don't jump as polygons change.
+"""
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+
+REACH = 0.2
+"""By how much points are farther from the middle for each degree, in standard deviations of the
+polygon; for degree 0 they would be at 1, a square's edges are at 1.7, a triangle's at 1.4."""
+WIDTH = 1e-6
+"""Standard deviation over that along a polygon at which points are across it at least: what slivers
+have is round-off."""
+
+
+def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Points, which polygon each is of, and weights.
+
+    One point on each for degree 1, three for degree 2, 15 for degree 4.
+
+    Args:
+        X: Corners of convex polygons, counterclockwise; behind the last one they repeat it,
+            ``(num, num_corners, 2)``.
+        degree: Of polynomials that are integrated exactly, 1 or even.
+
+    Returns:
+        ``(num_points, 2)``, ``(num_points,)`` and ``(num_points,)``.
+    """
+    points, powers, inverse = _points(degree)
+    inner = np.column_stack(basix.make_quadrature(basix.CellType.triangle, degree))
+    at, weights = np.empty((len(X), len(points), 2)), np.empty((len(X), len(points)))
+    library().lib.polygon_rule(
+        *X.shape[:2],
+        as_doubles(X),
+        len(points),
+        as_doubles(points),
+        WIDTH**2,
+        len(powers),
+        as_ints(powers),
+        as_doubles(inverse),
+        len(inner),
+        as_doubles(inner),
+        *map(as_doubles, (at, weights)),
+    )
+    return at.reshape(-1, 2), np.repeat(np.arange(len(X)), len(points)), weights.ravel()
+
+
+@cache
+def _points(degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Points on circles where mean and standard deviations are 0 and 1, and their weights.
+
+    Returns:
+        ``(num_points, 2)``; the powers of which moments make weights, ``(num, 2)``, none if weights
+        are equal; and the matrix that does, ``(num, num_points)``.
+    """
+    circles = []
+    if degree == 1:
+        circles.append(np.zeros((1, 2)))
+    elif degree == 2:  # equal weights have the first and second moments
+        circles.append(2**0.5 * _circle(3))
+    else:  # as many points as monomials: no polynomial is 0 at them
+        for k in range(degree // 2 + 1):
+            radius = (1 + REACH * degree) * np.sin(np.pi * k / degree)
+            circles.append(radius * _circle(4 * k + 1))
+    points = np.vstack(circles)
+    if degree <= 2:
+        return points, np.empty((0, 2), dtype=int), np.empty((0, 0))
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return points, np.array(powers), np.linalg.inv((points[:, None] ** powers).prod(axis=2))
+
+
+def _circle(num: int) -> npt.NDArray[np.float64]:
+    """Equally spaced points, ``(num, 2)``."""
+    turns = 2 * np.pi / num * np.arange(num)
+    return np.column_stack((np.cos(turns), np.sin(turns)))

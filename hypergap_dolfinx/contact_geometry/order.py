@@ -1,0 +1,78 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The order of a surface's facets in the plane."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.gap_mesh.strip import chains
+from hypergap_dolfinx.surface.trace import Surface
+
+KINK = 0.5
+"""Cosine of the turn of a surface from which it goes on beyond a vertex."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """A surface's facets one after the other, in chains that end where it turns too far to go on.
+
+    They are the same until another vertex turns too far.
+    """
+
+    kinks: npt.NDArray[np.bool_]
+    """Where it does, ``(num_vertices,)``."""
+    chains: dict[str, Any]
+    """As C sees them (``Chains`` in ``c/plane.h``)."""
+
+    @classmethod
+    def of(
+        cls, surface: Surface, kinks: npt.NDArray[np.bool_], last: "Order | None" = None
+    ) -> "Order":
+        """That of a surface where it is; the last one, where it was, if it still holds.
+
+        Args:
+            surface: Where it is.
+            kinks: Where it turns too far to go on, ``(num_vertices,)``.
+            last: The order where it was.
+
+        Raises:
+            InterfaceError: It branches.
+        """
+        if last is not None and np.array_equal(kinks, last.kinks):
+            return last
+        found = chains(surface, kinks)
+        edges = np.concatenate([part.facets for part in found])
+        count = np.array([len(part.facets) for part in found])
+        start = np.cumsum(count) - count
+        chain, position = np.empty_like(edges), np.empty_like(edges)
+        chain[edges] = np.repeat(np.arange(len(found)), count)
+        position[edges] = np.arange(len(edges)) - np.repeat(start, count)
+        arrays = {
+            "edges": edges,
+            "start": start,
+            "count": count,
+            "closed": np.array([part.closed for part in found]),
+            "chain": chain,
+            "position": position,
+        }
+        return cls(kinks, {"num": len(found), **{k: as_ints(v) for k, v in arrays.items()}})
+
+
+def find_kinks(sigma, i: int) -> npt.NDArray[np.bool_]:
+    """Vertices at which a side turns too far to go on, ``(num_vertices,)``.
+
+    Args:
+        sigma: What C knows of the sides.
+        i: Γ0 (0) or Γ1 (1).
+    """
+    side = sigma.sides[i]
+    kinks = np.empty(side.num_vertices, np.int32)
+    library().lib.kinks_of(library().ffi.addressof(side), KINK, as_ints(kinks))
+    return kinks > 0

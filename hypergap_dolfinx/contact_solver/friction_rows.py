@@ -1,0 +1,407 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A contact with Coulomb friction in a problem: what sticks, what slips, and their rows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.algebra.rigid_modes import places
+from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver.contact_rows import (
+    ContactRows,
+    Linear,
+    Pressed,
+    Touching,
+    joined,
+)
+from hypergap_dolfinx.contact_solver.predictor import RigidMotion
+from hypergap_dolfinx.surface.moving import Displacements, Sparse
+
+EXCEEDS = 1e-7
+"""Traction of what sticks beyond what friction can hold, over the largest, that is none."""
+UNTOLD = 1e-12
+"""Weight of changes of what sticks: tractions that nothing tells stay as they are, where more
+vertices stick than displacements can move, as between walls that hold both bodies."""
+EXACT = 1e-11
+"""Gap, in sizes of facets, beyond which one more Newton step is taken: times tractions, gaps are
+what moments of friction lack."""
+
+
+@dataclass
+class Rubbed(Pressed):
+    """What a load step changes, with friction."""
+
+    q: npt.NDArray[np.float64]
+    """Tractions on Γ1's body along its tangents, ``(n - 1, num_multipliers)``."""
+    sticks: npt.NDArray[np.bool_]
+    """``(num_multipliers,)``."""
+    way: npt.NDArray[np.float64]
+    """Direction of q, of length 1, of what slips; ``(n - 1, num_multipliers)``."""
+
+
+class FrictionRows(ContactRows):
+    """Contact with friction: tractions q with |q| ≤ min(μ p, τ), against the slip s of a load step.
+
+    Rows and unknowns of q_k are behind those of p: number k num_multipliers + a.
+    """
+
+    now: Rubbed
+
+    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
+        """As for a contact without friction. Collective."""
+        super().__init__(touching, held)
+        num, across = len(self.now.p), self._n - 1
+        assert touching.contact.friction is not None
+        self._friction = touching.contact.friction
+        self._soft, self._limit = self._friction.elastic_slip, self._friction.shear_limit
+        self.now = Rubbed(
+            **vars(self.now),
+            q=np.zeros((across, num)),
+            sticks=np.ones(num, dtype=bool),
+            way=np.zeros((across, num)),
+        )
+        self._since: Displacements | None = None
+        self._fixed: Sparse | None = None
+        self._carried, self._unpressed = False, 0.0
+        self._elastic = np.zeros((across, num))  # part of slip that would go back
+
+    def begin(self):
+        """A solve begins: what it dissipates, and by how much bodies slip in it, is counted."""
+        super().begin()
+        self.dissipated = 0.0
+        self.slipped = np.zeros((len(self.now.p), self._n))
+
+    def set_out(self):
+        """Read the coefficient of friction too. Collective."""
+        super().set_out()
+        self.mu = self._friction.at_vertices()
+        self._since = self.start
+
+    def turn(self, motion: RigidMotion):
+        """What slip is counted from goes along with a rigid motion of both bodies. Collective."""
+        assert self._since is not None
+        x = self.displacements([places(V).ravel() for V in self.spaces])
+        u0, u1 = (u + motion.shift(at + u) for at, u in zip(x, self._since, strict=True))
+        self._since = u0, u1
+
+    def look(self):
+        """Find gaps and slips where the bodies are. Collective."""
+        super().look()
+        if self._since is None:
+            self._since = self.start
+        opening = self.now.opening
+        if opening is None:
+            self.T = Sparse.empty()
+        elif self._follows:
+            self.T = opening.slip(self.u, self.lender)
+        else:
+            if self._fixed is None:
+                self._fixed = opening.slip(self.at, self.lender)
+            self.T = self._fixed
+        self.T = self._lent(self.T)
+        moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
+        self.s = self._times(self.T, moves)
+
+    def _slopes(self) -> Sparse:
+        """∂s/∂u of what is in contact."""
+        opening = self.now.opening
+        if opening is None or not self._follows:
+            return self.T
+        assert self._since is not None
+        on = self.spread(self.now.on.astype(float)) > 0
+        return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
+
+    def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
+        """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
+        flat = np.concatenate([part.ravel() for part in values])
+        size = (self._n - 1) * len(self.g)
+        total = np.bincount(matrix.i, matrix.values * flat[matrix.j], size)
+        return total.astype(float).reshape(-1, len(self.g))  # of nothing they would be integers
+
+    @property
+    def slip(self) -> npt.NDArray[np.float64]:
+        """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
+        return np.divide(self.s, self.m, out=np.zeros_like(self.s), where=self.valid)
+
+    def accept(self):
+        """The state is that from which the next load step starts."""
+        super().accept()
+        now, lost = self.now, self.slip
+        if self._soft:
+            before, self._elastic = self._elastic, self._shortened() * now.on
+            lost = lost + before - self._elastic
+        self.dissipated -= float((now.q * now.on * self.m * lost).sum())
+        self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
+        now.sticks |= ~now.on
+        self._since = self.start
+
+    @property
+    def _reach(self) -> npt.NDArray[np.float64]:
+        """Elastic slip if all of it were elastic, ``(n - 1, num_multipliers)``."""
+        return self._elastic + self.slip
+
+    def _shortened(self) -> npt.NDArray[np.float64]:
+        """What is elastic of it."""
+        size = np.linalg.norm(self._reach, axis=0)
+        return self._reach * np.minimum(1, self._soft / np.maximum(size, 1e-300))
+
+    @property
+    def tangents(self) -> npt.NDArray[np.float64]:
+        """Mean directions in which q acts on Γ1's body, ``(n - 1, num_multipliers, n)``."""
+        num, start = len(self.g), len(self.sides[0].dofs) * self._n
+        on = self.T.j >= start
+        number = self.T.i[on] * self._n + (self.T.j[on] - start) % self._n
+        size = (self._n - 1) * num * self._n
+        total = np.bincount(number, self.T.values[on], size).reshape(-1, num, self._n)
+        return total * (self.valid / np.where(self.valid, self.m, 1))[:, None]
+
+    @property
+    def shears(self) -> npt.NDArray[np.float64]:
+        """Tractions on Γ1's body, of all vertices, ``(num_vertices, n)``."""
+        q = np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
+        return np.stack([self.spread(part) for part in q.T], axis=1)
+
+    def _bounds(self, p) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """What friction can hold at pressures, and its derivative by them."""
+        bound = self.mu * np.maximum(p, 0)
+        return np.minimum(bound, self._limit), np.where(bound < self._limit, self.mu, 0)
+
+    # Sets
+
+    def choose(self, stiffness: float, unpressed: float, *, anew: bool):
+        """Tell what sticks from what slips, of what is in contact.
+
+        Args:
+            stiffness: Of the bodies' nodes.
+            unpressed: Pressure that is none beside those of all contacts.
+            anew: Whether no step was taken yet: what was in contact goes on as it was, and what
+                comes to it sticks.
+        """
+        now = self.now
+        c = stiffness / self.typical_area
+        stuck = self.stuck
+        self._surplus = np.where(stuck, -np.inf, 0)
+        if self._carried:  # what is beyond its facets has slipped there
+            size = np.linalg.norm(self.slip, axis=0)
+            slips = size > self.sides[1].reference.size.max()
+            now.sticks &= ~slips
+            now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
+            self._carried = False
+        elif anew:
+            pass
+        elif self._soft:
+            size = np.linalg.norm(self._reach, axis=0)
+            now.sticks = (size <= self._soft) & (self.mu > 0)
+            now.way = -self._reach / np.where(size > 0, size, 1)
+            self._surplus = np.where(stuck, -np.inf, size)
+        else:
+            trial = now.q - c * self.slip
+            size = np.linalg.norm(trial, axis=0)
+            gap = np.where(self.valid, self.distance, 0)
+            bound, _ = self._bounds(now.p - self.in_series(c) * gap)
+            none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
+            # What is at both limits stays what it is
+            sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
+            # What slips the other way sticks first: else all could turn to and fro
+            turned = ~now.sticks & (c * (self.slip * now.way).sum(axis=0) > none)
+            now.sticks = (sticks | turned) & (self.mu > 0)
+            now.way = trial / np.where(size > 0, size, 1)
+            self._surplus = np.where(stuck, -np.inf, size - bound)
+        self._unpressed, self._c = unpressed, c
+
+    @property
+    def stuck(self) -> npt.NDArray[np.bool_]:
+        """What is in contact and sticks."""
+        return self.now.on & self.now.sticks
+
+    @property
+    def sets(self) -> npt.NDArray:
+        """What is in contact, sticks, and slips which way; equal ones need no new tangent."""
+        now = self.now
+        slips = now.on & ~now.sticks
+        way = np.sign(now.way[0]) * slips if self._n == 2 else slips
+        return np.concatenate((now.on, self.stuck, way))
+
+    def keep(self, last: Rubbed):
+        """Go back to what stuck and slipped."""
+        self.now.sticks, self.now.way = last.sticks.copy(), last.way.copy()
+
+    def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
+        """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
+        rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
+        return rows * (self.valid / np.where(self.valid, self.m, 1))[:, None, None]
+
+    def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
+        """Let more of what is in contact stick, until nothing is free.
+
+        Args:
+            holds: What other equations make of free motions, ``(num, num_free)``.
+            moves: Those motions.
+
+        Returns:
+            What this one's make of them, ``(num_sticking, num_free)``, and how many are left.
+        """
+        across = self.holds_across(moves)
+        can = self.now.on & (self.mu > 0)
+        some, num_free = active_set.stuck(self.stuck, can, self._surplus, holds, across)
+        self.now.sticks = np.where(self.now.on, some, self.now.sticks)
+        return across[some].reshape(-1, holds.shape[1]), num_free
+
+    # Rows
+
+    @property
+    def _acting(self) -> npt.NDArray[np.bool_]:
+        return np.tile(self.now.on, self._n)
+
+    def acting(self) -> list[npt.NDArray[np.float64]]:
+        """Forces of what is in contact at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        now = self.now
+        q = (now.q * now.on).ravel()
+        size = sum(side.dofs.size for side in self.sides) * self._n
+        flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
+        across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
+        return [a + b for a, b in zip(super().acting(), across, strict=True)]
+
+    def _support(self) -> Sparse:
+        return joined(self.C, self.T)
+
+    def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
+        """Equations of gaps and slips."""
+        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
+        scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+        by_slip, by_q, by_p, start, rest = self._law(scale)
+        S, gaps, slips = self._slopes(), self.g, start
+        if moves is not None:
+            gaps, slips = gaps + self.times(moves), slips + self._times(S, moves)
+        law = np.einsum("kla,la->ka", by_slip, slips) + self.m * rest
+        right = np.concatenate((scale * gaps, law.ravel()))
+        normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
+        # Row k of q is Σ_l by_slip[k, l] S_l
+        part, a = np.divmod(S.i, num)
+        along = [
+            Sparse(num * (k + 1) + a, S.j, S.values * by_slip[k, part, a]) for k in range(across)
+        ]
+        forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
+        corner = []
+        for k in range(across):
+            row = num * (k + 1) + on
+            corner.append(Sparse(row, on, stiffness * by_p[k, on]))
+            corner += [
+                Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
+                for other in range(across)
+            ]
+        return self._linear(
+            stiffness,
+            joined(normal, *along),
+            joined(normal, forces),
+            joined(*corner, self._giving(stiffness * scale)),
+            right,
+            np.tile(scale, self._n),
+        )
+
+    def _law(self, scale):
+        """The law of friction as m (by_q q + by_p p) = by_slip s + m rest to first order.
+
+        Args:
+            scale: Factor of rows of what is closed, ``(num_multipliers,)``.
+
+        Returns:
+            ``(n - 1, n - 1, num_multipliers)`` for slips and for q, ``(n - 1, num_multipliers)``
+            for p; what slips start from, and the rest, ``(n - 1, num_multipliers)``.
+        """
+        now, one = self.now, np.eye(self._n - 1)[..., None]
+        across = one - now.way[:, None] * now.way  # what slips turns by
+        force, by_p = self._bounds(now.p)
+        limit = np.where((by_p == 0) & (force > 0), force, 0)
+        if self._soft:
+            # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
+            size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
+            # What had no pressure sticks at first: else friction could hold nothing
+            soft = now.on & ((force > 0) | ~now.sticks)
+            turn = np.where(now.sticks, one, across)
+            by_slip = np.where(soft, -force / size * turn, scale * one)
+            way = np.where(soft, self._reach / size, 0)
+            return by_slip, soft * one, by_p * way, np.where(soft, 0, self.s), -limit * way
+        trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
+        share = np.minimum(force / np.maximum(trial, 1e-300), 1)
+        turn = np.where(now.sticks, 0, share * across)
+        by_slip = np.where(now.sticks, scale * one, -self._c * turn)
+        by_q = np.where(now.sticks, -UNTOLD * one, one - turn)
+        rest = np.where(now.sticks, -UNTOLD * now.q, limit * now.way)
+        return by_slip, by_q, np.where(now.sticks, 0, -by_p * now.way), self.s, rest
+
+    @property
+    def _values(self) -> npt.NDArray[np.float64]:
+        return np.concatenate((self.now.p, self.now.q.ravel()))
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        p, *q = values.reshape(-1, len(self.g))
+        self.now.p, self.now.q = p, np.array(q)
+
+    def forget(self):
+        """No pressures, no tractions."""
+        super().forget()
+        self._carried = True
+        self.now.q = np.zeros_like(self.now.q)
+
+    def _curvature(self) -> Sparse:
+        assert self.now.opening is not None
+        q = np.stack([self.spread(q * (self.now.on & (self.now.p > 0))) for q in self.now.q])
+        return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q, self.lender))
+
+    # Verdicts
+
+    def is_closed(self, tolerance: float) -> bool:
+        """Whether what is in contact is closed, what sticks has no slip, and q is μ p elsewhere.
+
+        Args:
+            tolerance: Length that is none.
+        """
+        now, rigid = self.now, self.stuck
+        bound, _ = self._bounds(now.p)
+        target = bound * now.way
+        if self._soft:
+            rigid = np.zeros_like(now.on)
+            target = -bound * self._shortened() / self._soft
+        slip = np.abs(self.slip[:, rigid]).max(initial=0)
+        error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return super().is_closed(tolerance) and slip <= tolerance and error <= none
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether gaps are so small that moments of friction balance."""
+        return super().is_closed(EXACT * float(self.sides[1].reference.size.max()))
+
+    @property
+    def holds_too_much(self) -> bool:
+        """Whether something sticks only because nothing else would hold a body."""
+        size = np.linalg.norm(self.now.q, axis=0)
+        bound, _ = self._bounds(self.now.p)
+        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        return bool((size - bound)[self.stuck].max(initial=0) > none)
+
+
+def hold_by_sticking(
+    rubbing: Sequence[tuple[FrictionRows, Sequence[Displacements]]], holds: npt.NDArray
+) -> int:
+    """Let what slips stick where nothing else would hold a body.
+
+    Args:
+        rubbing: Contacts with friction, and the free motions at their sides.
+        holds: What gaps make of these, ``(num, num_free)``.
+
+    Returns:
+        How many motions are still free.
+    """
+    num_free = 0
+    for rows, moves in rubbing:
+        across, num_free = rows.stick_where(holds, moves)
+        holds = np.vstack((holds, across))
+    return num_free

@@ -1,0 +1,138 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Rigid motions that prescribed displacements lead bodies along: linear ones distort what turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, owned_values
+
+SPREAD = 1e-12
+"""Square of the extent of points, over that of their longest direction, that says nothing of how
+a body turns around it."""
+TURNS = 1e-10
+"""Turn that is none but for round-off."""
+TOGETHER = 0.5
+"""How one turns against the other, over how they turn, from which they don't turn together."""
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """A rotation around a point, which then goes to another."""
+
+    turn: npt.NDArray[np.float64]
+    """``(n, n)``."""
+    start: npt.NDArray[np.float64]
+    end: npt.NDArray[np.float64]
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns at all."""
+        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > TURNS)
+
+    def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """By how much points move, ``(num, n)`` each."""
+        return (x - self.start) @ self.turn.T + self.end - x
+
+
+def leading(
+    comm: MPI.Comm, x: npt.NDArray[np.float64], moves: npt.NDArray[np.float64]
+) -> RigidMotion | None:
+    """The rigid motion that is nearest to how points move, if they tell it. Collective.
+
+    Args:
+        comm: Communicator.
+        x: This rank's points, ``(num, n)``.
+        moves: How they move, ``(num, n)``.
+    """
+    n, ends = x.shape[1], np.stack((x, x + moves))
+    num = comm.allreduce(len(x))
+    if not num:
+        return None
+    if not comm.allreduce(bool(moves.any()), MPI.LOR):
+        return RigidMotion(np.eye(n), np.zeros(n), np.zeros(n))
+    middles = ends.sum(axis=1)
+    comm.Allreduce(MPI.IN_PLACE, middles)
+    middles /= num
+    before, after = ends - middles[:, None]
+    products = np.array((before.T @ before, after.T @ before))
+    comm.Allreduce(MPI.IN_PLACE, products)
+    square, product = products
+    extents = np.linalg.eigvalsh(square)
+    if extents[1 - n] <= SPREAD * extents[-1]:
+        return None
+    left, _, right = np.linalg.svd(product)
+    left[:, -1] *= np.linalg.det(left @ right)  # no reflection
+    return RigidMotion(left @ right, *middles)
+
+
+def prescribed_motions(
+    comm: MPI.Comm,
+    places: Sequence[npt.NDArray[np.float64]],
+    u: Sequence[npt.NDArray[np.float64]],
+    moves: Sequence[npt.NDArray[np.float64]],
+    held: Sequence[npt.NDArray[np.bool_]],
+) -> list[RigidMotion | None]:
+    """Rigid motions on which what is prescribed leads each body, if it tells one. Collective.
+
+    Args:
+        comm: Communicator.
+        places: Where this rank's owned nodes of each body were first, ``(num_nodes, n)`` each.
+        u: Their displacements, ``(num_dofs,)`` each.
+        moves: What prescribed ones still have to move, likewise.
+        held: Which are prescribed, likewise.
+    """
+    found = []
+    for x, now, way, on in zip(places, u, moves, held, strict=True):
+        whole = on.reshape(x.shape).all(axis=1)
+        x = x + now.reshape(x.shape)
+        found.append(leading(comm, x[whole], way.reshape(x.shape)[whole]))
+    return found
+
+
+def motions_of(
+    rows: ContactRows, motions: Sequence[RigidMotion]
+) -> tuple[list[RigidMotion | None], float]:
+    """Rigid motions of a contact's sides, and how far they take these apart. Collective.
+
+    Args:
+        rows: The contact.
+        motions: Of each body; those of rigid ones, by the user, are found here.
+
+    Returns:
+        Those that are told, and the distance in sizes of facets, infinite if one isn't.
+    """
+    assert rows.start is not None
+    now = rows.displacements([owned_values(f) for f in rows.fields])
+    x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
+    found: list[RigidMotion | None] = []
+    for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):
+        if body is None:
+            found.append(leading(MPI.COMM_SELF, x, side.displaced(u).x - x))
+        else:
+            found.append(motions[body])
+    motion0, motion1 = found
+    if motion0 is None or motion1 is None:
+        return found, np.inf
+    shift0, shift1 = motion0.shift(x1), motion1.shift(x1)
+    return found, np.abs(shift1 - shift0).max() / rows.sides[1].reference.size.max()
+
+
+def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
+    """Whether two motions turn with each other, rather than one against the other.
+
+    Args:
+        a: A motion.
+        b: Another one.
+    """
+    one = np.eye(len(a.end))
+    most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
+    return bool(most > TURNS and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)

@@ -1,0 +1,175 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Where contact ends at what ties, supports or other contacts hold already. NumPy alone."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.surface.trace import Surface, normals_by_area
+
+NEAR = 0.5
+"""Distance of the ends of two sides, in facet lengths, up to which they are at one place."""
+PARALLEL = 0.5
+"""Cosine between normals of two contacts from which they hold the same motion of one place."""
+
+HELD = "held"
+"""The node of all that can't move."""
+
+
+@dataclass(frozen=True)
+class EndingSide:
+    """A side of a contact or a tie, as far as its ends go."""
+
+    space: Hashable
+    """What its dofs are of."""
+    surface: Surface
+    dofs: npt.NDArray[np.int64]
+    """Of its vertices, ``(num_vertices,)``."""
+    held: npt.NDArray[np.bool_] | None = None
+    """Which components of a contact's vertices are prescribed, ``(num_vertices, n)``."""
+
+
+Sides = tuple[EndingSide, EndingSide]
+
+
+class _Places:
+    """Nodes that are one, by ties or because nothing can move them."""
+
+    def __init__(self) -> None:
+        self._parent: dict[Hashable, Hashable] = {}
+
+    def find(self, node: Hashable) -> Hashable:
+        while (parent := self._parent.get(node, node)) != node:
+            node = parent
+        return node
+
+    def join(self, a: Hashable, b: Hashable):
+        self._parent[self.find(a)] = self.find(b)
+
+
+def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
+    """Which vertices of Γ1 have no pressure of their own, and whose they share.
+
+    At the end of a contact the gap of a place may be held already: both bodies are tied or
+    prescribed there, or another contact with the same normal ends there between what is one. A
+    pressure of its own would be one too many: on matching meshes the system would be singular. The
+    vertex gets that of its neighbour, so that nothing of the surface loses its pressure.
+
+    Args:
+        contacts: Γ0 and Γ1 of each contact.
+        ties: Γ0 and Γ1 of each tie.
+
+    Returns:
+        For each contact the vertex that has each vertex's pressure, ``(num_vertices,)``; -1 if all
+        of the surface is held.
+    """
+    places = _Places()
+    along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
+    for side in (side for sides in contacts for side in sides):
+        normals = _vertex_normals(side.surface)
+        for v in _ends(side.surface).tolist():
+            if side.held is not None and side.held[v][np.abs(normals[v]) > PARALLEL].all():
+                places.join(_node(side, v), HELD)
+    for sides in ties:
+        for v1, v0 in _facing(sides):
+            if v0 is not None:
+                places.join(_node(sides[1], v1), _node(sides[0], v0))
+    result = []
+    for sides in contacts:
+        normals, lost, found = _vertex_normals(sides[1].surface), [], []
+        for v1, v0 in _facing(sides):
+            node = _node(sides[1], v1)
+            a = places.find(node)
+            # Γ0 passes by, or is far away yet: then only another contact with it there counts
+            b: Hashable = (sides[0].space, node if a == HELD else a)
+            if v0 is not None:
+                b = places.find(_node(sides[0], v0))
+            if sides[0].held is not None and sides[0].held.all():
+                b = HELD
+            if _connected(a, b, normals[v1], along):
+                lost.append(v1)
+            found.append((a, b, normals[v1]))
+        for a, b, normal in found:
+            along.setdefault(a, []).append((b, normal))
+            along.setdefault(b, []).append((a, normal))
+        result.append(_neighbours(sides[1].surface, lost))
+    return result
+
+
+def _node(side: EndingSide, vertex: int) -> Hashable:
+    return side.space, int(side.dofs[vertex])
+
+
+def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
+    """Unit normals at the vertices, ``(num_vertices, n)``."""
+    normals = np.zeros_like(surface.x)
+    for corner in surface.facets.T:
+        np.add.at(normals, corner, normals_by_area(surface.x[surface.facets]))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+
+
+def _ends(surface: Surface) -> npt.NDArray[np.intp]:
+    """Vertices at a surface's boundary: of one facet, in space of edges of one facet."""
+    start, outline = surface.polygons, surface.is_outline
+    if surface.gdim == 2:
+        return np.unique(start[outline])
+    return np.unique((start[outline], np.roll(start, -1, axis=1)[outline]))
+
+
+def _facing(sides: Sides) -> list[tuple[int, int | None]]:
+    """Ends of Γ1, and that of Γ0 at the same place if there is one."""
+    surface0, surface1 = sides[0].surface, sides[1].surface
+    size = np.zeros(len(surface1.x))
+    for corner in surface1.facets.T:
+        np.maximum.at(size, corner, surface1.size)
+    ends0, found = _ends(surface0), []
+    for v in _ends(surface1).tolist():
+        distance = np.linalg.norm(surface0.x[ends0] - surface1.x[v], axis=1)
+        near = len(ends0) > 0 and distance.min() <= NEAR * size[v]
+        found.append((v, int(ends0[distance.argmin()]) if near else None))
+    return found
+
+
+def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
+    """Whether contacts with that normal lead from one place to the other."""
+    seen, front = {a}, [a]
+    while front:
+        if b in seen:
+            return True
+        front = [
+            other
+            for node in front
+            for other, n in along.get(node, ())
+            if abs(n @ normal) > PARALLEL and other not in seen
+        ]
+        seen.update(front)
+    return False
+
+
+def _neighbours(surface: Surface, lost: Sequence[int]) -> npt.NDArray[np.intp]:
+    """The nearest vertex that isn't lost for each that is, along the surface; -1 without any."""
+    result = np.arange(len(surface.x))
+    if not lost:
+        return result
+    result[list(lost)] = -1
+    beside: dict[int, set[int]] = {v: set() for v in lost}
+    for facet in surface.facets[np.isin(surface.facets, lost).any(axis=1)].tolist():
+        for v in beside.keys() & set(facet):
+            beside[v].update(facet)
+    left, before = list(lost), -1
+    while left and len(left) != before:
+        before, given = len(left), {}
+        for v in left:
+            around = [b for b in sorted(beside[v]) if result[b] >= 0]
+            if around:
+                away = np.linalg.norm(surface.x[around] - surface.x[v], axis=1)
+                given[v] = result[around[int(away.argmin())]]
+        result[list(given)] = list(given.values())
+        left = [v for v in left if v not in given]
+    return result

@@ -1,0 +1,395 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The matrix of Newton's steps for bodies in contact: one whose pattern, once analysed, is kept.
+
+Sets change from step to step, and what faces each other. So there is an equation of each
+multiplier, of what isn't in contact p = 0, and room for the entries of what may come next.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
+from hypergap_dolfinx.contact_solver.pattern import Pattern
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solvers.direct import PLANE, DirectStep
+from hypergap_dolfinx.solvers.options import Options, names_types
+
+RESIDUAL = 1e-8
+"""Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
+or needs LU's pivots; what is below is for Newton's next step."""
+NEAR = 1e-4
+"""Change of a matrix, over its size, below which the factors that there are precondition it: two to
+five iterations take what a factorisation takes in the plane, and a tenth of it in space."""
+ITERATIONS = 8
+"""Iterations after which it is factorised even so."""
+REDUCED = 1e-10
+"""Residual that iterations leave, over the one that they start from."""
+ROOM = {"mat_mumps_icntl_14": 30}
+"""LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
+SPACE = {"mat_mumps_icntl_7": 5}
+"""In space LDLᵀ is ordered by METIS, as LU is by MUMPS itself: a third less operations."""
+UNFIT = (
+    " The matrix has zeros on its diagonal, those of what is in contact; "
+    'pc_type "lu" (MUMPS) takes them.'
+)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to solve, and what it is to reach."""
+
+    options: Options
+    residual: float = saddle.RESIDUAL
+    """Largest residual over the right-hand side."""
+    keeps: bool = False
+    """Whether factors are kept while the matrix hardly changes."""
+
+
+def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
+    """How Newton's steps are solved, one way after the other where it fails.
+
+    Args:
+        prefix: Of the KSP's options.
+        given: The user's options.
+        plane: Whether the bodies are in the plane.
+        symmetric: Whether the matrix may be symmetric.
+    """
+    defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
+    named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
+    found = [Way(Options(prefix, given or {}, defaults, UNFIT), keeps=not named)]
+    if symmetric and not named:
+        defaults = {**DirectStep.OPTIONS, **ROOM, **(PLANE if plane else SPACE)}
+        defaults["pc_type"] = "cholesky"
+        options = Options(prefix, given or {}, defaults, UNFIT)
+        found.insert(0, Way(options, RESIDUAL, keeps=True))
+    return found
+
+
+class Numbering:
+    """Unknowns of several parts in one numbering, rank by rank and on each part by part."""
+
+    def __init__(self, ranges: Sequence[npt.NDArray]):
+        """Number them.
+
+        Args:
+            ranges: Of each part the first number on each rank, and the end, ``(num_ranks + 1,)``.
+        """
+        self._ranges = np.array(ranges, dtype=np.int64)
+        sizes = np.diff(self._ranges, axis=1)  # (part, rank)
+        before = np.append(0, np.cumsum(sizes.sum(axis=0)))[:-1]
+        self._start = before + np.cumsum(sizes, axis=0) - sizes
+        self.sizes = sizes
+        """By part and rank."""
+
+    def of(self, part: int, index: npt.NDArray) -> npt.NDArray[np.int64]:
+        """Numbers among all, of numbers in a part."""
+        ranges = self._ranges[part]
+        rank = np.searchsorted(ranges[1:], index, side="right")
+        return self._start[part, rank] + index - ranges[rank]
+
+    def of_rank(self, rank: int) -> tuple[int, int]:
+        """The first of a rank, and the end."""
+        sizes = self.sizes.sum(axis=0)
+        return int(sizes[:rank].sum()), int(sizes[: rank + 1].sum())
+
+
+@dataclass
+class _Kept:
+    """A matrix with a pattern, and a solver that knows it."""
+
+    patterns: list[Pattern]
+    mine: list[npt.NDArray[np.intp]]
+    """This rank's entries of each."""
+    num_base: int
+    """Number of this rank's entries of bodies and ties."""
+    A: PETSc.Mat
+    entries: compat.Triplets
+    units: npt.NDArray[np.float64] | None
+    """Of this rank's rows, if they differ."""
+    load_step: int
+    """When it was made."""
+    vectors: tuple[PETSc.Vec, PETSc.Vec]
+    """Solution and right-hand side."""
+    ksp: PETSc.KSP | None = None
+    _values: list[npt.NDArray] | None = None
+    _factorised: list[npt.NDArray] | None = None
+    _iterating: PETSc.KSP | None = None
+
+    def fill(self, values: list[npt.NDArray]):
+        """Set this rank's entries; if they are what they were, factors hold. Collective."""
+        same = self._values is not None and all(map(_is_same, values, self._values))
+        if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
+            self.entries.set(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
+            self._values = values
+
+    def factorised(self):
+        """There are factors of the matrix as it is now."""
+        self._factorised = self._values
+
+    def has_factors_near(self, values: list[npt.NDArray]) -> bool:
+        """Whether there are factors of nearly, but not quite, these entries. Collective."""
+        if self._factorised is None:
+            return False
+        sums = np.zeros(2)
+        for part, before in zip(values, self._factorised, strict=True):
+            change = 0.0 if part is before else np.linalg.norm(part - before)
+            sums += change**2, np.linalg.norm(before) ** 2
+        self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
+        return bool(0 < sums[0] <= NEAR**2 * sums[1])
+
+    def iterate(self, start: npt.NDArray) -> bool:
+        """Solve with factors of a matrix that is near, and say whether that worked. Collective.
+
+        Args:
+            start: This rank's part of what is near the solution.
+        """
+        assert self.ksp is not None
+        x, b = self.vectors
+        pc, r, dx = self.ksp.getPC(), b.duplicate(), x.duplicate()
+        if self._iterating is None:
+            self._iterating = PETSc.KSP().create(self.A.comm)
+            self._iterating.setType(PETSc.KSP.Type.GMRES)
+            self._iterating.setPC(pc)
+            self._iterating.setOperators(self.A)
+            self._iterating.setPCSide(PETSc.PC.Side.RIGHT)
+            self._iterating.setTolerances(rtol=REDUCED, max_it=ITERATIONS)
+        x.array[:] = start
+        self.A.mult(x, r)
+        r.aypx(-1.0, b)
+        pc.setReusePreconditioner(True)
+        self._iterating.solve(r, dx)
+        pc.setReusePreconditioner(False)
+        x.axpy(1.0, dx)
+        for obj in (r, dx):
+            obj.destroy()
+        return self._iterating.getConvergedReason() > 0
+
+    def forget(self):
+        """Nothing is known of the matrix. Collective."""
+        for ksp in (self.ksp, self._iterating):
+            if ksp is not None:
+                ksp.destroy()
+        self.ksp = self._iterating = self._factorised = None
+
+    def destroy(self):
+        """Collective."""
+        self.forget()
+        for obj in (*self.vectors, self.A):
+            obj.destroy()
+
+
+def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
+    return a is b or np.array_equal(a, b)
+
+
+class Tangent:
+    """[K Bᵀ; B −C] of bodies and ties with the equations of contacts. All is collective."""
+
+    def __init__(
+        self,
+        A: PETSc.Mat,
+        num_bodies: int,
+        rows: Sequence[ContactRows],
+        prefix: str,
+        ways: Sequence[Way],
+    ):
+        """Keep what it is made of.
+
+        Args:
+            A: The nested matrix of bodies and ties.
+            num_bodies: How many of its rows of blocks are bodies'.
+            rows: The contacts.
+            prefix: Of the KSP's options.
+            ways: How to solve; the next one is taken for good where only that can.
+        """
+        self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
+        self._prefix, self._ways = prefix, list(ways)
+        self._kept: _Kept | None = None
+        self._last_base: tuple[list[float], npt.NDArray] | None = None
+        self._load_step = 0
+
+    def destroy(self):
+        """Destroy the PETSc objects."""
+        if self._kept is not None:
+            self._kept.destroy()
+            self._kept = None
+
+    def set_out(self):
+        """A load step begins: what faced each other in the last one need not be kept."""
+        self._load_step += 1
+
+    def solve(
+        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
+    ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
+        """Solve with the values that the nested matrix has now.
+
+        Args:
+            right: This rank's right-hand side of bodies and ties.
+            equations: Those of each contact.
+            viscous: Share of the bodies' stiffness that is added.
+
+        Returns:
+            This rank's displacements of each body and multipliers of ties, and the unknowns of each
+            contact, the same on every rank.
+
+        Raises:
+            SolveError: The solver failed.
+        """
+        base = self._base(viscous)
+        values = self._values(equations, len(base))
+        fresh = values is None
+        if values is None:
+            values = self._renew(equations)
+        for number, way in enumerate(self._ways):
+            try:
+                solution = self._solve(right, equations, [base, *values], way)
+            except SolveError:
+                if not fresh or number == len(self._ways) - 1:
+                    self.destroy()
+                if not fresh:  # what was analysed with other values may lead to poor pivots
+                    break
+                if self._kept is None:
+                    raise
+                self._kept.forget()
+            else:
+                self._ways = self._ways[number:]
+                return solution
+        return self.solve(right, equations, viscous)
+
+    def _base(self, viscous: float) -> npt.NDArray:
+        """This rank's entries of the nested matrix, the same array while they are the same."""
+        blocks = list(self._blocks())
+        state = [viscous, *(block.stateGet() for *_, block in blocks)]
+        if self._last_base is None or self._last_base[0] != state:
+            values = [block.getValuesCSR()[2] for *_, block in blocks]
+            if viscous:
+                for (i, j, _), part in zip(blocks, values, strict=True):
+                    part *= 1 + viscous * (i == j < self._num_bodies)
+            self._last_base = state, np.concatenate(values)
+        return self._last_base[1]
+
+    def _values(
+        self, equations: Sequence[Linear], num_base: int
+    ) -> list[npt.NDArray[np.float64]] | None:
+        """This rank's entries of equations, by contact; None if there is no place for all."""
+        kept, found = self._kept, []
+        fits = kept is not None and kept.num_base == num_base
+        if kept is not None:
+            for pattern, mine, linear in zip(kept.patterns, kept.mine, equations, strict=True):
+                values = pattern.values(linear.matrix)
+                fits &= values is not None
+                found.append(np.empty(0) if values is None else values[mine])
+        return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
+
+    def _solve(self, right, equations, values, way: Way):
+        """Solve in one way, with values for all places."""
+        kept = self._kept
+        assert kept is not None
+        ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
+        near = way.keeps and kept.units is None and kept.has_factors_near(values)
+        kept.fill(values)
+        x, b = kept.vectors
+        pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
+        own = [linear.right[mine] for linear, mine in pairs]
+        b.array[:] = np.concatenate([*right, *own])
+        start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
+        if not (near and kept.iterate(np.concatenate(start))):
+            with way.options.in_use():
+                saddle.solve(ksp, b, x)
+            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
+            if message:
+                raise SolveError(message)
+            kept.factorised()
+        if not np.isfinite(x.norm()):
+            raise SolveError("the linear solve gave no numbers.")
+        ends = np.cumsum([len(part) for part in start])
+        found = np.split(x.array_r.copy(), ends[:-1])
+        contacts = found[len(right) :]
+        return found[: len(right)], [
+            rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
+        ]
+
+    def _renew(self, equations: Sequence[Linear]) -> list[npt.NDArray[np.float64]]:
+        """Make a matrix with room for equations; their values."""
+        patterns = [rows.pattern() for rows in self._rows]
+        for c, linear in enumerate(equations):
+            patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
+            if self._kept is not None and self._kept.load_step == self._load_step:
+                patterns[c] = patterns[c].joined(self._kept.patterns[c])
+        self.destroy()
+        self._kept = self._made(patterns)
+        values = self._values(equations, self._kept.num_base)
+        assert values is not None
+        return values
+
+    def _made(self, patterns: list[Pattern]) -> _Kept:
+        """A matrix with room for what the nested one has, and for patterns of contacts."""
+        nest = self._nest
+        comm = nest.comm.tompi4py()
+        num = nest.getNestSize()[0]
+        ranges = [nest.getNestSubMatrix(i, i).getOwnershipRanges() for i in range(num)]
+        numbering = Numbering([*ranges, *(rows.ranges for rows in self._rows)])
+        first, end = numbering.of_rank(comm.rank)
+        i, j, mine = [], [], []
+        for k, of, block in self._blocks():
+            indptr, columns, _ = block.getValuesCSR()
+            rows_of = np.arange(*block.getOwnershipRange())
+            i.append(np.repeat(numbering.of(k, rows_of), np.diff(indptr)))
+            j.append(numbering.of(of, columns))
+        num_base = sum(map(len, i))
+        for c, (rows, pattern) in enumerate(zip(self._rows, patterns, strict=True)):
+            part, number = rows.unknowns
+            among = np.full(len(part), -1)
+            for body in {*part[part >= -1].tolist()}:
+                among[part == body] = numbering.of(
+                    num + c if body == -1 else body, number[part == body]
+                )
+            row, column = (among[at] for at in pattern.places)
+            mine.append(np.flatnonzero((first <= row) & (row < end)))
+            i.append(row[mine[-1]])
+            j.append(column[mine[-1]])
+        size = end - first
+        A = PETSc.Mat().create(nest.comm)
+        A.setSizes(((size, None), (size, None)))
+        A.setType(PETSc.Mat.Type.AIJ)
+        entries = compat.Triplets(A, np.concatenate(i), np.concatenate(j))
+        units = None
+        if num > self._num_bodies:
+            units = np.ones(size)
+            of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
+            units[: len(of_nest)] = of_nest
+        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs())
+
+    def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
+        """A KSP for a matrix."""
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        ksp.setOptionsPrefix(self._prefix)
+        try:
+            with way.options.in_use():
+                ksp.setFromOptions()
+        except SolveError:
+            ksp.destroy()
+            raise
+        return ksp
+
+    def _blocks(self) -> Iterator[tuple[int, int, PETSc.Mat]]:
+        num = self._nest.getNestSize()[0]
+        for i in range(num):
+            for j in range(num):
+                block = self._nest.getNestSubMatrix(i, j)
+                if block:
+                    yield i, j, block

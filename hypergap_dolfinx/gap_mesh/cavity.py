@@ -1,0 +1,221 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Cavities that a front leaves: each becomes a cone to one node between the surfaces."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, FLAT, areas, single_faces
+
+INSET = 0.02  # least share of α that an interior node keeps from both surfaces
+SEES = 1e-3  # how far inside (in edge lengths) a point must be that sees all faces
+ROUNDS = 100  # of removing cells around a cavity
+LARGE = 400  # faces of a cavity that is given up
+
+Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
+"""``place(x, alpha, vertices)``: place, α and normal of a node near x that is hosted on both
+sides, and its hosts; vertices are those around."""
+
+
+@dataclass
+class Cells:
+    """Cells from which some are taken and to which others are added."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals at the vertices, from Γ0 to Γ1."""
+    cells: npt.NDArray[np.integer]
+    """``(num_cells, 4)``."""
+
+    def flat(self, limit: float = FLAT) -> npt.NDArray[np.bool_]:
+        """Which cells are flat or inverted: D over its scale up to a limit, ``(num_cells,)``."""
+        v = self.cells
+        D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
+        return ~(D > limit * scale)
+
+
+def is_whole(cells, outer) -> bool:
+    """Whether each face has a cell on each side, or one cell and a triangle of the boundary."""
+    return single_faces(cells, outer)[1]
+
+
+def fill(mesh: Cells, outer, place: Place):
+    """Fill what is missing.
+
+    Args:
+        mesh: The cells there are.
+        outer: The boundary's triangles, counterclockwise seen from inside.
+        place: Puts a node between the surfaces.
+
+    Returns:
+        The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
+    """
+    faces, _ = single_faces(mesh.cells, outer)
+    if not len(faces):
+        return mesh, []
+    behind = _Behind(mesh.cells, len(mesh.x))
+    nodes: list[tuple] = []
+    cones = []
+    for cavity in _parts(faces):
+        found = _cone(mesh, cavity, behind, place)
+        if found is None:
+            return None
+        cavity, node = found
+        number = len(mesh.x) + len(nodes)
+        cones.append(np.column_stack((cavity, np.full(len(cavity), number))))
+        nodes.append(node)
+    x, alpha, normals, hosts = zip(*nodes, strict=True)
+    return Cells(
+        np.vstack((mesh.x, *x)),
+        np.append(mesh.alpha, alpha),
+        np.vstack((mesh.normals, *normals)),
+        np.vstack((mesh.cells[behind.left], *cones)),
+    ), list(hosts)
+
+
+def _parts(faces) -> list[npt.NDArray[np.integer]]:
+    """Cavities: faces that hang together by edges."""
+    edge = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
+    _, which = np.unique(edge, axis=0, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    same = which[order[1:]] == which[order[:-1]]
+    f, g = order[:-1][same] // 3, order[1:][same] // 3
+    part = components(len(faces), f, g)
+    order = np.argsort(part, kind="stable")
+    return np.split(faces[order], np.flatnonzero(np.diff(part[order])) + 1)
+
+
+class _Behind:
+    """The cell behind a face of a cavity; cells can be taken away."""
+
+    def __init__(self, cells, num_vertices: int):
+        self.cells = cells
+        self.left = np.ones(len(cells), dtype=bool)
+        self._offset = np.zeros(num_vertices + 2, dtype=np.int32)
+        self._at = np.empty(cells.size, dtype=np.int32)
+        data = (as_ints(a) for a in (cells, self._offset, self._at))
+        library().lib.cells_at_vertices(num_vertices, len(cells), *data)
+
+    def of(self, faces) -> npt.NDArray[np.intp]:
+        """Cells that are left and have the faces, −1 where there is none."""
+        found = np.full(len(faces), -1)
+        for i, (a, b, c) in enumerate(faces.tolist()):
+            near = self._at[self._offset[a] : self._offset[a + 1]]
+            near = near[self.left[near]]
+            corners = self.cells[near]
+            near = near[(corners == b).any(axis=1) & (corners == c).any(axis=1)]
+            if len(near):
+                found[i] = near[-1]
+        return found
+
+
+def _without(faces, cells) -> npt.NDArray[np.integer]:
+    """The faces around a cavity after the cells behind some of them are gone."""
+    kept = {tuple(sorted(face)): tuple(face) for face in faces.tolist()}
+    for face in cells[:, FACES].reshape(-1, 3).tolist():
+        key = tuple(sorted(face))
+        if key in kept:
+            del kept[key]
+        else:
+            kept[key] = tuple(face[::-1])
+    return np.array(list(kept.values()), dtype=np.intp).reshape(-1, 3)
+
+
+def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
+    """Grow a cavity till a point sees all of it.
+
+    Returns:
+        Its faces, and the node: place, α, normal and hosts; None if there is none.
+    """
+    for _ in range(ROUNDS):
+        if not 0 < len(faces) <= LARGE:
+            return None
+        x, alpha, slack = _sees_best(mesh, faces)
+        if slack.min() > SEES:
+            node = place(x, alpha, np.unique(faces))
+            D, scale = _seen(mesh, faces, node[0][None], np.array([node[1]]), node[2])
+            D, scale = D[:, 0], scale[:, 0]
+            if (D > 1e-6 * scale).all():
+                return faces, node
+            slack = D / scale
+        in_the_way = slack <= slack.min() + 1e-6
+        gone = behind.of(faces[in_the_way])
+        if not (gone >= 0).any():  # facets of the surfaces: make room beside them
+            ends = np.isin(faces, faces[in_the_way]).sum(axis=1)
+            for shared in (2, 1, 0):
+                gone = behind.of(faces[ends >= shared])
+                if (gone >= 0).any():
+                    break
+        gone = np.unique(gone[gone >= 0])
+        if not len(gone):
+            return None
+        behind.left[gone] = False
+        faces = _without(faces, behind.cells[gone])
+    return None
+
+
+def _seen(mesh: Cells, faces, x, alpha, normal):
+    """D of the cells between faces and points, and their scale, ``(num_faces, num_points)``."""
+    shape = len(faces), len(x)
+
+    def with_points(values, at):
+        values = np.repeat(values, len(x), axis=0)
+        own = np.tile(at, (len(faces), *(1,) * (at.ndim - 1)))
+        return np.concatenate((values, own[:, None]), axis=1)
+
+    normals = np.repeat(mesh.normals[faces].sum(axis=1) + normal, len(x), axis=0)
+    found = areas(with_points(mesh.x[faces], x), with_points(mesh.alpha[faces], alpha), normals)
+    return tuple(values.reshape(shape) for values in found)
+
+
+def _sees_best(mesh: Cells, faces):
+    """The point that is farthest inside of all faces, in the plane of the mean normal and in α.
+
+    Returns:
+        Its place, its α, and by how much it is inside of each face.
+    """
+    v = mesh.x[faces]
+    centre = v.mean(axis=(0, 1))
+    h = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).mean()
+    normal = mesh.normals[faces].mean(axis=(0, 1))
+    normal /= max(np.linalg.norm(normal), 1e-300)
+    tangents = np.linalg.svd(normal[None])[2][1:]
+    # D is affine in the point: its values at four points give it
+    points = np.array([(0, 0, 0.5), (1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.5)])
+    D = _seen(mesh, faces, centre + h * points[:, :2] @ tangents, points[:, 2], normal)[0]
+    gradient = D[:, 1:] - D[:, :1]
+    offset = D[:, 0] - gradient[:, 2] / 2
+    length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-12 * h**2)
+    gradient, offset = gradient / length[:, None], offset / length
+    # Maximise r: gradient · z + offset ≥ r, and r away from both surfaces
+    A = np.column_stack((-gradient, np.ones(len(faces))))
+    A = np.vstack((A, (0, 0, -1, 1), (0, 0, 1, 1)))
+    b = np.concatenate((offset, (-INSET, 1 - INSET)))
+    z = linear_program(A, b, np.array((0.0, 0.0, 0.0, 1.0)), 100.0)
+    slack = gradient @ z[:3] + offset
+    return centre + h * z[:2] @ tangents, float(np.clip(z[2], INSET, 1 - INSET)), slack
+
+
+def linear_program(A, b, c, bound: float) -> npt.NDArray[np.float64]:
+    """Maximise c · z where A z ≤ b and |z_i| ≤ bound; four unknowns at most."""
+    module = library()
+    order = np.random.default_rng(0).permutation(len(b))  # any order, but the same on every rank
+    A, b, c = (np.ascontiguousarray(a, dtype=float) for a in (A[order], b[order], c))
+    z = np.empty(len(c))
+    data = (module.ffi.from_buffer("double[]", a) for a in (A, b, c))
+    status = module.lib.linear_program(
+        len(c), len(b), *data, bound, module.ffi.from_buffer("double[]", z)
+    )
+    assert status == 0
+    return z

@@ -1,0 +1,148 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What a mesher of Σ hands on: simplices between two surfaces, the same on every rank."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+from hypergap_dolfinx.surface.trace import Surface
+
+
+@dataclass(frozen=True)
+class Hosts:
+    """Where points of Σ lie on Γ0 and on Γ1.
+
+    A point at α has the displacement (1 − α) u₀ + α u₁, with u_i taken in its host facet on Γ_i.
+    """
+
+    alpha: npt.NDArray[np.float64]
+    """``(num_cells, num_points)``."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Host facets on both sides, ``(num_cells, num_points)`` each."""
+    X: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Reference coordinates in the host facets, ``(num_cells, num_points, n - 1)`` each."""
+
+    def __getitem__(self, cells) -> "Hosts":
+        """The hosts of some of the cells."""
+        return Hosts(
+            self.alpha[cells],
+            (self.facets[0][cells], self.facets[1][cells]),
+            (self.X[0][cells], self.X[1][cells]),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Hosts"]) -> "Hosts":
+        """The hosts of several lots of cells."""
+
+        def side(i, name):
+            return np.concatenate([getattr(part, name)[i] for part in parts])
+
+        return cls(
+            np.concatenate([part.alpha for part in parts]),
+            (side(0, "facets"), side(1, "facets")),
+            (side(0, "X"), side(1, "X")),
+        )
+
+
+@dataclass(frozen=True)
+class Overhang:
+    """Points of cells, with weights of what integrals dΓ_α dα over Σ have too much."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_points,)``."""
+    X: npt.NDArray[np.float64]
+    """Reference coordinates, ``(num_points, n)``."""
+    weights: npt.NDArray[np.float64]
+    """``(num_points,)``; negative where they lack something."""
+    rims: "Overhang | None" = None
+    """The same of integrals over Γ0 and Γ1: points on the edges of cells that are in outlines."""
+
+    def at(self, cells: npt.NDArray[np.intp], num_cells: int) -> "Overhang":
+        """What some of all cells have of it, with their new numbers."""
+        number = np.full(num_cells, -1)
+        number[cells] = np.arange(len(cells))
+        some = number[self.cells] >= 0
+        rims = self.rims and self.rims.at(cells, num_cells)
+        return Overhang(number[self.cells[some]], self.X[some], self.weights[some], rims)
+
+
+@dataclass(frozen=True)
+class GapCells:
+    """Σ before it is distributed.
+
+    The cells are oriented such that pulling Γ1 away from Γ0 gives them a positive volume.
+    """
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, n)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices, ``(num_vertices,)``."""
+    cells: npt.NDArray[np.int64]
+    """Vertices of each cell, ``(num_cells, n + 1)``."""
+    normal: npt.NDArray[np.float64]
+    """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
+    rank: npt.NDArray[np.int32]
+    """The rank that each cell goes to: the owner of a body's cell beside it."""
+    patch: npt.NDArray[np.int32]
+    """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
+
+    λ jumps where two pieces meet, as the traction does at a kink. So the pieces' parts of Σ share
+    no vertex there: each has its own, at the same place, and nodes on Γ1 have hosts in their own
+    piece."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets1,)``; see
+    :mod:`~hypergap_dolfinx.surface.coverage`."""
+    degree: int
+    """Degree of the φ_a that have on simplices what both sides have in their facets."""
+    hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
+    """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
+    straight: npt.NDArray[np.bool_] | None = None
+    """Which edges of each tetrahedron stay straight, ``(num_cells, 6)``; None if none has to."""
+    overhang: Overhang | None = None
+    """What Σ has beyond what both sides have in common; None if nothing."""
+
+
+def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:
+    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
+    shape = hosts.alpha.shape
+    x0, x1 = (
+        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
+        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
+    )
+    alpha = hosts.alpha[..., None]
+    return (1 - alpha) * x0 + alpha * x1
+
+
+def geometry_element(surfaces: Sequence[Surface], degree: int):
+    """Basix' UFL element of Σ's coordinates: linear unless a surface is curved.
+
+    On triangles the bilinear map of a quadrilateral is of degree 2. Then geometry is taken at the
+    nodes of the φ_a: as displacements are, so that linear ones are exact. With φ_a of degree 1
+    that is at the vertices.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        degree: Degree of the φ_a.
+    """
+    n = surfaces[0].gdim
+    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
+    variant = basix.LagrangeVariant.equispaced
+    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
+        g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
+    cell = {2: "triangle", 3: "tetrahedron"}[n]
+    return _lagrange(cell, g, variant, n)
+
+
+@cache
+def _lagrange(cell: str, degree: int, variant: basix.LagrangeVariant, n: int):
+    return basix.ufl.element("Lagrange", cell, degree, lagrange_variant=variant, shape=(n,))

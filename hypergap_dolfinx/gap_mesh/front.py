@@ -1,0 +1,373 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.core.compiled import library
+from hypergap_dolfinx.gap_mesh import cavity, prisms
+from hypergap_dolfinx.gap_mesh.cavity import Place
+from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, Workshop
+from hypergap_dolfinx.gap_mesh.rim import along
+from hypergap_dolfinx.gap_mesh.tetrahedra import FLAT
+from hypergap_dolfinx.gap_mesh.walls import Rim, rims
+from hypergap_dolfinx.surface.pieces import Side
+
+SHIFT = 0.1  # by how much of an edge's length ties are told apart
+GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
+SWEEP = 0.1
+"""The displacement, in edges, that heights stand for besides: with it a front goes from one end to
+the other, and what it works on stays in a cache."""
+SWEPT = 10_000  # vertices of surfaces with walls from which they are swept too
+LEAN = 0.3  # share of the displacement by which walls lean outwards at least
+SWEEPS = 3000  # of the search for weights, before it is given up
+VISITS = 30_000_000  # of edges in it; of many edges
+VISITS_EACH = 30  # of each
+VARIANTS = (
+    *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
+    *((False, False, 1e-8), (False, True, 1e-8)),
+)
+"""Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
+gets through is taken. Facets that are cut may be narrower than a displacement."""
+THIN = 1e-4
+"""As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
+edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
+EXTRAPOLATE = 2.0
+"""∂λ/∂α of a cell's barycentric coordinates from which it is swapped for others, if these have
+smaller ones. They are at most one where the vertices lie on what they face."""
+LEFT = 2e-3
+"""Triangles left for each cell up to which cavities are filled at once. Else another front is tried
+first: it may need no interior nodes."""
+CELLS = 30  # a front that makes more of them for each facet is given up
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Two surfaces between which cells are sought; vertices are Γ0's, then Γ1's."""
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    n0: int
+    """Number of Γ0's vertices."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
+    edges: npt.NDArray[np.integer]
+    """Inner edges of both: ends q and r, p on their left and s on their right; and two edges of the
+    boundary, a, b, c, −1: ``(num_edges, 4)``."""
+    normals: npt.NDArray[np.float64]
+    """Unit normals of the vertices, from Γ0 to Γ1."""
+    rims: list[Rim]
+    """Boundaries that face each other; none of closed surfaces."""
+    curved: bool = False
+    """Whether a side is."""
+
+    @classmethod
+    def between(cls, side0: Side, side1: Side) -> "Problem":
+        """The problem of two facing pieces.
+
+        Raises:
+            InterfaceError: Their boundaries don't match.
+        """
+        n0 = len(side0.x)
+        facets = side0.triangles, n0 + side1.triangles[:, ::-1]
+        edges1 = side1.inner_edges
+        edges = [side0.inner_edges, n0 + edges1[:, [1, 0, 2, 3]]]
+        pairs = rims(side0, side1)
+        for rim in pairs:
+            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
+                three = (np.roll(loop, -k) for k in range(3))
+                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
+        normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
+        x = np.vstack((side0.x, side1.x))
+        curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
+        return cls(x, n0, facets, np.vstack(edges), normals, pairs, curved)
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the finer side's edges, in the mean."""
+        means = []
+        for facets in self.facets:
+            edge = self.x[facets[:, 1]] - self.x[facets[:, 0]]
+            means.append(np.sqrt(np.einsum("fi,fi->f", edge, edge)).mean())
+        return float(min(means))
+
+    @cached_property
+    def order(self) -> npt.NDArray[np.intp]:
+        """The vertices of Γ0 and then those of Γ1, each along a curve that fills space.
+
+        What is near in space is then near in memory: of large meshes that is most of the time.
+        """
+        low = self.x.min(axis=0)
+        grid = ((self.x - low) * (1023 / max(np.ptp(self.x), 1e-300))).astype(np.int64)
+        code = _spread(grid[:, 0]) + (_spread(grid[:, 1]) << 1) + (_spread(grid[:, 2]) << 2)
+        code[self.n0 :] += 1 << 30
+        return np.argsort(code, kind="stable")
+
+    @cached_property
+    def shift(self) -> npt.NDArray[np.float64]:
+        """By what Γ1 is displaced for the order of the moves, so that no two are tied.
+
+        Edges that are parallel stay so, which decides about all cells between two edges: the
+        displacement is constant on a closed surface and a dilation of an open one, so that its
+        walls lean outwards. Where a wall would still lean inwards, as in a hole, its rim is moved.
+        """
+        shift = np.tile(GENERIC, (len(self.x) - self.n0, 1))
+        if not self.rims:
+            return SHIFT * self.size * shift
+        x, normal = self.x[self.n0 :], self.normals[self.n0 :]
+        outwards = x - x.mean(axis=0)
+        reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
+        shift = outwards / reach + 0.1 * GENERIC
+        for rim in self.rims:
+            nodes = rim.nodes[1]
+            edge = np.roll(x[nodes], -1, axis=0) - x[nodes]
+            edge /= np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
+            conormal = np.cross(edge + np.roll(edge, 1, axis=0), normal[nodes])
+            conormal /= np.maximum(np.linalg.norm(conormal, axis=1, keepdims=True), 1e-300)
+            leans = np.einsum("vi,vi->v", shift[nodes], conormal)
+            shift[nodes] += np.maximum(LEAN - leans, 0)[:, None] * conormal
+        return SHIFT * self.size * shift
+
+    def walls(self, shift, weights) -> npt.NDArray[np.intp]:
+        """Side walls, counterclockwise seen from inside, with Γ1 displaced."""
+        found = [rim.walls(self.n0, shift, weights)[:, ::-1] for rim in self.rims]
+        return np.vstack(found) if found else np.empty((0, 3), dtype=np.intp)
+
+    def along(self, walls: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
+        """Of walls, ``(num_walls, 3)``, those that lie along the outlines."""
+        return along(walls, self.x, self.n0, self.rims)
+
+
+def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Two zeros between the bits of ten-bit numbers."""
+    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+        a = (a | (a << shift)) & mask
+    return a
+
+
+@dataclass(frozen=True)
+class Front:
+    """What a front has made."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_cells, 4)``."""
+    walls: npt.NDArray[np.intp]
+    """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
+    left: int
+    """Number of its triangles that are no facets of the surface where it ends: beside cavities."""
+    wrong: tuple[int, int]
+    """Number of cells that are flat or inverted, and of faces that don't have one cell or a cavity
+    on each side; where much is left nobody looks."""
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the cells are valid, and nothing is missing."""
+        return self.left == 0 and not any(self.wrong)
+
+    @property
+    def is_through(self) -> bool:
+        """Whether the cells are valid, and hardly anything is missing."""
+        return self.left <= LEFT * len(self.cells) and not any(self.wrong)
+
+
+def advance(
+    problem: Problem, weighted: bool, reverse: bool, share: float = 1.0, flat: float = FLAT
+) -> Front:
+    """Let a front run from one surface to the other.
+
+    Args:
+        problem: The surfaces.
+        weighted: Whether weights make the surfaces' edges locally regular.
+        reverse: Whether it goes from Γ1 to Γ0.
+        share: By what share of the problem's shift Γ1 is displaced.
+        flat: Up to which D, over its scale, it does without a cell.
+    """
+    module, shift = library(), share * problem.shift
+    lib, ffi = module.lib, module.ffi
+
+    def pointer(array):
+        kind = {"f": "double[]", "i": "int[]"}[array.dtype.kind]
+        return ffi.from_buffer(kind, array)
+
+    x, n, n0 = problem.x, len(problem.x), problem.n0
+    n1, sign = n - n0, -1 if reverse else 1
+    order = problem.order
+    if reverse:
+        order = np.concatenate((order[n0:], order[:n0]))
+    number = np.empty(n, dtype=np.int32)  # in the front's order: where it starts, where it ends
+    number[order] = np.arange(n, dtype=np.int32)
+    y = x - x.mean(axis=0)
+    vertices = np.zeros((n, 10))
+    vertices[:, :3] = y[order]
+    y[n0:] += sign * shift
+    vertices[:, 3:6] = y[order]
+    vertices[:, :6] /= problem.size
+    vertices[:, 6:9] = sign * problem.normals[order]
+    turned = slice(None) if not reverse else [1, 0, 2]
+    start, end = (number[f][:, turned] for f in problem.facets[::sign])
+    lowest = np.minimum(np.minimum(start[:, 0], start[:, 1]), start[:, 2])
+    start = start[np.argsort(lowest, kind="stable")]
+    if weighted:
+        edges = np.append(number, np.int32(-1))[problem.edges]  # −1 stays −1
+        if reverse:
+            inner = edges[:, 3] >= 0
+            edges[inner, :2] = edges[inner, 1::-1]
+        edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
+        visits = max(VISITS, VISITS_EACH * len(edges))
+        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), SWEEPS, visits)
+    sides = (n1, n0) if reverse else (n0, n1)
+    if not problem.rims or n > SWEPT:
+        vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
+    weights = vertices[number, 9] * problem.size**2
+    walls = problem.walls(sign * shift, weights)
+    start = np.ascontiguousarray(np.vstack((start, number[walls])))
+    end = np.ascontiguousarray(end)
+    max_cells = CELLS * (len(start) + len(end)) + 100
+    cells = np.empty((max_cells, 4), dtype=np.int32)
+    left = np.empty((len(start) + 2 * n + len(end), 3), dtype=np.int32)
+    counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
+    data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
+    status = lib.front_fill(*sides, pointer(vertices), flat, len(start), *data, pointer(counts))
+    made = cells[: counts[0]]
+    if status < 2 and counts[1] <= LEFT * len(made):
+        outer = np.vstack((start, end[:, [1, 0, 2]], left[: counts[1:].sum(), [1, 0, 2]]))
+        front, room = made.copy(), min(2 * len(made), max_cells)
+        swaps = ((1 - 1e-9) / EXTRAPOLATE, len(front), room, pointer(cells))
+        along = vertices[:, :3] @ GENERIC
+        rank = np.empty(n, dtype=np.int32)
+        for part in (slice(0, sides[0]), slice(sides[0], n)):
+            rank[part][np.argsort(along[part], kind="stable")] = np.arange(n, dtype=np.int32)[part]
+        num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
+        made, status = cells[:num], status if num > 0 else 2
+        wrong = _check(sides[0], vertices, made, outer)
+        if any(wrong):
+            made, wrong = front, _check(sides[0], vertices, front, outer)
+    if status > 1:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return Front(order[made], walls, int(counts[1]), wrong)
+
+
+def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
+    """How many cells are flat or inverted, and how many faces lack a neighbour or have too many.
+
+    Args:
+        n0: Number of vertices of the surface where the front starts.
+        vertices: Place, displaced place, normal and weight of all, ``(num_vertices, 10)``.
+        cells: ``(num_cells, 4)``.
+        outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
+    """
+    module = library()
+    wrong = np.zeros(2, dtype=np.int32)
+    cells, outer = (np.ascontiguousarray(a, dtype=np.int32) for a in (cells, outer))
+    status = module.lib.front_check(
+        n0,
+        len(vertices),
+        module.ffi.from_buffer("double[]", vertices),
+        len(cells),
+        module.ffi.from_buffer("int[]", cells),
+        len(outer),
+        module.ffi.from_buffer("int[]", outer),
+        module.ffi.from_buffer("int[]", wrong),
+    )
+    if status:
+        raise MemoryError("no memory for the cells of the gap domain")
+    return int(wrong[0]), int(wrong[1])
+
+
+def ready(problem: Problem, make: Callable) -> Front | None:
+    """Cells between surfaces whose triangulations tell them: where a front would have to guess.
+
+    Args:
+        problem: The surfaces.
+        make: ``prisms.between_twins`` or ``prisms.between_quarters``.
+
+    Returns:
+        None if they don't tell.
+    """
+    (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
+    cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    if cells is None:
+        return None
+    walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
+    vertices = np.zeros((len(x), 10))
+    vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
+    vertices[:, 6:9] = problem.normals
+    outer = np.vstack((facets0, walls, facets1[:, ::-1]))
+    return Front(cells, walls, 0, _check(n0, vertices, cells, outer))
+
+
+def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
+    """Cells between two surfaces, by the first front that gets through.
+
+    If none does, what the one leaves that gets farthest is filled with cones.
+
+    Args:
+        problem: The surfaces.
+        place: Puts a node between the surfaces.
+        margins: Tells cells that are turned over though their vertices' simplices aren't: curved
+            ones. They are swapped for others. Where some stay, the cells with the fewest are taken,
+            and cones in their place; if that doesn't do, edges of these are made straight.
+
+    Returns:
+        The cells, None if there are none.
+    """
+    for flat in (THIN, FLAT):
+        filling = _construct(problem, place, margins, flat)
+        if filling:
+            return filling
+    return None
+
+
+def _construct(problem: Problem, place: Place, margins: Margins | None, flat: float):
+    """The same by fronts that do without cells as flat as that."""
+    alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
+    fronts, found = [], []
+
+    def workshop(front: Front) -> Workshop:
+        outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
+        return Workshop(outer, place, margins, problem.along)
+
+    tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
+    tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
+    tries.append(partial(ready, problem, prisms.between_quarters))
+    for attempt in tries:
+        front = attempt()
+        if front is None:
+            continue
+        mesh = cavity.Cells(problem.x, alpha, problem.normals, front.cells)
+        filling = Filling(mesh, [])
+        if problem.curved:
+            filling = replace(filling, walls=problem.along(front.walls))
+        shop = workshop(front)
+        if front.left and front.is_through:
+            made = shop.coned(filling)
+            if made is None:
+                continue
+            filling = made
+        elif not front.is_valid:
+            fronts.append((front, filling))
+            continue
+        filling = shop.swapped(filling)
+        found.append((shop.num_bad(filling), filling, shop))
+        if not found[-1][0]:
+            return filling
+    for front, filling in sorted(fronts, key=lambda pair: pair[0].left):
+        if found:
+            break
+        shop = workshop(front)
+        made = shop.coned(filling, filling.mesh.flat())
+        if made is not None:
+            made = shop.swapped(made)
+            found.append((shop.num_bad(made), made, shop))
+    if not found:
+        return None
+    _, filling, shop = min(found, key=lambda entry: entry[0])
+    return shop.straightened(shop.mended(filling))

@@ -1,0 +1,395 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
+
+Surfaces are taken apart into smooth pieces that face each other and cut to what both sides have in
+common; a front of flips fills the slab between two pieces.
+"""
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import basix.ufl
+from hypergap_dolfinx.core.compiled import library
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, raise_on_all, spot
+from hypergap_dolfinx.gap_mesh import front
+from hypergap_dolfinx.gap_mesh.cavity import Place
+from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, geometry_element, interpolate_geometry
+from hypergap_dolfinx.gap_mesh.overhang import overhang
+from hypergap_dolfinx.gap_mesh.repair import Filling
+from hypergap_dolfinx.gap_mesh.rim import kinds
+from hypergap_dolfinx.gap_mesh.slab_cells import Slab, key_of
+from hypergap_dolfinx.gap_mesh.straightening import NONE, marked, straightened
+from hypergap_dolfinx.gap_mesh.tetrahedra import areas
+from hypergap_dolfinx.mortar.kernel import GapElement, curved_rule, geometry_at_points
+from hypergap_dolfinx.surface.coverage import covered_parts
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.trimming.clip import COARSER, SNAP, TRIES, clip
+from hypergap_dolfinx.trimming.parting import pairs_of_pieces
+
+LOG = logging.getLogger("hypergap_dolfinx")
+
+
+@dataclass(frozen=True)
+class SlabCells(GapCells):
+    """Σ in space, which remembers what it consists of."""
+
+    slabs: Sequence[Slab] = ()
+    """A slab for each two pieces that face each other."""
+
+
+def _place(sides: tuple[Side, Side]) -> Place:
+    """How an interior node is hosted: where it projects to on both sides."""
+    seeds = []
+    for side in sides:
+        seed = np.empty(len(side.x), dtype=np.intp)
+        seed[side.triangles.ravel()] = np.repeat(np.arange(len(side.triangles)), 3)
+        seeds.append(seed)
+    n0 = len(sides[0].x)
+
+    def place(x, alpha: float, vertices):
+        facets, X, feet, normal = [], [], [], np.zeros(3)
+        for i, side in enumerate(sides):
+            own = (vertices - i * n0)[(vertices >= n0) == i]
+            own = own[own < len(side.x)]
+            own = own if len(own) else np.arange(len(side.x))
+            near = own[np.linalg.norm(side.x[own] - x, axis=1).argmin()]
+            triangle, at = side.project(x[None], seeds[i][[near]])
+            feet.append(side.points(triangle, at)[0])
+            normal += (1 - 2 * i) * side.normals[triangle[0]]
+            facets.append(int(triangle[0]))
+            X.append(at[0])
+        normal /= max(np.linalg.norm(normal), 1e-300)
+        x = (1 - alpha) * feet[0] + alpha * feet[1]
+        return x, alpha, normal, (alpha, facets, X)
+
+    return place
+
+
+def _slab(sides: tuple[Side, Side], filling: Filling) -> Slab:
+    """The cells with their interior vertices' hosts as arrays."""
+    alpha = np.array([host[0] for host in filling.hosts]).reshape(1, -1)
+    f0, f1 = (np.array([h[1][i] for h in filling.hosts], np.intp).reshape(1, -1) for i in (0, 1))
+    X0, X1 = (np.array([h[2][i] for h in filling.hosts]).reshape(1, -1, 2) for i in (0, 1))
+    hosts = Hosts(alpha, (f0, f1), (X0, X1))
+    return Slab(sides, filling.cells, hosts, filling.straight, filling.walls)
+
+
+@cache
+def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
+    """Of the geometry, at the points of a Gauss rule: small scenes ask for it more than they do."""
+    element = geometry.basix_element
+    return GapElement.with_quadrature(element, element, degree)
+
+
+def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
+    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge².
+
+    Args:
+        slab: Cells.
+        nodes: Their geometry's nodes if no edges were straight, ``(num_cells, num_nodes, 3)``.
+    """
+    surfaces = [side.surface for side in slab.sides]
+    k = max(side.degree for side in slab.sides)
+    element = geometry_element(surfaces, k)
+    points = element.basix_element.points
+    v = slab.x[slab.cells]
+    if nodes is None:
+        each = np.arange(len(slab.cells))
+        nodes = interpolate_geometry(surfaces, slab.hosts(points, each))
+    x = straightened(nodes, points, marked(slab.cells, slab.straight), v)
+    tables = _tables(element, curved_rule(3, k, element.degree))
+    N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
+    scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
+    return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
+
+
+class _Margins:
+    """How far cells are from being turned over; where their nodes lie is looked for once."""
+
+    def __init__(self, sides: tuple[Side, Side], points: npt.NDArray[np.float64]):
+        """Between two pieces, with a geometry that has its nodes at some points."""
+        self.sides, self.points = sides, points
+        self._num_vertices = sum(len(side.x) for side in sides)
+        self._number: dict[bytes, int] = {}
+        self._hosts: list[Hosts] = []
+        self._nodes = np.empty((0, len(points), 3))
+        self._values = np.empty(0)
+        self._inner: dict[int, tuple[int, tuple]] = {}  # interior vertices, by their hosts
+
+    def __call__(self, filling: Filling) -> npt.NDArray[np.float64]:
+        at = self._find(filling)
+        values = self._values[at]
+        moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
+        if len(moved):
+            slab = _slab(self.sides, filling.with_cells(filling.cells[moved]))
+            values[moved] = curved_margins(slab, self._nodes[at[moved]])
+        return values
+
+    def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
+        """The numbers of cells, which are those of their nodes and of these nodes' hosts."""
+        # Interior vertices have other numbers in another filling
+        lot = [self._inner.setdefault(id(h), (len(self._inner), h))[0] for h in filling.hosts]
+        number = np.append(np.arange(self._num_vertices), self._num_vertices + np.array(lot, int))
+        cells = filling.cells
+        each = np.column_stack((number[cells], kinds(cells, filling.walls)))
+        data = each.astype(np.int64).tobytes()
+        keys = [data[i : i + 40] for i in range(0, len(data), 40)]
+        at = np.array([self._number.get(key, -1) for key in keys], dtype=np.intp)
+        new = np.flatnonzero(at < 0)
+        if len(new):
+            slab = _slab(self.sides, replace(filling.with_cells(cells[new]), straight=NONE))
+            self._hosts.append(slab.hosts(self.points, np.arange(len(new))))
+            nodes = interpolate_geometry([side.surface for side in self.sides], self._hosts[-1])
+            at[new] = len(self._nodes) + np.arange(len(new))  # a cell may be among them twice
+            self._nodes = np.concatenate((self._nodes, nodes))
+            self._values = np.concatenate((self._values, curved_margins(slab, nodes)))
+            self._number.update((keys[i], at[i]) for i in new)
+        return at
+
+    def tell(self, slab: Slab, filling: Filling):
+        """Let a slab of these cells know what was found."""
+        if self._hosts:
+            each = self._find(filling)
+            moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
+            each[moved] = len(self._nodes) + np.arange(len(moved))  # nodes of straight edges
+            found = [*self._hosts, slab.hosts(self.points, moved)]
+            slab.known[key_of(self.points)] = Hosts.concatenate(found)[each]
+
+
+def _check_folded(side: Side):
+    """Nothing fits on curved facets that are folded: what makes them straight would hide it."""
+    surface, element = side.surface, side.surface.geometry
+    points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
+    dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
+    facets = np.unique(side.facets)
+    facets = facets[surface.curved[facets]]  # not what they are cut into: slivers face anywhere
+    d, e = (np.einsum("pa,fai->fpi", derivative, surface.nodes[facets]) for derivative in dX)
+    folded = (np.einsum("fpi,fi->fp", np.cross(d, e), surface.normals[facets]) <= 0).any(axis=1)
+    if folded.any():
+        raise InterfaceError(
+            f"a curved facet of {surface.name} at {spot(surface.nodes[facets[folded][0]])} is "
+            "folded: its middle nodes are too far off; refine the mesh there or straighten it."
+        )
+
+
+def fill(sides: tuple[Side, Side]) -> Slab:
+    """Cells between two facing pieces.
+
+    Raises:
+        InterfaceError: Their boundaries don't match; curved facets are folded; there is no valid
+            mesh.
+    """
+    problem = front.Problem.between(*sides)
+    degree = max(side.degree for side in sides)
+    geometry = geometry_element([side.surface for side in sides], degree).basix_element
+
+    margins = _Margins(sides, geometry.points)
+    filling = front.construct(problem, _place(sides), margins if geometry.degree > 1 else None)
+    if filling is None:
+        raise InterfaceError(
+            f"no mesh of the gap between Γ0 and Γ1 around {spot(sides[1].x)}. Do the "
+            "surfaces have the same shape there? Refine the coarser one."
+        )
+    if len(filling.straight):
+        for side in sides:
+            _check_folded(side)
+    slab = _slab(sides, filling)
+    margins.tell(slab, filling)
+    return slab
+
+
+def fill_common(side0: Side, side1: Side) -> list[Slab]:
+    """Cells between what two facing pieces have in common.
+
+    Where outlines are hardly further apart than what is taken for none, they leave edges as short
+    as that, beside which the other side's nodes may lie anywhere. If there are no cells for that
+    reason, such outlines are taken for one.
+
+    Args:
+        side0: A piece of Γ0.
+        side1: The one of Γ1 that faces it.
+
+    Raises:
+        NotFacingError: They have nothing in common.
+        InterfaceError: There is no valid mesh.
+    """
+    first: InterfaceError | None = None
+    for k in range(TRIES):
+        whole = False
+        try:
+            pairs = clip(side0, side1, SNAP * COARSER**k)
+            whole = pairs[0][0] is side0
+            return [fill(pair) for pair in pairs]
+        except InterfaceError as error:
+            first = first or error
+            if whole or isinstance(error, NotFacingError):
+                break
+    assert first
+    raise first
+
+
+def summary(slabs: Sequence[Slab]) -> str:
+    """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
+
+    A cell's quality is its D over what it would be at best: the cosine between a base and n, or the
+    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on
+    Γ0 and on Γ1; others are between them.
+    """
+    D: list[npt.NDArray[np.float64]] = []
+    kinds: Counter[tuple[int, int]] = Counter()
+    for slab in slabs:
+        value, scale = areas(slab.x[slab.cells], slab.alpha[slab.cells], slab.normal)
+        D.append(value / scale)
+        alpha = slab.alpha[slab.cells]
+        number = np.column_stack([part.sum(axis=1) for part in (alpha == 0, alpha == 1)])
+        kind, count = np.unique(number, axis=0, return_counts=True)
+        kinds.update(dict(zip(map(tuple, kind.tolist()), count.tolist(), strict=True)))
+    quality = np.concatenate(D)
+    each = [f"{count} ({a}, {b})" for (a, b), count in sorted(kinds.items(), reverse=True)]
+    inner = sum(slab.inner.alpha.size for slab in slabs)
+    straight = sum(len(slab.straight) for slab in slabs)
+    return (
+        f"{len(quality)} cells: {', '.join(each)}; {inner} interior nodes; "
+        f"{straight} edges made straight; {len(slabs)} pieces; "
+        f"quality {quality.min():.2g} at worst, {quality.mean():.2g} in the mean"
+    )
+
+
+def _no_compiler() -> str | None:
+    """Why this rank has no C, if it hasn't: all find facets' neighbours in it."""
+    try:
+        library()
+    except RuntimeError as error:
+        return str(error)
+    return None
+
+
+def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells:
+    """Mesh Σ between two surfaces in space, on rank 0. Collective.
+
+    Args:
+        comm: Communicator.
+        surface0: Γ0.
+        surface1: Γ1.
+
+    Returns:
+        The cells, the same on every rank.
+
+    Raises:
+        InterfaceError: Surfaces that don't face each other, or for which there is no valid mesh.
+        RuntimeError: There is no C compiler.
+    """
+    start = time.perf_counter()
+    raise_on_all(comm, _no_compiler(), RuntimeError)
+    surfaces = surface0, surface1
+    groups, num, behind = pairs_of_pieces(*surfaces)
+
+    def make() -> list[Slab]:
+        sides = [
+            [
+                Side.of(surface, np.flatnonzero(group == g), behind=neighbours)
+                for surface, group, neighbours in zip(surfaces, groups, behind, strict=True)
+            ]
+            for g in range(num)
+        ]
+        return [slab for pair in sides for slab in fill_common(*pair)]
+
+    gap = share(comm, surfaces, groups[1], make)
+    if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
+        LOG.info("Σ has %s; %.2g s", summary(gap.slabs), time.perf_counter() - start)
+    return gap
+
+
+def share(
+    comm: MPI.Comm,
+    surfaces: tuple[Surface, Surface],
+    patch: npt.NDArray[np.int32],
+    make: Callable[[], list[Slab]],
+) -> SlabCells:
+    """Σ from slabs that one rank makes. Collective.
+
+    Args:
+        comm: Communicator.
+        surfaces: Γ0 and Γ1.
+        patch: Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
+        make: Makes them, on rank 0.
+
+    Returns:
+        The cells, the same on every rank.
+
+    Raises:
+        InterfaceError: As ``make`` does.
+        RuntimeError: There is no C compiler.
+    """
+    result: list[tuple] = []
+    slabs: list[Slab] = []
+    error = None
+    if comm.rank == 0:
+        try:
+            slabs = make()
+            arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
+            result = [
+                (*part, slab.cells, slab.inner, slab.straight, slab.walls)
+                for part, slab in zip(arrays, slabs, strict=True)
+            ]
+        except (InterfaceError, RuntimeError) as e:
+            error = e
+    kind = comm.bcast(type(error) if error else InterfaceError)
+    raise_on_all(comm, str(error) if error else None, kind)
+    if comm.size > 1:
+        result = comm.bcast(result)
+    if comm.rank > 0:
+        slabs = [
+            Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
+            for own, other, *part in result
+        ]
+    covered, least = covered_parts(
+        surfaces[1],
+        np.concatenate([slab.sides[1].facets for slab in slabs]),
+        np.vstack([slab.sides[1].X for slab in slabs]),
+        np.concatenate([slab.sides[1].shares for slab in slabs]),
+    )
+    num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
+    offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
+
+    def hosts(points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
+        if len(slabs) == 1:
+            return slabs[0].hosts(points, cells)
+        order = np.argsort(cells, kind="stable")
+        parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
+        lots = zip(slabs, parts, num_cells[:-1], strict=True)
+        found = Hosts.concatenate([slab.hosts(points, part - n) for slab, part, n in lots])
+        return found[np.argsort(order, kind="stable")]
+
+    straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
+    degree = max(side.degree for slab in slabs for side in slab.sides)
+    return SlabCells(
+        x=np.vstack([slab.x for slab in slabs]),
+        alpha=np.concatenate([slab.alpha for slab in slabs]),
+        cells=np.vstack([slab.cells + start for slab, start in zip(slabs, offsets)]),
+        normal=np.vstack([slab.normal for slab in slabs]),
+        rank=np.concatenate([slab.rank for slab in slabs]),
+        patch=patch,
+        covered=covered,
+        least=least,
+        degree=degree,
+        hosts=hosts,
+        straight=straight if straight.any() else None,
+        overhang=overhang(slabs, degree),
+        slabs=slabs,
+    )

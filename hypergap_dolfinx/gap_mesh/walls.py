@@ -1,0 +1,206 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Walls that close the gap at the boundaries of two facing pieces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.gap_mesh.strip import merge
+from hypergap_dolfinx.surface.nearest import on_loop
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.trace import NOISE, lengths
+from hypergap_dolfinx.trimming.outlines import is_along
+
+COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
+APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges, and of parameters
+REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
+
+
+@dataclass(frozen=True)
+class Rim:
+    """A pair of facing boundary loops, in Γ0's direction of travel, with a common start."""
+
+    nodes: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+    """Vertices of each loop in its piece."""
+    s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Their parameters from 0 to 1, equal where nodes coincide; the last closes the loop."""
+    tangents: npt.NDArray[np.float64]
+    """Of Γ1's edges: how the parameter grows with the place, ``(num_nodes1, 3)``."""
+    length: float
+    """Length of the loops."""
+    shared: npt.NDArray[np.float64]
+    """Parameters of coincident nodes, from 0 to 1, where walls end; infinite if there are none."""
+
+    def walls(self, n0: int, shift, weights) -> npt.NDArray[np.intp]:
+        """Triangles between the loops.
+
+        Args:
+            n0: Number of vertices of Γ0's piece; Γ1's are numbered behind them.
+            shift: By what Γ1's vertices are displaced, so that ties are decided as elsewhere,
+                ``(num_vertices1, 3)``.
+            weights: Of both sides' vertices, ``(num_vertices0 + num_vertices1,)``.
+
+        Returns:
+            Vertices, counterclockwise seen from outside, ``(num_triangles, 3)``.
+        """
+        c0, c1 = self.nodes
+        w0, w1 = weights[c0] / self.length**2, weights[n0 + c1] / self.length**2
+        moved = [np.einsum("ei,ei->e", self.tangents, shift[c]) for c in (c1, np.roll(c1, -1))]
+        s0, s1 = self.s
+        middles = [
+            _middles(s0[:-1], s0[1:], w0),
+            _middles(s1[:-1] + moved[0], s1[1:] + moved[1], w1),
+        ]
+        for i, s in enumerate(self.s):  # all stay in their wall, in their order
+            wall = np.searchsorted(self.shared, (s[1:] + s[:-1]) / 2) - 1
+            middles[i] = wall + _squeezed(middles[i], self.shared[wall], self.shared[wall + 1])
+            middles[i] = np.maximum.accumulate(middles[i])
+        side, edge, apex = merge(*middles)
+        a, b = (np.where(side == i, edge, 0) for i in (0, 1))
+        a1, b1 = (a + 1) % len(c0), (b + 1) % len(c1)
+        on0 = np.column_stack((c0[a], c0[a1], n0 + c1[apex % len(c1)]))
+        on1 = np.column_stack((n0 + c1[b1], n0 + c1[b], c0[apex % len(c0)]))
+        return np.where((side == 0)[:, None], on0, on1)
+
+
+def _middles(start, end, weights):
+    """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
+    ds, dw = end - start, np.roll(weights, -1) - weights
+    return (start + end) / 2 + dw / (2 * np.where(ds > 0, ds, 1))
+
+
+def _squeezed(s, start, end):
+    """Numbers between 0 and 1 in the order of parameters, which may lie before or behind a wall."""
+    if not np.isfinite(start).all():
+        return s
+    t = (2 * s - start - end) / (end - start)
+    return (1 + t / (1 + np.abs(t))) / 2
+
+
+def rims(side0: Side, side1: Side) -> list[Rim]:
+    """Pairs of boundary loops of two facing pieces.
+
+    Raises:
+        InterfaceError: The loops don't match.
+    """
+    loops0, loops1 = side0.loops(), [loop[::-1] for loop in side1.loops()]
+    if len(loops0) != len(loops1):
+        raise InterfaceError(
+            f"Γ0 has {len(loops0)} boundary loops and Γ1 has {len(loops1)} around "
+            f"{spot(side1.x)}: do the surfaces have the same shape there?"
+        )
+    found = []
+    for loop1 in loops1:
+        distances = [_distance(side1.x[loop1], side0.x[loop0]) for loop0 in loops0]
+        loop0 = loops0.pop(distances.index(min(distances)))
+        c0, c1, s0, s1, shared = _parametrise(side0, loop0, side1, loop1)
+        x = side1.x[c1]
+        edge = np.roll(x, -1, axis=0) - x
+        size = np.linalg.norm(edge, axis=1)
+        t = edge / np.maximum(size, 1e-300)[:, None] / size.sum()
+        found.append(Rim((c0, c1), (s0, s1), t, size.sum(), shared))
+    return found
+
+
+def _distance(x, y) -> tuple[bool, float]:
+    """Whether two loops go different ways round, and how far they are apart in the mean.
+
+    Both rims of a narrow band are near each other, but the band is on the left of both.
+    """
+    some = np.unique(np.linspace(0, len(x) - 1, 32).astype(np.intp))
+    there = on_loop(x[some], y)
+    same_way = is_along(x, y, there.edge, there.s, some)
+    return not same_way, float(lengths(there.apart).mean())
+
+
+def _parametrise(side0: Side, loop0, side1: Side, loop1):
+    """Roll two loops to a common start, and give their nodes parameters from 0 to 1.
+
+    Returns:
+        The loops, and parameters (one more than nodes: the last closes the loop), equal at
+        coincident nodes; and those.
+
+    Raises:
+        InterfaceError: The loops are apart.
+    """
+    x0, x1 = side0.x[loop0], side1.x[loop1]
+    nearest = on_loop(x1, x0).node
+    distance = lengths(x1 - x0[nearest])
+    size = np.ptp(x0, axis=0).max()
+    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
+    curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
+    if curved:
+        shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
+    first = int(distance.argmin())
+    start = int(nearest[first])
+    loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
+    loop1, x1, shared, nearest = (
+        np.roll(a, -first, axis=0) for a in (loop1, x1, shared, (nearest - start) % len(x0))
+    )
+    _check_apart(side0, loop0, side1, loop1)
+    s0, s1 = _arc(x0), _arc(x1)
+    # Anchors: coincident nodes in the same order on both loops
+    j = np.flatnonzero(shared[1:]) + 1
+    i = nearest[j]
+    keep = (i == np.maximum.accumulate(i)) & (i > 0) if len(i) else i.astype(bool)
+    anchors0 = np.concatenate(([0.0], s0[i[keep]], [1.0]))
+    anchors1 = np.concatenate(([0.0], s1[j[keep]], [1.0]))
+    s1 = np.interp(s1, anchors1, anchors0)
+    ends = np.unique(anchors0)
+    if not shared.any():  # Γ1's first node lies a little off Γ0's
+        ends = np.array((-np.inf, np.inf))
+        t = x0[1] - x0[0]
+        s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
+    elif curved:  # where edges are short, surfaces may be further apart than that
+        ends = np.union1d(ends, _joined(s0, s1))
+    return loop0, loop1, s0, s1, ends
+
+
+def _joined(s0, s1) -> npt.NDArray[np.float64]:
+    """Make parameters of nodes one, in place, that are one but for the surfaces' approximation.
+
+    Returns:
+        Those of Γ0 that some of Γ1 became.
+    """
+    inner, d0, d1 = s1[1:-1], np.diff(s0), np.diff(s1)
+    k = np.clip(np.searchsorted((s0[1:] + s0[:-1]) / 2, inner), 1, len(s0) - 2)  # the nearest
+    size = np.minimum(np.minimum(d0[k - 1], d0[k]), np.minimum(d1[:-1], d1[1:]))
+    near = np.abs(inner - s0[k]) < APPROXIMATED * size
+    inner[near] = s0[k[near]]
+    return inner[near]
+
+
+def _shortest(x) -> npt.NDArray[np.float64]:
+    """The shorter edge at each node of a closed loop."""
+    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+    return np.minimum(edges, np.roll(edges, 1))
+
+
+def _arc(x) -> npt.NDArray[np.float64]:
+    """Arc length along a closed loop, from 0 to 1."""
+    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+    s = np.append(0, np.cumsum(edges))
+    return s / s[-1]
+
+
+def _check_apart(side0: Side, loop0, side1: Side, loop1):
+    """Outlines that match, or were cut to match, are near each other."""
+    x0, x1 = side0.x[loop0], side1.x[loop1]
+    t = np.roll(x0, -1, axis=0) - x0
+    size = max(lengths(t).max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
+    there = on_loop(x1, x0)
+    n = side0.vertex_normals[loop0[there.edge]]
+    apart = there.apart - np.einsum("pi,pi->p", there.apart, n)[:, None] * n  # a gap is fine
+    distance = lengths(apart)
+    if distance.max() > REACH * size:
+        worst = distance.argmax()
+        raise InterfaceError(
+            f"the boundary of Γ1 at {spot(x1[worst])} lies {distance[worst]:.3g} off that "
+            "of Γ0: do the surfaces have the same shape there?"
+        )

@@ -1,0 +1,276 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+r"""An interface that gives way: by a compliance, u₁ − u₀ = c λ, or a conductance, λ = h (u₁ − u₀).
+
+Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. A compliance's takes the place of the zero,
+Σ_i B_i u_i − C λ = g. So the mean that holds in cells of Σ is that of c: where it is next to
+infinite at one node, nothing gets through any of the cells around. A conductance is a law
+(:mod:`hypergap_dolfinx.interface_laws.law`) with F(w) = H w, and the mean is that of h: one node conducts.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.interface_laws import given_values
+from hypergap_dolfinx.mortar import kernel
+from hypergap_dolfinx.mortar.constraint import Constraint, triplets
+from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.mortar.quadrature import Samples
+from hypergap_dolfinx.surface.trace import (
+    LAST_DIGITS,
+    Surface,
+    create_surface,
+    lagrange_element,
+)
+
+Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
+Given = Part | Sequence[Part]
+"""What it can be: one for all components, or the normal one and the tangential one."""
+
+
+def parts(value: Any, name: str) -> tuple[Part, ...]:  # Given, and what is none
+    """One, or the normal and the tangential one.
+
+    Raises:
+        ValueError: Other numbers of them.
+    """
+    several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
+    found = tuple(value) if several else (value,)
+    if several and len(found) != 2:
+        raise ValueError(f"{name} is one value, or a pair: the normal and the tangential one.")
+    for part in found:
+        given_values.check(part, f"a {name}")
+    return found
+
+
+class Weighting:
+    """C of one interface, for values of c ≥ 0 that may change."""
+
+    name: str
+    """What c is called."""
+    infinite: str
+    """What to do instead of c = ∞."""
+
+    def __init__(
+        self,
+        value: Given,
+        domain: GapDomain,
+        constraint: Constraint,
+        spaces: tuple[fem.FunctionSpace, fem.FunctionSpace],
+        facets1: npt.NDArray,
+    ):
+        """Tabulate ∂φ_A/∂α of the multipliers at Gauss points of Σ. Collective.
+
+        Args:
+            value: What was given.
+            domain: Σ.
+            constraint: The constraint on it.
+            spaces: V₀ and V₁.
+            facets1: This rank's facets on Γ1.
+
+        Raises:
+            ValueError: It doesn't fit the spaces, or is negative or no number.
+        """
+        self._parts, self._domain, self._spaces = parts(value, self.name), domain, spaces
+        n = spaces[1].mesh.geometry.dim
+        if len(self._parts) == 2 and spaces[1].value_shape != (n,):
+            raise ValueError(
+                f"a normal and a tangential {self.name} need displacements, with {n} components; "
+                f"the value shape is {spaces[1].value_shape}."
+            )
+        self._samples = Samples(domain, constraint)
+        self._surfaces = [
+            create_surface(part.function_space, facets1, "Γ1")
+            if isinstance(part, fem.Function) and self._fits(part)
+            else domain.surfaces[1]
+            for part in self._parts
+        ]
+        self.values()
+
+    def _fits(self, c: fem.Function) -> bool:
+        """Whether a function's space is one on Γ1's mesh.
+
+        Raises:
+            ValueError: It isn't.
+        """
+        V = c.function_space
+        if V.mesh is not self._spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
+            raise ValueError(
+                f"a {self.name} that is a function is a scalar one, of a Lagrange space of degree "
+                "≥ 1 on the mesh of Γ1's body."
+            )
+        return True
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for those that are the same, whatever becomes of them."""
+        return self.name, *(
+            id(part) if given_values.is_read(part) else float(part)  # type: ignore[arg-type]
+            for part in self._parts
+        )
+
+    def destroy(self):
+        """Destroy the PETSc matrix. Collective."""
+        self._samples.destroy()
+
+    @property
+    def arrays(self) -> list[npt.NDArray]:
+        """The arrays in which a user changes it."""
+        return [
+            part.x.array if isinstance(part, fem.Function) else part.value
+            for part in self._parts
+            if isinstance(part, fem.Function | fem.Constant)
+        ]
+
+    def values(self) -> npt.NDArray[np.float64]:
+        """What it is now, at this rank's points. Collective.
+
+        Returns:
+            ``(num_parts, num_points)``.
+
+        Raises:
+            ValueError: One is negative, or no number.
+        """
+        found, error = np.zeros((len(self._parts), len(self._samples.root))), None
+        for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
+            dofs, first = np.unique(surface.dofs, return_index=True)
+            facet, local = np.divmod(first, surface.dofs.shape[1])
+            x = surface.points(facet, surface.element.points[local])
+            nodal = np.zeros(len(dofs))
+            try:
+                nodal[:] = self._real(self._on_surface(part, surface, dofs, x))
+            except Exception as e:
+                error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]
+            wrong = ~(nodal >= 0) | np.isinf(nodal)
+            if wrong.any():
+                i = int(wrong.argmax())
+                advice = f" (infinite: {self.infinite})" if np.isinf(nodal[i]) else ""
+                error = error or (
+                    f"the {self.name} is {nodal[i]:.6g} at {spot(x[i])}; it must be ≥ 0 and "
+                    f"finite{advice}."
+                )
+            varies = given_values.is_read(part) and not isinstance(part, fem.Constant)
+            # Between nodes a polynomial may be negative
+            found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
+        raise_on_all(self._domain.mesh.comm, error, ValueError)
+        return found
+
+    def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
+        """Values at Γ1's dofs; of a function collective."""
+        if isinstance(part, fem.Function):
+            comm = self._domain.mesh.comm
+            start, end = surface.dof_range[comm.rank : comm.rank + 2]
+            mine = (start <= dofs) & (dofs < end)
+            values = np.zeros(len(dofs), dtype=part.x.array.dtype)
+            values[mine] = part.x.array[dofs[mine] - start]
+            return comm.allreduce(values)
+        if isinstance(part, fem.Constant):
+            return part.value
+        if given_values.is_read(part):
+            return given_values.each(given_values.at_points(part, x), len(x))
+        return part
+
+    def _along_normals(self, nodal: npt.NDArray, surface: Surface) -> npt.NDArray[np.float64]:
+        """What Γ1 has where a point's normal meets it: ∂(α c)/∂α of the φ_a's interpolant."""
+        hosts = self._domain.hosts
+        alpha = hosts.alpha.ravel()
+        X = hosts.X[1].reshape(-1, hosts.X[1].shape[-1])
+        use = np.flatnonzero(alpha > 0)
+        point, dof, value = interpolation_weights(
+            surface, hosts.facets[1].ravel()[use], X[use], alpha[use], self._domain.element
+        )
+        f = np.zeros(len(alpha))
+        np.add.at(f, use[point], value * nodal[np.searchsorted(np.unique(surface.dofs), dof)])
+        f_nodes = f.reshape(hosts.alpha.shape)
+        dphi = kernel.alpha_derivatives(self._samples.element, self._samples.v)
+        found = np.einsum("cpa,ca->cp", dphi, f_nodes).ravel()
+        if self._samples.beyond is None:
+            return found
+        cells, dphi = self._samples.beyond
+        return np.append(found, (dphi * f_nodes[cells]).sum(axis=1))
+
+    def matrix(self, values: npt.NDArray) -> PETSc.Mat:
+        """C for given :meth:`values`, with rows and columns as B's rows. Collective."""
+        block_size = self._spaces[1].dofmap.index_map_bs
+        if len(values) == 1:
+            return self._samples.scaled_mass(values[0], block_size)
+        n = self._samples.normal
+        W = values[1][:, None, None] * np.eye(block_size)
+        W += (values[0] - values[1])[:, None, None] * n[:, :, None] * n[:, None, :]
+        return self._samples.weighted(W)
+
+    def _real(self, values: npt.ArrayLike) -> npt.NDArray:
+        """What is real, whatever its type.
+
+        Raises:
+            ValueError: An imaginary part.
+        """
+        if np.any(np.imag(values)):
+            raise ValueError(f"it has an imaginary part; a {self.name} is real.")
+        return np.real(values)
+
+
+class Compliance(Weighting):
+    """c in u₁ − u₀ = c λ."""
+
+    name = "compliance"
+    infinite = "leave the tie out"
+
+    def gives_way(self) -> npt.NDArray[np.bool_]:
+        """At which multipliers each part is more than 0 now, all around. Collective.
+
+        Returns:
+            ``(num_parts, num_multipliers)``, in the order of B's rows, on every rank.
+        """
+        point, multiplier, _ = triplets(self._samples.D)
+        point -= self._samples.D.getOwnershipRange()[0]
+        comm = self._domain.mesh.comm
+        none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
+        for part, values in zip(none, self.values(), strict=True):
+            most = comm.allreduce(values.max(initial=0), MPI.MAX)
+            part[multiplier[values[point] <= LAST_DIGITS * most]] = True
+        return ~comm.allreduce(none)  # of truth values the sum is "or"
+
+
+class Conductance(Weighting):
+    """h in λ = h (u₁ − u₀), with what a law of one's own has."""
+
+    name = "conductance"
+    infinite = "tie without it"
+    linear = True
+    """Whether a linear problem can have it."""
+
+    def mass(self) -> PETSc.Mat:
+        """M, with rows and columns as B's rows; a new matrix. Collective."""
+        return self._samples.scaled_mass(1.0, self._spaces[1].dofmap.index_map_bs)
+
+    def at(self, w: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
+        """F(w), and :meth:`values` now. Collective.
+
+        Args:
+            w: This rank's rows, ``(num_multipliers, block_size)``.
+
+        Returns:
+            As w, and ``(num_parts, num_points)`` for :meth:`tangent`.
+        """
+        h, w = self.values(), self._samples.values(w)
+        f = h[-1][:, None] * w
+        if len(h) == 2:
+            n = self._samples.normal
+            f += ((h[0] - h[1]) * (n * w).sum(axis=1))[:, None] * n
+        return self._samples.forces(f), h
+
+    def tangent(self, values: npt.NDArray) -> PETSc.Mat:
+        """∂F/∂w from :meth:`at`; a new matrix. Collective."""
+        return self.matrix(values)

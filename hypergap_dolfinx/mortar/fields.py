@@ -1,0 +1,211 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Fields on Σ: the traction λ, the gap and the slip, and integrals over Σ."""
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx.mortar import kernel
+from hypergap_dolfinx.mortar.constraint import Constraint
+from hypergap_dolfinx.mortar.domain import GapDomain
+from hypergap_dolfinx.surface.trace import tabulate
+
+
+@dataclass(frozen=True)
+class GapQuadrature:
+    """Gauss points on this rank's cells of Σ."""
+
+    mesh: Mesh
+    """Σ."""
+    X: npt.NDArray[np.float64]
+    """Reference points, ``(num_points, n)``."""
+    x: npt.NDArray[np.float64]
+    """Positions, ``(num_cells, num_points, n)``."""
+    normal: npt.NDArray[np.float64]
+    """Unit normals of Γ_α, from Γ0 to Γ1, ``(num_cells, num_points, n)``."""
+    weights: npt.NDArray[np.float64]
+    """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``."""
+
+    def evaluate(self, f: fem.Function) -> npt.NDArray:
+        """Values of a function on Σ, ``(num_cells, num_points, block_size)``.
+
+        Raises:
+            ValueError: A function on another mesh.
+        """
+        V = f.function_space
+        if V.mesh is not self.mesh:
+            raise ValueError("evaluate takes functions on tie.sigma, as tie.traction gives them.")
+        nodal = f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list]
+        return np.einsum("pa,cai->cpi", tabulate(V.ufl_element().basix_element, self.X), nodal)
+
+    def integrate(self, values: npt.NDArray) -> npt.NDArray:
+        """∫∫ f dΓ_α dα of values at the points, ``(num_cells, num_points, ...)``. Collective."""
+        local = np.einsum("cp,cp...->...", self.weights, values)
+        return self.mesh.comm.allreduce(local)
+
+
+def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
+    """Gauss points on Σ (eqs. 10–13)."""
+    points, _ = basix.make_quadrature(domain.element.cell_type, degree)
+    element = domain.quadrature(degree)
+    N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
+    length = np.linalg.norm(N, axis=2)
+    x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
+    weights = element.weights * length - _beyond(domain, points, degree)
+    return GapQuadrature(domain.mesh, points, x, N / length[..., None], weights)
+
+
+def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
+    """Parts of the weights that are of what the constraint doesn't integrate: the overhang.
+
+    The smallest ones that have its integrals of polynomials of half the rule's degree.
+
+    Args:
+        domain: Σ.
+        points: Reference points of a Gauss rule, ``(num_points, n)``.
+        degree: Its degree.
+
+    Returns:
+        ``(num_cells, num_points)``.
+    """
+    beyond = domain.overhang
+    if beyond is None:
+        return np.zeros((len(domain.x), len(points)))
+    basis = basix.create_element(
+        basix.ElementFamily.P,
+        domain.element.cell_type,
+        degree // 2,
+        basix.LagrangeVariant.legendre,
+        discontinuous=True,
+    )
+    moments = np.zeros((len(domain.x), basis.dim))
+    np.add.at(moments, beyond.cells, beyond.weights[:, None] * tabulate(basis, beyond.X))
+    return moments @ np.linalg.pinv(tabulate(basis, points))
+
+
+def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray:
+    """R applied to each component, at the nodes of this rank's cells. Collective.
+
+    Args:
+        domain: Σ.
+        R: Pull-back with a row for each node.
+        values: This rank's owned values, ``(num_columns, block_size)``.
+
+    Returns:
+        ``(num_cells, num_nodes, block_size)``.
+    """
+    x, y = R.createVecs()
+    f = fem.Function(domain.space)
+    dofs, owned = domain.space.dofmap.list, domain.space.dofmap.index_map.size_local
+    nodal = np.empty((*dofs.shape, values.shape[1]), dtype=f.dtype)
+    for component in range(values.shape[1]):
+        x.array[:] = values[:, component]
+        R.mult(x, y)
+        f.x.array[:owned] = y.array
+        f.x.scatter_forward()
+        nodal[:, :, component] = f.x.array[dofs]
+    x.destroy()
+    y.destroy()
+    return nodal
+
+
+def alpha_derivative(domain: GapDomain, nodal, points):
+    """∂x/∂α of eq. (19) and the unit normals at reference points.
+
+    Args:
+        domain: Σ.
+        nodal: Values at the nodes, ``(num_cells, num_nodes, block_size)``.
+        points: Reference points, ``(num_points, n)``.
+
+    Returns:
+        ``(num_cells, num_points, block_size)`` and ``(num_cells, num_points, n)``.
+    """
+    weights = np.ones(len(points))
+    element = kernel.GapElement.at(domain.geometry, domain.element, points, weights)
+    N, v = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
+    dphi = kernel.alpha_derivatives(element, v)
+    return dphi @ nodal, N / np.linalg.norm(N, axis=2, keepdims=True)
+
+
+def _discontinuous(domain: GapDomain, shape: tuple[int, ...], name: str) -> fem.Function:
+    """A function on Σ without continuity, of the degree of the φ_a."""
+    element = ("Discontinuous Lagrange", domain.element.degree, shape)
+    return fem.Function(fem.functionspace(domain.mesh, element), name=name)
+
+
+def _points(f: fem.Function) -> npt.NDArray[np.float64]:
+    return f.function_space.ufl_element().basix_element.points
+
+
+def _set(f: fem.Function, values: npt.NDArray):
+    V = f.function_space
+    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] = values
+
+
+def traction(
+    domain: GapDomain, constraint: Constraint, shape: tuple[int, ...], multipliers: npt.NDArray
+) -> fem.Function:
+    """λ = Σ_a λ_a ∂φ_a/∂α (eq. 20) on Σ. Collective.
+
+    Args:
+        domain: Σ.
+        constraint: The constraint on it.
+        shape: Of the values.
+        multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
+    """
+    f = _discontinuous(domain, shape, "traction")
+    nodal = nodal_values(domain, constraint.R_A, multipliers)
+    # Around a mean, which α times itself has as its derivative: else narrow cells lose its digits
+    alpha = domain.hosts.alpha[..., None]
+    mean = (alpha * nodal).sum(axis=1, keepdims=True) / (alpha**2).sum(axis=1, keepdims=True)
+    _set(f, alpha_derivative(domain, nodal - alpha * mean, _points(f))[0] + mean)
+    return f
+
+
+def gap(
+    domain: GapDomain,
+    constraint: Constraint,
+    u0: fem.Function,
+    u1: fem.Function,
+    turn: npt.NDArray | None = None,
+) -> tuple[fem.Function, fem.Function | None]:
+    """Normal gap and tangential slip (eq. 17) on Σ. Collective.
+
+    Args:
+        domain: Σ.
+        constraint: The constraint on it.
+        u0: Displacement of Γ0's body.
+        u1: Displacement of Γ1's body.
+        turn: R where R u₀ is what u₁ is compared with.
+    """
+    shape = u0.function_space.value_shape
+    nodal, other = (
+        nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1))
+    )
+    nodal = other + (nodal if turn is None else nodal @ turn.T)
+    normal_gap = _discontinuous(domain, (), "gap")
+    dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
+    if shape == ():
+        _set(normal_gap, dx)
+        return normal_gap, None
+    opening = np.einsum("cpi,cpi->cp", dx, n)[..., None]
+    slip = _discontinuous(domain, shape, "slip")
+    _set(normal_gap, opening)
+    _set(slip, dx - opening * n)
+    return normal_gap, slip
+
+
+def owned_values(u: fem.Function) -> npt.NDArray:
+    """This rank's owned values, ``(num_dofs, block_size)``."""
+    dofmap = u.function_space.dofmap
+    return u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]

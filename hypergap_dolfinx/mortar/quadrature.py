@@ -1,0 +1,149 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The multipliers' functions ∂φ_A/∂α at Gauss points of Σ, where an interface gives way."""
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.core import lifetime
+from hypergap_dolfinx.mortar import kernel
+from hypergap_dolfinx.mortar.constraint import Constraint, coo_matrix, expand
+from hypergap_dolfinx.mortar.domain import GapDomain
+
+
+class Samples(lifetime.Owner):
+    """D with a row for each point: ∂φ_A/∂α times the root of the point's weight."""
+
+    def __init__(self, domain: GapDomain, constraint: Constraint):
+        """Tabulate them. Collective.
+
+        Args:
+            domain: Σ.
+            constraint: The constraint on it.
+        """
+        self._ticket = lifetime.enter(domain.mesh.comm)
+        self.domain = domain
+        n = domain.x.shape[2]
+        # Of straight cells c and both derivatives are polynomials of degree k − 1
+        rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
+        self.element = domain.quadrature(rule)
+        """Tables at the points that are the same in all cells."""
+        N, self.v = kernel.geometry_at_points(self.element, domain.x, domain.alpha_vertices)
+        length = np.linalg.norm(N, axis=2)
+        self.normal: npt.NDArray[np.float64] = (N / length[..., None]).reshape(-1, n)
+        """Unit normals from Γ0 to Γ1, ``(num_points, n)``."""
+        self.root: npt.NDArray[np.float64] = np.sqrt(np.abs(self.element.weights) * length).ravel()
+        """Roots of the weights' magnitudes, ``(num_points,)``."""
+        self.sign: npt.NDArray[np.float64] = np.tile(np.sign(self.element.weights), len(N))
+        """Signs of the weights."""
+        dphi = kernel.alpha_derivatives(self.element, self.v)
+        D = self.root[:, None] * dphi.reshape(-1, dphi.shape[2])
+        cells = np.repeat(np.arange(len(N)), len(self.element.weights))
+        self.beyond: tuple[npt.NDArray, npt.NDArray] | None = None
+        """Cells and ∂φ_a/∂α of the points of the overhang, which are the last ones."""
+        if (beyond := domain.overhang) is not None:
+            dphi, normal = domain.overhang_derivatives()
+            self.beyond = beyond.cells, dphi
+            root = np.sqrt(np.abs(beyond.weights))
+            self.normal = np.vstack((self.normal, normal))
+            self.root = np.append(self.root, root)
+            self.sign = np.append(self.sign, -np.sign(beyond.weights))
+            D = np.vstack((D, root[:, None] * dphi))
+            cells = np.append(cells, beyond.cells)
+        comm = domain.mesh.comm
+        self._start = sum(comm.allgather(len(self.root))[: comm.rank])
+        dofmap = domain.space.dofmap
+        nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+        rows = self._start + np.arange(len(self.root))
+        sizes = len(rows), constraint.R_A.getLocalSize()[0]
+        matrix = coo_matrix(comm, sizes, np.repeat(rows, D.shape[1]), nodes[cells], D)
+        self.D: PETSc.Mat = matrix.matMult(constraint.R_A)
+        """``(num_points, num_multipliers)``."""
+        matrix.destroy()
+
+    def _release(self) -> list:
+        return [self.__dict__.pop("D", None)]
+
+    def scaled_mass(self, values: float | npt.NDArray, block_size: int) -> PETSc.Mat:
+        """∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα, the same for each component. Collective.
+
+        Args:
+            values: c at the points, or a number.
+            block_size: Number of components.
+
+        Returns:
+            A new matrix, ``(num_multipliers * block_size,)`` twice.
+        """
+        scaled, weights = self.D.copy(), self.D.createVecLeft()
+        weights.array[:] = self.sign * values
+        scaled.diagonalScale(L=weights)
+        product = self.D.transposeMatMult(scaled)
+        M = expand(product, block_size)
+        for obj in (scaled, weights, product):
+            obj.destroy()
+        return M
+
+    def weighted(self, W: npt.NDArray) -> PETSc.Mat:
+        """∫∫ ∂φ_A/∂α W ∂φ_B/∂α dΓ_α dα with a matrix W of the components. Collective.
+
+        Args:
+            W: ``(num_points, block_size, block_size)``.
+
+        Returns:
+            A new matrix, ``(num_multipliers * block_size,)`` twice.
+        """
+        block_size = W.shape[1]
+        W = W * self.sign[:, None, None]
+        rows = (self._start + np.arange(len(W)))[:, None] * block_size + np.arange(block_size)
+        size = len(W) * block_size
+        i = np.broadcast_to(rows[:, :, None], W.shape)
+        j = np.broadcast_to(rows[:, None, :], W.shape)
+        weights = coo_matrix(self.domain.mesh.comm, (size, size), i, j, W)
+        D = expand(self.D, block_size)
+        scaled = weights.matMult(D)
+        product = D.transposeMatMult(scaled)
+        for obj in (weights, D, scaled):
+            obj.destroy()
+        return product
+
+    def values(self, w: npt.NDArray) -> npt.NDArray:
+        """Σ_A w_A ∂φ_A/∂α at the points, ``(num_points, block_size)``. Collective.
+
+        Args:
+            w: This rank's rows, ``(num_multipliers, block_size)``.
+        """
+        x, y = self.D.createVecs()
+        found = np.empty((len(self.root), w.shape[1]), dtype=PETSc.ScalarType)
+        for component, column in enumerate(w.T):
+            x.array[:] = column
+            self.D.mult(x, y)
+            found[:, component] = np.divide(
+                y.array_r,
+                self.root,
+                out=np.zeros(len(self.root), y.array_r.dtype),
+                where=self.root > 0,
+            )
+        x.destroy()
+        y.destroy()
+        return found
+
+    def forces(self, f: npt.NDArray) -> npt.NDArray:
+        """∫∫ f ∂φ_A/∂α dΓ_α dα, ``(num_multipliers, block_size)`` of this rank. Collective.
+
+        Args:
+            f: Values at the points, ``(num_points, block_size)``.
+        """
+        x, y = self.D.createVecs()
+        found = np.empty((x.getLocalSize(), f.shape[1]), dtype=PETSc.ScalarType)
+        for component, column in enumerate(f.T):
+            y.array[:] = self.sign * self.root * column
+            self.D.multTranspose(y, x)
+            found[:, component] = x.array_r
+        x.destroy()
+        y.destroy()
+        return found

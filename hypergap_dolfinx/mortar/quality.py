@@ -1,0 +1,186 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What is doubtful about an interface that can be tied: a line for each, with what to do."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.mortar.domain import GapDomain
+from hypergap_dolfinx.surface.trace import SAME_NODE, Surface, thinness
+
+SAG = 1e-5
+"""Distance of curved facets from straight ones, in their lengths, that is taken for straight.
+
+A facet of a circle with 500 of them has 1.6e-3; what CAD kernels and files round has 1e-8."""
+UNEVEN = 5.5
+"""How much narrower than Γ0's facets, and than its cells' depth, facets of Γ1 may be, per degree.
+
+Two linear tetrahedra across a unit cube, a smooth field prescribed all around: λ's L² error is 2.3
+times that of matching facets at 4, 4 times at 8, 8 times at 16, and 2.5, 4.2 and 11 times with
+facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 times at 8, 2.5 times
+with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
+error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
+Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
+WHOLE = 0.99
+"""Part of a facet's length or area from which it counts as not cut."""
+
+SAMPLES = 5000
+"""Cells of a rank, at most twice as many, that tell how uneven facets are."""
+
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
+
+
+def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
+    """What to look at before the results are trusted. Collective.
+
+    Args:
+        domain: Σ.
+        sides: The spaces and this rank's facets that it was made of.
+
+    Returns:
+        A line for each doubt, the same on every rank.
+    """
+    found = (
+        distance(domain),
+        straight_facets(domain.surfaces),
+        uneven_facets(domain, sides),
+    )
+    return [line for line in found if line]
+
+
+def distance(domain: GapDomain) -> str | None:
+    """Surfaces far apart may be meant, but mostly are a wrong tag or a mesh in other units."""
+    apart = domain.distance()
+    length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
+    if apart <= length:
+        return None
+    return (
+        f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: are "
+        "tags and units right? They are tied across the gap."
+    )
+
+
+def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
+    """Straight facets where the other side's are curved cost spaces of degree ≥ 2 their order."""
+    if max(surface.element.degree for surface in surfaces) == 1:
+        return None
+    sags = []
+    for surface in surfaces:
+        # Along the normals: a plane with a curved outline stays one
+        bend = surface.nodes - surface.straight_nodes
+        sag = np.abs(np.einsum("fmi,fi->fm", bend, surface.normals)).max(axis=1)
+        sags.append(np.where(surface.curved, sag, 0))
+    curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
+    if all(curved) or not any(curved):
+        return None
+    i = curved.index(True)
+    # An arc's distance from its chord goes with the square of the length
+    curvature = (sags[i] / surfaces[i].size ** 2).max()
+    off = curvature * surfaces[1 - i].size.max() ** 2
+    return (
+        f"the facets of {surfaces[i].name} are curved and those of {surfaces[1 - i].name} are "
+        f"straight, about {off:.2g} off: that limits the accuracy whatever the spaces' degree; "
+        "curve both meshes (in Gmsh gmsh.model.mesh.setOrder(2))."
+    )
+
+
+def _widths(v, w):
+    """Where facets are narrowest compared with others, by the spread of their vertices.
+
+    Args:
+        v: Vertices of each facet, ``(num, num_vertices, n)``.
+        w: Vertices of the one to compare it with.
+
+    Returns:
+        How many times as wide the other is in that direction, and the facet's own width in it,
+        ``(num,)`` each.
+    """
+    n = v.shape[2]
+    plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
+
+    def spread(x):
+        y = (x - x.mean(axis=1, keepdims=True)) @ plane
+        return y.transpose(0, 2, 1) @ y / x.shape[1]
+
+    inverse = np.linalg.inv(np.linalg.cholesky(spread(v)))
+    squares, U = np.linalg.eigh(inverse @ spread(w) @ inverse.transpose(0, 2, 1))
+    direction = np.einsum("sij,si->sj", inverse, U[:, :, -1])
+    # Of an edge, a right triangle or a square of width 1
+    unit = {2: 1 / 4, 3: 2 / 9, 4: 1 / 4}[v.shape[1]]
+    return np.sqrt(squares[:, -1]), 1 / (np.sqrt(unit) * np.linalg.norm(direction, axis=1))
+
+
+def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
+    """How much narrower than the other side's facets, and than its cells, those of Γ_i are.
+
+    The lesser of both counts, in the direction in which the facets differ most; a tenth of Γ_i's
+    area exceeds what is returned. Collective.
+    """
+    n = domain.x.shape[2]
+    other = domain.surfaces[1 - i]
+    depth = thinness(*sides[i]) * float(np.median(domain.surfaces[i].size))
+    on = domain.alpha_vertices == i
+    apex = domain.alpha_vertices == 1 - i
+    base = np.flatnonzero((on.sum(axis=1) == n) & (apex.sum(axis=1) == 1))
+    base = base[:: max(1, len(base) // SAMPLES)]
+    on, apex = on[base], apex[base]
+    v = domain.x[base, : n + 1][on].reshape(-1, n, n)
+    facet = domain.hosts.facets[1 - i][base, : n + 1][apex]
+    E = v[:, 1:] - v[:, :1]
+    area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
+    some = area > 0
+    # Where the sides overlap in part, facets of Γ_i are cut
+    if n == 2:
+        own = domain.hosts.facets[i][base, : n + 1][on].reshape(-1, n)[:, 0]
+        some &= area > WHOLE * domain.surfaces[i].size[own]
+    else:
+        X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
+        corner = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE
+        some &= (corner | _middles(X)).all(axis=1)
+        v = _whole_facets(domain, i, base, on, v)
+    v, facet, area = v[some], facet[some], area[some]
+    ratio, width = _widths(v, other.x[other.facets[facet]])
+    mine = np.column_stack((np.minimum(ratio, depth / width), area))
+    value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
+    order = np.argsort(value)
+    total = np.cumsum(area[order])
+    if not len(total):
+        return 0.0
+    return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
+
+
+def _middles(X) -> npt.NDArray[np.bool_]:
+    """Which vertices are middles of quadrilaterals, ``(num_bases, 3)``."""
+    return np.abs(X - 0.5).max(axis=2) < SAME_NODE
+
+
+def _whole_facets(domain: GapDomain, i: int, base, on, v):
+    """In the place of quarters of quadrilaterals these themselves."""
+    surface = domain.surfaces[i]
+    X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
+    hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
+    middle = _middles(X)
+    if surface.facets.shape[1] < 4 or not middle.any(axis=1).all():
+        return v
+    own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
+    return surface.x[surface.facets[own]]
+
+
+def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
+    """Γ1's nodes between Γ0's can't move as they would: deep cells answer with large tractions."""
+    value = unevenness(domain, sides, 1)
+    degrees = [surface.element.degree for surface in domain.surfaces]
+    if value <= UNEVEN * degrees[1]:
+        return None
+    swap = unevenness(domain, sides, 0) <= UNEVEN * degrees[0]
+    advice = "swap the tie's sides" if swap else "refine Γ0 that way, or Γ1's cells across Γ1"
+    return (
+        f"Γ1's facets are {value:.2g} times narrower one way than those of Γ0 and than its own "
+        f"cells are deep: λ oscillates, displacements hardly do. To trust λ, {advice}."
+    )

@@ -1,0 +1,197 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What the solvers need to know of an interface, whoever made it."""
+
+from collections.abc import Hashable, Sequence
+from typing import Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from hypergap_dolfinx.interface_laws.compliance import Compliance, Conductance
+from hypergap_dolfinx.interface_laws.law import Response
+from hypergap_dolfinx.mortar.constraint import Constraint
+from hypergap_dolfinx.mortar.domain import GapDomain
+from hypergap_dolfinx.surface.carried import Motion
+from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse
+from hypergap_dolfinx.surface.trace import Surface
+
+
+class Interface(Protocol):
+    """Two sides with a constraint between them; a tie is one."""
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+
+    @property
+    def components(self) -> tuple[Component, Component]:
+        """What these are among the dofs of their bodies."""
+
+    @property
+    def sigma(self) -> Mesh:
+        """Σ's mesh."""
+
+    @property
+    def domain(self) -> GapDomain:
+        """Σ with its arrays."""
+
+    @property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Γ0 and Γ1, where they are on the bodies."""
+
+    @property
+    def block_size(self) -> int:
+        """Number of components of the displacement."""
+
+    @property
+    def constraint(self) -> Constraint:
+        """The constraint on one component."""
+
+    @property
+    def free_interior(self) -> bool:
+        """Whether Σ's interior nodes are unknowns."""
+
+    @property
+    def closes_gap(self) -> bool:
+        """Whether the constraint is on positions."""
+
+    @property
+    def discontinuous(self) -> bool:
+        """Whether λ ends where Γ1 does, though other ties go on there."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """What carries Γ0 to Γ1, of a tie across a distance."""
+
+    @property
+    def turn(self) -> npt.NDArray | None:
+        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+
+    def blocks(self) -> tuple[PETSc.Mat, ...]:
+        """B₀ and B₁, with free interior nodes also B_Σ."""
+
+    @property
+    def compliance(self) -> Compliance | None:
+        """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
+
+    @property
+    def law(self) -> Response | Conductance | None:
+        """What λ is of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
+
+    @property
+    def gives_way(self) -> Hashable:
+        """Equal for interfaces with the same compliance, conductance or law; None without."""
+
+    def offset(self) -> PETSc.Vec | None:
+        """A new vector c with Σ_i B_i u_i = c now; None if it is 0. Collective."""
+
+    def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
+        """A side, and u₁ − u₀ now at its dofs, this rank's owned rows; None if 0. Collective."""
+
+
+class Pieces(Protocol):
+    """What users tied, and the interfaces that these are pieces of."""
+
+    @property
+    def ties(self) -> Sequence[Interface]:
+        """What users tied."""
+
+    @property
+    def interfaces(self) -> Sequence[Interface]:
+        """What is solved."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """What messages call the interfaces."""
+
+    def find(self, tie) -> int:
+        """Number of the interface that a tie is a piece of."""
+
+    def of_piece(self, tie, multipliers: npt.NDArray) -> npt.NDArray:
+        """A tie's own multipliers among those of its interface."""
+
+    def destroy(self):
+        """Destroy the PETSc objects of interfaces that no user has. Collective."""
+
+
+class Gaps(Protocol):
+    """Weighted gaps between two sides, on which a contact's multipliers act."""
+
+    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        """Gaps g and areas m, ``(num_multipliers,)`` each, and C = ∂g/∂u."""
+
+    def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
+        """Σ_a p_a ∂²g_a/∂u²."""
+
+    def slip(self, u: Displacements, lender: npt.NDArray) -> Sparse:
+        """T with slips s = T (u − u_since); n − 1 components one after the other.
+
+        In space each vertex has the directions of its lender.
+        """
+
+    def slip_slopes(
+        self, u: Displacements, since: Displacements, lender: npt.NDArray, on: npt.NDArray
+    ) -> Sparse:
+        """∂s/∂u of those that are asked for, ``(num_multipliers,)``."""
+
+    def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
+        """∂(Tᵀq)/∂u."""
+
+
+class AtVertices(Protocol):
+    """What a contact has at each place of Γ1."""
+
+    def at_vertices(self) -> npt.NDArray[np.float64]:
+        """Numbers ≥ 0 at Γ1's vertices now, the same on every rank. Collective."""
+
+
+class Coulomb(AtVertices, Protocol):
+    """Friction of a contact: its coefficient."""
+
+    @property
+    def elastic_slip(self) -> float:
+        """Slip up to which friction grows to μ p."""
+
+    @property
+    def shear_limit(self) -> float:
+        """Traction beyond which friction doesn't grow with pressure."""
+
+
+class ContactInterface(Protocol):
+    """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
+
+    @property
+    def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
+        """V₀ and V₁."""
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1."""
+
+    @property
+    def friction(self) -> Coulomb | None:
+        """Friction, if there is any."""
+
+    @property
+    def compliance(self) -> AtVertices | None:
+        """By how much surfaces overlap under a pressure of 1, if they do."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether gaps are to be found anew where the bodies are, or stay what they were first."""
+
+    @property
+    def depth(self) -> float:
+        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Gaps:
+        """Find the gaps where the bodies are, of which some displacements are prescribed."""

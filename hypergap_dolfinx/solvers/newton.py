@@ -1,0 +1,205 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Residual and tangent of nonlinear bodies with ties between them."""
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy.typing as npt
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx.algebra import checks
+from hypergap_dolfinx.algebra.dependence import Dependence
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.multipliers.interface import Pieces
+from hypergap_dolfinx.solvers.system import TiedSystem
+
+
+def _check_ranks(forms: Sequence[ufl.Form], rank: int, name: str, wanted: str):
+    """Raise if one isn't a UFL form of a rank."""
+    for i, form in enumerate(forms):
+        found = len(form.arguments()) if isinstance(form, ufl.Form) else None
+        if found != rank:
+            kind = type(form).__name__ if found is None else f"a form of rank {found}"
+            raise ValueError(f"the {name} of body {i} is {kind}, {wanted}")
+
+
+class NonlinearSystem(TiedSystem):
+    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative.
+
+    The jumps w_t of ties with a law are u_i too, and F_i(u_i) is the law's F(w_t).
+    """
+
+    def __init__(
+        self,
+        F: Sequence[ufl.Form],
+        u: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC],
+        pieces: Pieces,
+        *,
+        J: Sequence[ufl.Form] | None = None,
+        form_compiler_options: dict | None = None,
+        jit_options: dict | None = None,
+    ):
+        """Compile the forms. Collective.
+
+        Args:
+            F: Residual form of each body.
+            u: Solution function of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            pieces: The ties, and what they are pieces of.
+            J: Jacobian form of each body; F's derivative if not given.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the JIT compiler.
+
+        Raises:
+            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
+                a test function, or on another function than its body's; a tie or boundary condition
+                on a space that belongs to no body.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        wanted = "not a form with one test function; of an energy it is ufl.derivative(energy, u)."
+        _check_ranks(F, 1, "residual", wanted)
+        if J is None:
+            for i, (form, f) in enumerate(zip(F, u, strict=False)):
+                if f not in form.coefficients():
+                    raise ValueError(
+                        f"the residual form of body {i} has no u[{i}] in it: "
+                        "write each form with the function that is given for its body."
+                    )
+            J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
+        if not len(F) == len(u) == len(J) or not F:
+            raise ValueError(
+                f"{len(F)} residual forms, {len(u)} functions and {len(J)} Jacobian forms: give "
+                "one of each for every body."
+            )
+
+        options = {
+            "dtype": PETSc.ScalarType,
+            "form_compiler_options": form_compiler_options,
+            "jit_options": jit_options,
+        }
+        wanted = (
+            "not a UFL form with a trial and a test function; left out, it is the residual's "
+            "derivative."
+        )
+        _check_ranks(J, 2, "Jacobian form", wanted)
+        checks.check_scalars((*F, *J), u)
+        self._F = fem.form(list(F), **options)
+        super().__init__(fem.form(list(J), **options), bcs, pieces, u)
+        self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
+        self._slack = 0.0  # displacements that change no stiffness to speak of
+        self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
+        self._forces: list[float] = []  # in each body, of the last residual
+        # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
+        # then PETSc no longer knows of the communicator on some ranks, while others do
+        self._now = [compat.create_vector(f.function_space) for f in self._u]
+
+    def _release(self) -> list:
+        return [*super()._release(), *self.__dict__.pop("_now", [])]
+
+    def _assign(self, x: PETSc.Vec):
+        """Copy the bodies' part of a vector into u, and that of jumps into the laws."""
+        super()._assign(x)
+        openings = self._constraints.openings
+        parts = x.getNestSubVecs()
+        start = len(parts) - len(self._constraints.bodies) - len(openings)
+        for opening, part in zip(openings, parts[start:], strict=False):
+            opening.take(part)
+
+    def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
+        self._assign(x)
+        self._evaluate(x, r)
+
+    def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
+        """The residual where the bodies are, as x says.
+
+        Prescribed values are lifted: r is F at displacements that hold them, to first order.
+        """
+        x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
+        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
+        multipliers = x_parts[len(x_parts) - num_ties :]
+        lifted, tied = self._lifted(), bool(multipliers)
+        self._forces = []
+        for u, now, b, F, J, bcs, held, scale, wanted in zip(
+            self._u,
+            self._now,
+            r_parts,
+            self._F,
+            self._a,
+            self._bcs,
+            self._constraints.prescribed,
+            self._scales,
+            lifted,
+        ):
+            moves = bool((wanted != u.x.array).any())
+            with b.localForm() as local, now.localForm() as values:
+                local.set(0.0)
+                values.array[:] = u.x.array
+            petsc.assemble_vector(b, F)
+            if moves:
+                petsc.apply_lifting(b, [J], bcs=[bcs], x0=[now], alpha=-1.0)
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            self._forces.append(b.norm())
+            num = len(held)
+            b.array[held] = scale * (u.x.array[:num] - wanted[:num])[held]
+            if tied:
+                now.array[:] = wanted[:num]
+        of_ties = r_parts[num_bodies : len(r_parts) - num_ties]
+        for b in of_ties:
+            b.set(0.0)
+        openings = self._constraints.openings
+        for opening, b in zip(openings, of_ties[len(of_ties) - len(openings) :], strict=True):
+            opening.add_force(b)
+        fields = [*self._now, *x_parts[num_bodies : len(x_parts) - num_ties]]
+        for t, multiplier in enumerate(multipliers):
+            for b, B in zip(r_parts, self._constraints.free[t]):
+                if B is not None:
+                    B.multTransposeAdd(multiplier, b, b)
+            gaps = r_parts[len(r_parts) - num_ties + t]
+            self._constraints.apply(t, fields, gaps)
+            self._constraints.compliances.apply(t, multipliers, gaps)
+        r.assemble()
+
+    def _lifted(self) -> list[npt.NDArray]:
+        """Each body's displacements with those that are prescribed, ghosts included."""
+        lifted = []
+        for u, bcs in zip(self._u, self._bcs, strict=True):
+            lifted.append(u.x.array.copy())
+            for bc in bcs:
+                bc.set(lifted[-1])
+        return lifted
+
+    def assemble_matrix(self):
+        """Assemble what has changed into A, the stiffness of a linear body once. Collective."""
+        super().assemble_matrix()
+        self._known = [K.stateGet() for K in self._K]
+
+    def _assemble(self, i: int) -> bool:
+        K = self._K[i]
+        changed = self._depends[i].changed(self._slack) or K.stateGet() != self._known[i]
+        changed = K.comm.tompi4py().allreduce(changed, MPI.LOR)
+        if changed:
+            super()._assemble(i)
+        return changed
+
+    def _jacobian(self, x: PETSc.Vec):
+        self._assign(x)
+        self.assemble_matrix()
+
+    @property
+    def F(self) -> list[fem.Form]:
+        """The compiled residual forms."""
+        return self._F
+
+    @property
+    def J(self) -> list[fem.Form]:
+        """The compiled Jacobian forms."""
+        return self._a

@@ -1,0 +1,231 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The saddle system of tied bodies: what linear and nonlinear problems share."""
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx.algebra import checks, saddle
+from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.rigid_motions import free_motions
+from hypergap_dolfinx.core import compat, lifetime
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.multipliers.interface import Interface, Pieces
+from hypergap_dolfinx.solvers.constants import undetermined
+from hypergap_dolfinx.solvers.solver import Solver, System
+from hypergap_dolfinx.surface.trace import is_mixed
+
+PRESSURES = " (a pressure at a node, where displacements are prescribed all around)"
+"""What else may have to be held in mixed spaces."""
+
+
+class TiedSystem(lifetime.Owner):
+    """[K Bᵀ; B −C] [u; λ] = b with K from forms, B and C from ties, and a solver for it."""
+
+    _solver: Solver
+
+    def __init__(
+        self,
+        a: Sequence[fem.Form],
+        bcs: Sequence[fem.DirichletBC],
+        pieces: Pieces,
+        u: Sequence[fem.Function],
+    ):
+        """Make the matrix and the vectors, without values in K and b. Collective.
+
+        Args:
+            a: Compiled bilinear form of each body.
+            bcs: Dirichlet conditions of any of the bodies.
+            pieces: The ties, and what they are pieces of.
+            u: Solution function of each body.
+
+        Raises:
+            ValueError: A tie or boundary condition on a space that belongs to no body; a tie given
+                twice.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+        """
+        self._a, self._u, self._pieces = list(a), list(u), pieces
+        ties = pieces.ties
+        self._solved = False
+        self._motions_known = self._constants_known = False
+        self._scales = [1.0] * len(self._a)
+        self._scales_fixed = False
+        self._ticket = lifetime.enter(self._u[0].function_space.mesh.comm)
+        wrong = next((bc for bc in bcs if not isinstance(bc, fem.DirichletBC)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
+            )
+        checks.check_scalars((), self._u, bcs)
+        # DOLFINx compares compiled spaces here
+        self._bcs = fem.bcs_by_block([form.function_spaces[0] for form in self._a], bcs)
+        orphans = len(bcs) - sum(len(block) for block in self._bcs)
+        if orphans:
+            raise ValueError(
+                f"{orphans} of {len(bcs)} boundary conditions are on a space that is in no body; "
+                "make them on the spaces of the forms."
+            )
+        if len({id(tie) for tie in ties}) < len(ties):
+            raise ValueError("a tie is given twice; that would make the matrix singular.")
+        spaces = [f.function_space for f in self._u]
+        for i, V in enumerate(spaces):
+            checks.check_cells(V.mesh, f"body {i}")
+        self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
+        checks.check_apart(ties)
+        self._K = [petsc.create_matrix(form) for form in self._a]
+        # Free interior nodes are unknowns without a stiffness, behind those of the bodies
+        sizes = self._constraints.interior_sizes
+        self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
+        of_ties = [*self._zeros, *(opening.K for opening in self._constraints.openings)]
+        B, C = self._constraints.free, self._constraints.compliances.blocks
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *of_ties], B, C)
+        self._b_bodies = [compat.create_vector(V) for V in spaces]
+        self._b_interiors = [K.createVecLeft() for K in of_ties]
+        self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
+        self._b = PETSc.Vec().createNest(
+            [*self._b_bodies, *self._b_interiors, *self._b_ties], comm=self._A.comm
+        )
+        self._x = self._b.duplicate()
+        self._system = System(self._A, self._K, self._constraints, spaces)
+
+    def _check_motions(self):
+        """Raise if the assembly can still move, which a solver may not notice. Once; collective."""
+        if self._motions_known:
+            return
+        free = free_motions(self._system.spaces, self._K, self._constraints)
+        if free:
+            raise SolveError(
+                f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
+                f"{'are' if free > 1 else 'is'} free; hold every "
+                "body, by boundary conditions or by a tie to one that is held"
+                f"{PRESSURES if any(map(is_mixed, self._system.spaces)) else ''}."
+            )
+        self._motions_known = True
+
+    def _check_constants(self):
+        """Raise if a constant isn't known. After a solve, once for a conductance; collective."""
+        if self._constants_known:
+            return
+        if undetermined(self._system, self._solver, self._b):
+            why = []
+            if any(map(is_mixed, self._system.spaces)):
+                why.append(
+                    "a pressure (or another scalar of a mixed space) is known up to a constant "
+                    "only; hold it at a node (or take more cells across, where there is one "
+                    "between prescribed walls)"
+                )
+            if self._constraints.conducts:
+                why.append("a body is free that would be held by a conductance if that weren't 0")
+            raise SolveError(f"the matrix is singular: {', or '.join(why)}.")
+        self._constants_known = True
+
+    def _release(self) -> list:
+        """The PETSc objects, which the problem forgets."""
+        single = ("_solver", "_A", "_b", "_x", "_constraints", "_pieces")
+        several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
+        objects = [self.__dict__.pop(name, None) for name in single]
+        return objects + [obj for name in several for obj in self.__dict__.pop(name, [])]
+
+    def assemble_matrix(self):
+        """Assemble the bodies' stiffness, and what ties give way by, into A. Collective.
+
+        A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
+        must not see units.
+        """
+        changed = [self._assemble(i) for i in range(len(self._K))]
+        checks.check_finite(self._K, "the stiffness")
+        soft = [
+            part for part in (self._constraints.compliances, *self._constraints.openings) if part
+        ]
+        for part in soft:
+            part.update()
+        self._constants_known &= not self._constraints.conducts
+        if any(changed) or soft:  # else factors can be kept
+            self._A.assemble()
+
+    def _assemble(self, i: int) -> bool:
+        """Assemble a body's stiffness, and say whether it changed. Collective."""
+        K, bcs = self._K[i], self._bcs[i]
+        K.zeroEntries()
+        # The diagonal's keyword is another one in 0.9
+        petsc.assemble_matrix(K, self._a[i], bcs, self._scales[i])  # type: ignore[arg-type]
+        K.assemble()
+        if not self._scales_fixed:
+            self._scale_prescribed(i)
+        return True
+
+    def _scale_prescribed(self, i: int):
+        """Set the prescribed dofs' diagonal, and the right-hand side with it. Collective."""
+        K, held = self._K[i], self._constraints.prescribed[i]
+        diagonal = K.getDiagonal()
+        values = np.abs(diagonal.array_r[~held])
+        local = np.array((values.sum(), len(values), held.sum()))
+        total, num, num_held = K.comm.tompi4py().allreduce(local)
+        if num_held:
+            scale = total / max(num, 1) or 1.0
+            diagonal.array[held] = scale
+            K.setDiagonal(diagonal)
+            self._b_bodies[i].array[held] *= scale / self._scales[i]
+            self._scales[i] = scale
+        diagonal.destroy()
+
+    def _assign(self, x: PETSc.Vec):
+        """Copy the bodies' part of a vector into u."""
+        for u, part in zip(self._u, x.getNestSubVecs()):
+            u.x.array[: part.getLocalSize()] = part.array_r
+            u.x.scatter_forward()
+
+    def _check_usable(self):
+        """Raise if the problem was destroyed."""
+        if "_x" not in self.__dict__:
+            raise ValueError("the problem was destroyed.")
+
+    def multipliers(self, tie: Interface) -> npt.NDArray:
+        """The multipliers of a tie after a solve.
+
+        Args:
+            tie: One of the problem's ties.
+
+        Returns:
+            This rank's rows, ``(num_multipliers, block_size)``.
+        """
+        self._check_usable()
+        t = self._pieces.find(tie)
+        if not self._solved:
+            raise ValueError("the problem is not solved yet: call solve() first.")
+        x = self._x.getNestSubVecs()[len(self._b_bodies) + len(self._b_interiors) :]
+        return self._pieces.of_piece(tie, self._constraints.multipliers(t, x))
+
+    @property
+    def A(self) -> PETSc.Mat:
+        """The saddle matrix, a MatNest."""
+        return self._A
+
+    @property
+    def b(self) -> PETSc.Vec:
+        """The right-hand side; of a nonlinear problem the residual."""
+        return self._b
+
+    @property
+    def x(self) -> PETSc.Vec:
+        """The solution vector: displacements, then multipliers."""
+        return self._x
+
+    @property
+    def u(self) -> list[fem.Function]:
+        """The solution of each body."""
+        return self._u
+
+    @property
+    def ties(self) -> list[Interface]:
+        """The ties."""
+        return list(self._pieces.ties)

@@ -1,0 +1,170 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""One field among a body's: a component of a mixed space as a Lagrange space of its own.
+
+All of ``gap/`` and most of ``solve/`` work on that space, with its own numbering of dofs. Here is
+where the body's numbering comes in.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.mortar.constraint import coo_matrix
+from hypergap_dolfinx.surface.trace import is_mixed, lagrange_element
+
+
+@dataclass(frozen=True)
+class Component:
+    """A space that a tie's side may be on: a whole one, or a component such as ``W.sub(0)``."""
+
+    given: fem.FunctionSpace
+    """What a user knows it as."""
+    space: fem.FunctionSpace
+    """The same field without the others: ``given`` itself, or what it collapses to. DOLFINx numbers
+    the dofs alike each time."""
+    dofs: npt.NDArray[np.int32] | None
+    """Among the body's owned dofs (unrolled) those of the space, ``(num_dofs,)``; None if they are
+    the same."""
+
+    @classmethod
+    def of(cls, V: fem.FunctionSpace) -> "Component":
+        """That of a space or a subspace. Collective.
+
+        Raises:
+            InterfaceError: A subspace that DOLFINx doesn't collapse right.
+        """
+        if not V.component():
+            return cls(V, V, None)
+        space, dofs = V.collapse()
+        kept = np.array_equal(np.ravel(dofs)[unrolled(space)], unrolled(V))
+        if not space.mesh.comm.allreduce(kept, MPI.LAND):
+            raise InterfaceError(
+                "DOLFINx mixes up the nodes of this component of a mixed space when it collapses "
+                "it, as on tetrahedra of degree 3 and more; make a tie for each of its own "
+                "components (W.sub(0).sub(1) for example), or take degree 2, or hexahedra."
+            )
+        owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+        return cls(V, space, np.ravel(dofs)[:owned].astype(np.int32))
+
+    def same(self, other: "Component") -> bool:
+        """Whether another one has the same dofs of the same body."""
+        return self.given.contains(other.given) and other.given.contains(self.given)
+
+    def overlaps(self, other: "Component") -> bool:
+        """Whether one is a part of the other, or the same."""
+        return self.given.contains(other.given) or other.given.contains(self.given)
+
+    def among(self, spaces: Iterable[fem.FunctionSpace]) -> int | None:
+        """Number of the body whose space has it, None if none has."""
+        return next((i for i, V in enumerate(spaces) if V.contains(self.given)), None)
+
+    @property
+    def of_vector(self) -> bool:
+        """Whether it is one component of a vector."""
+        of_blocks = self.given.dofmap.index_map_bs > self.space.dofmap.index_map_bs
+        return of_blocks or (len(self.given.component()) > 1 and self.given.value_shape == ())
+
+    def of_body(self, values: npt.NDArray) -> npt.NDArray:
+        """The field's among a body's owned values, ``(num_dofs_of_body, ...)``."""
+        return values if self.dofs is None else values[self.dofs]
+
+    def into_body(self, values: npt.NDArray) -> npt.NDArray:
+        """A body's owned values with the field's ``(num_dofs, ...)``, and 0 of other fields."""
+        if self.dofs is None:
+            return values
+        index_map, block_size = self.given.dofmap.index_map, self.given.dofmap.index_map_bs
+        result = np.zeros((index_map.size_local * block_size, *values.shape[1:]), values.dtype)
+        result[self.dofs] = values
+        return result
+
+    def own_function(self, u: fem.Function) -> fem.Function | None:
+        """The field on its own space, of a function that has it. Collective.
+
+        Args:
+            u: On this space, or on one that has it as a component: the whole, or ``u.sub(0)``.
+
+        Returns:
+            The function itself if it is on this space; None if it doesn't have the field.
+        """
+        V = u.function_space
+        if V == self.space or (
+            self.dofs is not None  # what a user has collapsed
+            and V.mesh is self.space.mesh
+            and V.ufl_element() == self.space.ufl_element()
+            and not V.component()
+            and self._numbered_as(V)
+        ):
+            return u
+        if not V.contains(self.given):
+            return None
+        f = fem.Function(self.space, dtype=u.dtype, name=u.name)
+        values = self.of_body(u.x.array)
+        f.x.array[: len(values)] = values
+        f.x.scatter_forward()
+        return f
+
+    def _numbered_as(self, V: fem.FunctionSpace) -> bool:
+        """Whether a space of the same kind has the same dofs: a new one has not. Collective."""
+        alike = np.array_equal(V.dofmap.list, self.space.dofmap.list)
+        return self.space.mesh.comm.allreduce(alike, MPI.LAND)
+
+    def global_dofs(self) -> npt.NDArray[np.int64]:
+        """Global dofs (unrolled) in the body of this rank's owned ones, ``(num_dofs,)``."""
+        dofmap = self.given.dofmap
+        index_map, block_size = dofmap.index_map, dofmap.index_map_bs
+        start, end = index_map.local_range
+        every = np.arange(start * block_size, end * block_size)
+        return self.of_body(every)
+
+    def columns_of_body(self, B: PETSc.Mat) -> PETSc.Mat:
+        """A matrix on the field's dofs as one on the body's, in its place. Collective."""
+        if self.dofs is None:
+            return B
+        dofmap, comm = self.given.dofmap, self.space.mesh.comm
+        columns = dofmap.index_map.size_local * dofmap.index_map_bs
+        start = B.getOwnershipRangeColumn()[0]
+        rows = start + np.arange(len(self.dofs))
+        sizes = len(self.dofs), columns
+        P = coo_matrix(comm, sizes, rows, self.global_dofs(), np.ones(len(rows)))
+        result = B.matMult(P)
+        for matrix in (P, B):
+            matrix.destroy()
+        return result
+
+
+def unrolled(V: fem.FunctionSpace) -> npt.NDArray[np.intp]:
+    """The dofs of each cell, one by one."""
+    dofs, block_size = V.dofmap.list, V.dofmap.bs
+    every = dofs[:, :, None].astype(np.intp) * block_size + np.arange(block_size)
+    return every.reshape(len(dofs), -1)
+
+
+def lagrange_components(V: fem.FunctionSpace) -> list[Component]:
+    """A body's fields that motions are known of: V, or of a mixed one what is Lagrange. Collective.
+
+    Of other components nothing is known.
+    """
+    if not is_mixed(V):
+        return [Component.of(V)]
+    found = []
+    for i in range(V.num_sub_spaces):
+        try:
+            component = Component.of(V.sub(i))
+        except InterfaceError:
+            continue  # no tie takes it either
+        if is_mixed(component.space):
+            found += lagrange_components(V.sub(i))
+        elif lagrange_element(component.space)[1] is None:
+            found.append(component)
+    return found

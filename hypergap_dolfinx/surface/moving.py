@@ -1,0 +1,119 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A surface that moves with its body: displaced facets, and how they hang on the body's dofs."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.mortar.constraint import triplets
+from hypergap_dolfinx.surface.trace import Surface, tabulate
+
+
+@dataclass(frozen=True)
+class MovingSurface:
+    """Γ_i with a displacement; the same on every rank."""
+
+    reference: Surface
+    """Where it was when the mesh was made."""
+
+    @cached_property
+    def dofs(self) -> npt.NDArray[np.int64]:
+        """Global dofs (blocks) of the body that the surface has, sorted, ``(num_dofs,)``."""
+        return np.unique(self.reference.dofs)
+
+    @cached_property
+    def at_facets(self) -> npt.NDArray[np.intp]:
+        """Number of each facet's dofs among them, ``(num_facets, num_facet_dofs)``."""
+        return np.searchsorted(self.dofs, self.reference.dofs)
+
+    @cached_property
+    def vertex_dofs(self) -> npt.NDArray[np.int64]:
+        """Global dof at each vertex, ``(num_vertices,)``."""
+        at = [dofs[0] for dofs in self.reference.element.entity_dofs[0]]
+        dofs = np.empty(len(self.reference.x), dtype=np.int64)
+        dofs[self.reference.facets] = self.reference.dofs[:, at]
+        return dofs
+
+    @cached_property
+    def rest(self) -> Surface:
+        """The reference with geometry nodes that can follow any displacement."""
+        surface = self.reference
+        if surface.element.degree < surface.geometry.degree:
+            return surface
+        facets, X = np.arange(len(surface.facets)), surface.element.points
+        nodes = surface.points(np.repeat(facets, len(X)), np.tile(X, (len(facets), 1)))
+        nodes = nodes.reshape(len(facets), len(X), -1)
+        return replace(surface, nodes=nodes, geometry=surface.element)
+
+    @cached_property
+    def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
+        """Derivatives of a displaced facet's geometry nodes by its dofs, ``(node, dof)``."""
+        return tabulate(self.rest.element, self.rest.geometry.points)
+
+    @cached_property
+    def _corners(self) -> list[int]:
+        """Geometry nodes of a facet that are its vertices: Basix takes its time to tell."""
+        return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
+
+    def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
+        """The surface where a displacement takes it.
+
+        Args:
+            u: Displacement at :attr:`dofs`, ``(num_dofs, n)``.
+        """
+        rest = self.rest
+        nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
+        x = np.empty_like(rest.x)
+        x[rest.facets] = nodes[:, self._corners]
+        return replace(rest, x=x, nodes=nodes)
+
+
+Sides = tuple[MovingSurface, MovingSurface]
+Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+"""At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
+
+COVERED = 0.95
+"""Part of a facet of Γ1 that Γ0 must reach for multipliers of its own: with it a flat punch's
+corner has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
+
+
+def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
+    """Γ0 and Γ1 where displacements take them."""
+    return sides[0].displaced(u[0]), sides[1].displaced(u[1])
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """A sparse matrix as triplets, the same on every rank."""
+
+    i: npt.NDArray[np.int64]
+    j: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+    @classmethod
+    def empty(cls) -> "Sparse":
+        """Without entries."""
+        none = np.empty(0, dtype=np.int64)
+        return cls(none, none, np.empty(0))
+
+    @classmethod
+    def of(cls, matrix: PETSc.Mat) -> "Sparse":
+        """The entries of a matrix on one rank, which is destroyed."""
+        found = cls(*(np.array(part) for part in triplets(matrix)))
+        matrix.destroy()
+        return found
+
+
+def joined(*parts: Sparse) -> Sparse:
+    """The sum of sparse matrices."""
+    return Sparse(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
+    )

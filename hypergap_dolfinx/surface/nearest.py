@@ -1,0 +1,65 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""What of some points, or of an outline, is nearest to others (``c/surface.c``)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+
+
+@dataclass(frozen=True)
+class OnLoop:
+    """What of a closed loop is nearest to points."""
+
+    node: npt.NDArray[np.int32]
+    """The nearest node, ``(num_points,)``."""
+    edge: npt.NDArray[np.int32]
+    """The nearest edge: from the node of its number to the next one, ``(num_points,)``."""
+    s: npt.NDArray[np.float64]
+    """Parameter on it, from 0 to 1."""
+    apart: npt.NDArray[np.float64]
+    """From there to the point, ``(num_points, 3)``."""
+
+
+def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> OnLoop:
+    """What of a closed loop is nearest to points; of several that are as near, the first.
+
+    Args:
+        points: ``(num_points, 3)``.
+        loop: Its nodes, ``(num_nodes, 3)``.
+    """
+    node, edge = np.empty((2, len(points)), dtype=np.int32)
+    s = np.empty(len(points))
+    _find(points, loop, node, as_ints(edge), as_doubles(s))
+    foot = loop[edge] + s[:, None] * (loop[(edge + 1) % len(loop)] - loop[edge])
+    return OnLoop(node, edge, s, points - foot)
+
+
+def nearest(
+    points: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
+) -> npt.NDArray[np.int32]:
+    """The nearest of other points to each point; of several that are as near, the first.
+
+    Args:
+        points: ``(num_points, 3)``.
+        others: ``(num_others, 3)``.
+
+    Returns:
+        ``(num_points,)``.
+    """
+    node = np.empty(len(points), dtype=np.int32)
+    ffi = library().ffi
+    _find(points, others, node, ffi.NULL, ffi.NULL)
+    return node
+
+
+def _find(points, others, node, edge, s):
+    data = as_doubles(points), len(others), as_doubles(others)
+    if library().lib.find_nearest(len(points), *data, as_ints(node), edge, s):
+        raise MemoryError("no memory for what is nearest")

@@ -1,0 +1,288 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet.
+
+A triangular facet is its own piece. A quadrilateral has four that meet at its middle, on which
+functions of the trace's degree do (``quadrilaterals``), or is cut into two halves, which need twice
+the degree to have all that the facet has, but may be cut up further.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.surface.projection import Curves, Triangles
+from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS
+from hypergap_dolfinx.surface.search import Tree
+from hypergap_dolfinx.surface.trace import Surface, lengths, unit_normals
+from hypergap_dolfinx.surface.triangulation import loops, neighbours
+
+Geometry = Callable[
+    [npt.NDArray[np.float64]], tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+]
+CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
+GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
+OUTSIDE = 1e-4
+"""Weight below zero from which a point isn't in the triangle where the way to it ended."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """A piece of Γ_i in the slab: triangles that lie in facets."""
+
+    surface: Surface
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, 3)``."""
+    triangles: npt.NDArray[np.intp]
+    """Vertices, counterclockwise seen from outside of the body, ``(num_triangles, 3)``."""
+    facets: npt.NDArray[np.intp]
+    """The facet of the surface that hosts each triangle, ``(num_triangles,)``."""
+    X: npt.NDArray[np.float64]
+    """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
+    bends: npt.NDArray[np.float64] | None = None
+    """By what edges leave the straight line between their ends in it; None if none does.
+
+    ``(num_triangles, 3, num_terms, 2)``: edge k from corner k to the next one m is off by
+    λ_k λ_m Σ_j b_kj (λ_m − λ_k)^j, with the weights λ of the corners."""
+
+    @classmethod
+    def of(
+        cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False, behind=None
+    ) -> "Side":
+        """The piece of a surface that some whole facets make up.
+
+        Args:
+            surface: Γ_i.
+            facets: Numbers of the facets, ``(num_facets,)``.
+            halves: Whether quadrilaterals are cut into two triangles, to be cut up further, and
+                not into four.
+            behind: Neighbours of all facets of the surface, if they are known.
+        """
+        used = np.zeros(len(surface.x), dtype=bool)
+        used[surface.facets[facets]] = True
+        number = np.cumsum(used, dtype=np.intp) - 1
+        x, corners = surface.x[used], number[surface.facets[facets]].astype(np.intp)
+        if corners.shape[1] == 3:
+            X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
+            side = cls(surface, x, corners, facets, X)
+            known = {"is_whole": True, "normals": surface.normals[facets]}
+            if behind is not None:
+                own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
+                own[facets] = np.arange(len(facets))
+                known["behind"] = own[behind[facets]]
+            side.__dict__.update(known)  # as its properties would find them
+            return side
+        places, pieces = HALVES if halves else QUARTERS
+        if not halves:
+            middles = len(x) + np.arange(len(facets))
+            x = np.vstack((x, surface.points(facets, np.tile(places[4], (len(facets), 1)))))
+            corners = np.column_stack((corners, middles))
+        return cls(
+            surface,
+            x,
+            corners[:, pieces].reshape(-1, 3),
+            np.repeat(facets, len(pieces)),
+            np.tile(places[pieces], (len(facets), 1, 1)),
+        )
+
+    def in_halves(self) -> "Side":
+        """The same whole facets, to be cut up; vertices of facets keep their numbers."""
+        if self.surface.facets.shape[1] == 3:
+            return self
+        return Side.of(self.surface, np.unique(self.facets), halves=True)
+
+    @property
+    def degree(self) -> int:
+        """Degree of functions on the triangles that have what the facets' have."""
+        degree = self.surface.element.degree
+        if self.surface.facets.shape[1] == 3:
+            return degree
+        places, pieces = QUARTERS
+        quarters = (self.X[:, None] == places[pieces]).all(axis=(2, 3)).any(axis=1)
+        return degree if quarters.all() else 2 * degree
+
+    @property
+    def arrays(self) -> tuple[npt.NDArray | None, ...]:
+        """All but the surface."""
+        return self.x, self.triangles, self.facets, self.X, self.bends
+
+    @property
+    def shares(self) -> npt.NDArray[np.float64]:
+        """Part of its facet that each triangle is, edges taken straight, ``(num_triangles,)``."""
+        e, f = self.X[:, 1] - self.X[:, 0], self.X[:, 2] - self.X[:, 0]
+        facet = self.surface.geometry.cell_type
+        whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
+        return np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / whole
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether each triangle is a facet with the same coordinates."""
+        whole = self.surface.facets.shape[1] == 3 and self.bends is None
+        return whole and bool((self.X == CORNERS).all())
+
+    @cached_property
+    def behind(self) -> npt.NDArray[np.intp]:
+        """The triangle behind each edge of each triangle, −1 at the rim, ``(num_triangles, 3)``."""
+        return neighbours(self.triangles, self.surface.name, self.x)
+
+    @cached_property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit normals of the triangles, out of the body, ``(num_triangles, 3)``."""
+        return unit_normals(self.x[self.triangles])
+
+    @cached_property
+    def vertex_normals(self) -> npt.NDArray[np.float64]:
+        """Mean of the triangles' unit normals at the vertices, of length one."""
+        corner = self.triangles.ravel()
+        total = np.empty_like(self.x)
+        for i in range(3):
+            each = np.repeat(self.normals[:, i], 3)
+            total[:, i] = np.bincount(corner, each, minlength=len(total))
+        return total / np.maximum(lengths(total), 1e-300)[:, None]
+
+    @cached_property
+    def inner_edges(self) -> npt.NDArray[np.intp]:
+        """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``."""
+        f, k = np.nonzero(self.behind > np.arange(len(self.behind))[:, None])
+        t, total = self.triangles, self.triangles.sum(axis=1)
+        q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
+        return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Its triangles, to be searched."""
+        return Tree(self.x[self.triangles], self.normals)
+
+    @cached_property
+    def _walks(self) -> Triangles:
+        return Triangles(self.x, self.triangles, self.behind)
+
+    @cached_property
+    def _curves(self) -> Curves:
+        nodes = self.surface.nodes[self.facets]
+        return Curves(self.surface.geometry, nodes, self.X, self.bends, self.vertex_normals)
+
+    def loops(self) -> list[npt.NDArray[np.intp]]:
+        """Boundary loops."""
+        return list(self._loops)
+
+    @cached_property
+    def _loops(self) -> list[npt.NDArray[np.intp]]:
+        return loops(self.triangles, self.behind, self.surface.name, self.x)
+
+    def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """The triangles that points project into, and their reference coordinates in these.
+
+        Args:
+            points: ``(num_points, 3)``.
+            seed: Triangle where the search starts, ``(num_points,)``.
+        """
+        curves = self._curves if self.surface.curved[self.facets].any() else None
+        triangle, xi = self._walks.project(points, seed, curves)
+        out = np.flatnonzero(np.minimum(xi.min(axis=1), 1 - xi.sum(axis=1)) < -OUTSIDE)
+        if len(out):  # the way may have ended where the outline has a notch
+            below = self._below(points[out], triangle[out], xi[out])
+            other = below != triangle[out]
+            out, below = out[other], below[other]
+            triangle[out], xi[out] = self._walks.project(points[out], below, curves)
+        return triangle, xi
+
+    def _below(self, points, triangle, xi) -> npt.NDArray[np.intp]:
+        """The triangles that points lie above where those are nearer than the given ones."""
+        found = triangle.copy()
+        weights = np.maximum(np.column_stack((1 - xi.sum(axis=1), xi)), 0)
+        weights /= weights.sum(axis=1, keepdims=True)
+        away = lengths(np.einsum("pk,pki->pi", weights, self.x[self.triangles[triangle]]) - points)
+        p, f = self.tree.beside(points, self.normals[triangle])
+        v, n = self.x[self.triangles[f]] - points[p, None], self.normals[f]
+        height = np.abs(np.einsum("pi,pi->p", v[:, 0], n))
+        sides = [np.einsum("pi,pi->p", np.cross(v[:, k], v[:, k - 2]), n) for k in range(3)]
+        size = np.sum(sides, axis=0)  # twice the area, of parts at each edge
+        use = (np.min(sides, axis=0) >= -1e-9 * size) & (height < away[p])
+        order = np.flatnonzero(use)[np.argsort(-height[use], kind="stable")]
+        found[p[order]] = f[order]  # the nearest comes last
+        return found
+
+    def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
+        """Where points project on the curved facets, not to jump from one to the next."""
+        return self._walks.on_curved(triangle, points, xi, self._curves)
+
+    def geometry(self, triangle: npt.NDArray[np.integer]) -> Geometry:
+        """Places on the (curved) surface and their derivatives, of points of some triangles.
+
+        Args:
+            triangle: ``(num_points,)``.
+
+        Returns:
+            Takes reference coordinates in the triangles, ``(num_points, 2)``, to places,
+            ``(num_points, 3)``, and derivatives by both, ``(num_points, 2, 3)``.
+        """
+        nodes, tabulate = self.surface.nodes[self.facets[triangle]], self.surface.geometry.tabulate
+
+        def geometry(xi):
+            values = tabulate(1, self.in_facets(triangle, xi))[..., 0]
+            x = values.transpose(1, 0, 2) @ nodes  # and its derivatives
+            dx = x[:, 1:]
+            return x[:, 0], dx if self.is_whole else self.slopes(triangle, xi) @ dx
+
+        return geometry
+
+    def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Reference coordinates in the host facet of points of triangles.
+
+        Args:
+            triangle: ``(num_points,)``.
+            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
+
+        Returns:
+            ``(num_points, 2)``.
+        """
+        if self.is_whole:
+            return np.array(xi)
+        X = self.X[triangle]
+        places = X[:, 0] + np.einsum("pj,pji->pi", xi, X[:, 1:] - X[:, :1])
+        return places if self.bends is None else places + bent(self.bends[triangle], xi)[0]
+
+    def slopes(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Derivatives of :meth:`in_facets` by both of xi, ``(num_points, 2, 2)``."""
+        X = self.X[triangle]
+        straight = X[:, 1:] - X[:, :1]  # (point, ξ_j, X_i)
+        return straight if self.bends is None else straight + bent(self.bends[triangle], xi)[1]
+
+    def points(self, triangle, xi) -> npt.NDArray[np.float64]:
+        """Coordinates of reference points of triangles on the (curved) surface."""
+        return self.surface.points(self.facets[triangle], self.in_facets(triangle, xi))
+
+
+def bent(bends, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """By what points of triangles move where edges are bent, and its derivatives by xi.
+
+    Args:
+        bends: As of :class:`Side`, ``(num_points, 3, num_terms, 2)``.
+        xi: Reference coordinates, ``(num_points, 2)``.
+
+    Returns:
+        ``(num_points, 2)`` and ``(num_points, 2, 2)``.
+    """
+    off, slopes = np.zeros((len(xi), 2)), np.zeros((len(xi), 2, 2))
+    some = np.flatnonzero(bends.any(axis=(1, 2, 3)))
+    weights = np.column_stack((1 - xi[some].sum(axis=1), xi[some]))
+    for k in range(3):
+        m = (k + 1) % 3
+        both, apart = weights[:, k] * weights[:, m], weights[:, m] - weights[:, k]
+        d_both = weights[:, [k]] * GRADIENTS[m] + weights[:, [m]] * GRADIENTS[k]  # (point, ξ_j)
+        d_apart = GRADIENTS[m] - GRADIENTS[k]
+        for j in range(bends.shape[2]):
+            b, power = bends[some, k, j], apart**j
+            off[some] += (both * power)[:, None] * b
+            d_power = j * apart ** max(j - 1, 0)
+            slope = power[:, None] * d_both + (both * d_power)[:, None] * d_apart
+            slopes[some] += slope[:, :, None] * b[:, None]
+    return off, slopes

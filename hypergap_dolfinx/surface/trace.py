@@ -1,0 +1,452 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The trace of a function space on its interface facets, gathered over the ranks."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from dolfinx import fem
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.compiled import as_doubles, as_ints
+from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.surface.polynomials import terms
+
+STRAIGHT = 1e-12
+"""Distance of geometry nodes from where straight edges have them, in sizes of their facet or cell,
+that is taken for none: round-off makes 4e-15 near the origin, a circle of n facets 0.8 / n."""
+LAST_DIGITS = 8 * np.finfo(float).eps
+"""Error of a coordinate, in the largest coordinate. Nodes of straight edges in meshes of degree 3
+are off by up to ε, at the origin and 1e6 times the mesh's size away from it."""
+NOISE = 64 * np.finfo(float).eps
+"""Error of a difference of coordinates, in the largest coordinate: a rotated straight edge turns at
+its nodes by 0.75 ε over the facets' length; the rest is for meshes that were moved and scaled."""
+KINK = np.pi / 3
+"""A turn of a surface, from one facet to the next, that is a corner whatever is beside it."""
+STANDS_OUT = 4
+"""How many times the turns beside it a turn is from which it is a corner: on a smooth surface they
+are alike."""
+TURN = 1e-8
+"""A turn (in radians) that is none: coordinates of files have 8 digits."""
+SAME_NODE = 1e-10
+"""Distance of nodes of reference elements that are one. At degree 10 nodes are 0.03 apart,
+and round-off is 3e-16."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One side Γ_i of an interface: the same arrays on every rank.
+
+    The vertices of a facet are ordered such that its normal points out of the body: in 2D the
+    body is on the left, in 3D triangles turn counterclockwise seen from outside. Those of a
+    quadrilateral are in the order of its reference coordinates, (0, 0), (1, 0), (0, 1), (1, 1),
+    which turn so too.
+    """
+
+    name: str
+    """What messages call it, Γ0 or Γ1."""
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, n)``."""
+    facets: npt.NDArray[np.int32]
+    """Vertices of each facet, ``(num_facets, n)``; of quadrilaterals ``(num_facets, 4)``."""
+    nodes: npt.NDArray[np.float64]
+    """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
+    dofs: npt.NDArray[np.int64]
+    """Global dofs (blocks) of each facet, as ``element`` has them, ``(num_facets, num_dofs)``."""
+    owner: npt.NDArray[np.int32]
+    """Rank that owns the body's cell at the facet, ``(num_facets,)``."""
+    geometry: basix.finite_element.FiniteElement
+    """Lagrange element of the facets' geometry."""
+    element: basix.finite_element.FiniteElement
+    """Lagrange element of the trace."""
+    dof_range: npt.NDArray[np.int64]
+    """Offsets of the ranks' owned dofs (blocks) of the space, ``(num_ranks + 1,)``."""
+
+    @property
+    def gdim(self) -> int:
+        """Geometric dimension n."""
+        return self.x.shape[1]
+
+    @property
+    def polygons(self) -> npt.NDArray[np.int32]:
+        """Vertices of each facet, one after the other around it: edge k goes from k to k + 1."""
+        return around(self.facets)
+
+    @cached_property
+    def size(self) -> npt.NDArray[np.float64]:
+        """Longest edge of each facet, ``(num_facets,)``."""
+        v = self.x[self.polygons]
+        edges = np.stack([lengths(v[:, k] - v[:, k - 1]) for k in range(v.shape[1])])
+        return edges.max(axis=0)
+
+    @cached_property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit outward normals of the facets' vertices, ``(num_facets, n)``."""
+        return unit_normals(self.x[self.facets])
+
+    @cached_property
+    def straight_nodes(self) -> npt.NDArray[np.float64]:
+        """Where the geometry nodes are that the vertices alone would give, as ``nodes``."""
+        if len(self.geometry.points) == self.facets.shape[1]:
+            return self.nodes
+        linear = basix.create_element(basix.ElementFamily.P, self.geometry.cell_type, 1)
+        return tabulate(linear, self.geometry.points) @ self.x[self.facets]
+
+    @cached_property
+    def curved(self) -> npt.NDArray[np.bool_]:
+        """Which facets' geometry nodes are elsewhere than their vertices say, ``(num_facets,)``.
+
+        A quadrilateral with nothing but vertices isn't curved, though it may be warped.
+        """
+        if self.straight_nodes is self.nodes:
+            return np.zeros(len(self.facets), dtype=bool)
+        return self._is_off(np.abs(self.nodes - self.straight_nodes).max(axis=(1, 2)))
+
+    @cached_property
+    def affine(self) -> npt.NDArray[np.bool_]:
+        """Which facets are affine images of the reference facet, ``(num_facets,)``."""
+        v = self.x[self.facets]
+        if v.shape[1] < 4:
+            return ~self.curved
+        twist = np.abs(v[:, 0] - v[:, 1] - v[:, 2] + v[:, 3]).max(axis=1)
+        return ~(self.curved | self._is_off(twist))
+
+    def _is_off(self, deviation) -> npt.NDArray[np.bool_]:
+        """Whether a distance at each facet is more than round-off."""
+        # Coordinates carry a rounding error of their own, which grows away from the origin
+        return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
+
+    @cached_property
+    def edge_numbers(self) -> npt.NDArray[np.intp]:
+        """A number for each edge of facets (2D: each vertex), one for all that share it.
+
+        From 0, without gaps, ``(num_facets, num_edges)``.
+        """
+        key = start = self.polygons.astype(np.int64)
+        if self.gdim == 3:
+            end = np.roll(start, -1, axis=1)
+            key = np.minimum(start, end) * len(self.x) + np.maximum(start, end)
+        _, where = np.unique(key, return_inverse=True)
+        return where.reshape(key.shape)
+
+    @cached_property
+    def is_outline(self) -> npt.NDArray[np.bool_]:
+        """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
+        return np.bincount(self.edge_numbers.ravel())[self.edge_numbers] == 1
+
+    @cached_property
+    def polynomials(self) -> dict[str, Any]:
+        """Facets in space and their dofs' functions as C sees them: ``Facets`` in ``c/space.h``."""
+        corners = basix.geometry(self.geometry.cell_type)
+        middle, origins = corners.mean(axis=0), self.nodes[:, :1]
+        powers, to_terms = terms(self.geometry, middle)
+        return {
+            "num_facets": len(self.facets),
+            "num_corners": len(corners),
+            "vertices": as_ints(self.polygons),
+            "x": as_doubles(self.x),
+            "middle": middle.tolist(),
+            "num_terms": len(powers),
+            "powers": as_ints(powers),
+            "origins": as_doubles(origins),
+            "factors": as_doubles(to_terms @ (self.nodes - origins)),
+            "num_dofs": self.element.dim,
+            "functions": as_doubles(to_terms @ tabulate(self.element, self.geometry.points)),
+        }
+
+    def points(self, facet, X) -> npt.NDArray[np.float64]:
+        """Coordinates of reference points.
+
+        Args:
+            facet: Facet of each point, ``(num_points,)``.
+            X: Reference coordinates, ``(num_points, n - 1)``.
+
+        Returns:
+            Coordinates, ``(num_points, n)``.
+        """
+        nodes = self.nodes[facet]
+        # Sums of steps from the first node keep a coordinate that all nodes share to its last digit
+        steps = nodes[:, 1:] - nodes[:, :1]
+        return nodes[:, 0] + np.einsum("pa,pai->pi", tabulate(self.geometry, X)[:, 1:], steps)
+
+
+def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.float64]:
+    """Values of a scalar element's basis at reference points, ``(num_points, num_dofs)``."""
+    X = np.ascontiguousarray(X)
+    if not len(X):  # basix 0.9 ends the process here
+        return np.empty((0, element.dim))
+    return element.tabulate(0, X)[0, :, :, 0]
+
+
+def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Weights of the first dim + 1 vertices of an affine facet, ``(num_points, dim + 1)``."""
+    return np.column_stack((1 - X.sum(axis=1), X))
+
+
+def lengths(vectors) -> npt.NDArray[np.float64]:
+    """Lengths of vectors, ``(num, n)``: sums over a short axis are slow in NumPy's own norm."""
+    return np.sqrt(np.einsum("vi,vi->v", vectors, vectors))
+
+
+def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Unit normals of facets with the given vertices, ``(num, num_vertices, n)``.
+
+    They point to the right of an edge, and up from a counterclockwise triangle.
+    """
+    normal = normals_by_area(v)
+    length = lengths(normal)[:, None]
+    return normal / np.where(length > 0, length, 1)
+
+
+def normals_by_area(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Normals as long as an edge, or as twice the area of a triangle or a quadrilateral."""
+    if v.shape[2] == 2:
+        t = v[:, 1] - v[:, 0]
+        return np.column_stack((t[:, 1], -t[:, 0]))
+    if v.shape[1] == 3:
+        return np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    return np.cross(v[:, 3] - v[:, 0], v[:, 2] - v[:, 1])  # its diagonals
+
+
+def around(facets: npt.NDArray) -> npt.NDArray:
+    """Vertices of facets, ``(num_facets, num_vertices)``, one after the other around each."""
+    return facets[:, [0, 1, 3, 2]] if facets.shape[1] == 4 else facets
+
+
+def _match(points, reference) -> npt.NDArray[np.intp] | None:
+    """Index in ``reference`` of each of ``points``, or None if one is missing."""
+    distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
+    index = distance.argmin(axis=1)
+    return index if distance[np.arange(len(points)), index].max() < SAME_NODE else None
+
+
+def _facet_tables(cell_type, element, facet_element):
+    """Cell node under each facet node, for each local facet and both turns of its vertices.
+
+    Returns:
+        ``(num_local_facets, 2, num_facet_nodes)``.
+    """
+    fdim = len(basix.topology(cell_type)) - 2
+    vertices = basix.geometry(cell_type)
+    tables = []
+    for facet in basix.topology(cell_type)[fdim]:
+        for turned in (facet, [facet[0], facet[2], facet[1]] if fdim == 2 else facet[::-1]):
+            v = vertices[turned[: fdim + 1]]  # facets of reference cells are affine
+            tables.append(_match(_barycentric(facet_element.points) @ v, element.points))
+            assert tables[-1] is not None
+    return np.reshape(tables, (-1, 2, len(facet_element.points)))
+
+
+def is_mixed(V: fem.FunctionSpace) -> bool:
+    """Whether a space has components of different elements."""
+    return V.num_sub_spaces > 0 and V.num_sub_spaces > V.ufl_element().block_size
+
+
+def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteElement, str | None]:
+    """The scalar Lagrange element under a space, or the reason why there is none.
+
+    Returns:
+        The element, and None or a message.
+    """
+    if V.component():
+        return None, "is a subspace, which only ties take"
+    if is_mixed(V):
+        return None, "is mixed; a tie takes its components one by one, W.sub(0) for example"
+    try:
+        element = V.ufl_element().basix_element
+    except (NotImplementedError, AttributeError):  # of quadrature points, or of real numbers
+        element = None
+    if (
+        element is None
+        or element.family != basix.ElementFamily.P
+        or element.discontinuous
+        or element.degree < 1
+        or V.value_size != V.dofmap.index_map_bs
+    ):
+        return None, f"({V.ufl_element()!r}) is not a continuous Lagrange space of degree ≥ 1"
+    return element, None
+
+
+def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Surface:
+    """Gather the trace of a Lagrange space on facets of its mesh. Collective.
+
+    Args:
+        V: Lagrange space of degree k ≥ 1, scalar or blocked.
+        facets: Exterior facets (indices local to this rank); a facet that several ranks know may
+            be given on any of them.
+        name: What messages call the surface.
+
+    Returns:
+        The surface, the same on every rank.
+
+    Raises:
+        InterfaceError: Not a Lagrange space; no, interior, duplicate or out-of-range facets; NaN
+            coordinates.
+    """
+    mesh = V.mesh
+    comm, n, fdim = mesh.comm, mesh.geometry.dim, mesh.topology.dim - 1
+    element, reason = lagrange_element(V)
+    raise_on_all(comm, reason and f"the space of {name} {reason}.")
+    if mesh.topology.dim != n or n not in (2, 3):
+        raise InterfaceError(
+            f"{name} lies on a {mesh.topology.dim}-dimensional mesh in {n} dimensions; "
+            "bodies must be 2D in the plane or 3D in space."
+        )
+    topology = mesh.topology
+    raise_on_all(comm, _cell_error(topology, name))
+    topology.create_entities(fdim)
+    topology.create_connectivity(fdim, fdim + 1)
+    topology.create_connectivity(fdim + 1, fdim)
+    facets = np.asarray(facets)
+    if facets.size == 0:  # an empty list is an array of floats
+        facets = np.empty(0, dtype=np.int32)
+    raise_on_all(comm, _facet_error(mesh, facets, name))
+    facets = facets.astype(np.int32)
+    if comm.allreduce(len(facets)) == 0:
+        raise InterfaceError(
+            f"{name} has no facets on any rank; does the tag exist (ft.find(tag), ft.values)?"
+        )
+
+    # Local facet number of each facet in its one cell
+    offsets = topology.connectivity(fdim, fdim + 1).offsets
+    cells = topology.connectivity(fdim, fdim + 1).array[offsets[facets]]
+    cell_type = getattr(basix.CellType, topology.cell_name())
+    num_facets = len(basix.topology(cell_type)[fdim])
+    cell_facets = topology.connectivity(fdim + 1, fdim).array.reshape(-1, num_facets)
+    local = np.argmax(cell_facets[cells] == facets[:, None], axis=1)
+
+    # Order the vertices of each facet such that its normal points out of the cell
+    cmap = compat.coordinate_element(mesh)
+    facet_type = basix.cell.subentity_types(cell_type)[fdim][0]
+    P = basix.ElementFamily.P
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    cell_geometry = basix.create_element(P, cell_type, cmap.degree, variant)
+    geometry = basix.create_element(P, facet_type, cmap.degree, variant)
+    trace = basix.create_element(P, facet_type, element.degree, element.lagrange_variant)
+    cell_nodes = compat.geometry_dofmap(mesh)[cells]
+    x = mesh.geometry.x[:, :n]
+    finite = np.isfinite(x[cell_nodes]).all()
+    raise_on_all(comm, None if finite else f"{name} has NaN or infinite coordinates.")
+    tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
+    nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
+    vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
+    # Of the vertices: in a thin cell, nodes of curved edges may lie beyond the facet's plane
+    corners = [dofs[0] for dofs in cell_geometry.entity_dofs[0]]
+    centre = x[cell_nodes[:, corners]].mean(axis=1)
+    v = x[nodes[:, 0][:, vertex_nodes]]
+    turn = (np.einsum("fi,fi->f", unit_normals(v), v.mean(axis=1) - centre) < 0).astype(np.intp)
+    each = np.arange(len(facets))
+    nodes = nodes[each, turn]
+    tables = _facet_tables(cell_type, element, trace)[local, turn]
+    dofs = np.take_along_axis(V.dofmap.list[cells], tables, axis=1)
+
+    # Gather: facets are told apart by their global number, vertices by their global node
+    def gather(a):
+        return np.concatenate(comm.allgather(np.ascontiguousarray(a)))
+
+    index_map = V.dofmap.index_map
+    cell_map = topology.index_map(fdim + 1)
+    ranges = np.append(0, np.cumsum(comm.allgather(cell_map.size_local)))
+    global_cells = cell_map.local_to_global(cells)
+    key = gather(global_cells * num_facets + local)
+    _, first = np.unique(key, return_index=True)
+    owner = np.searchsorted(ranges, key[first] // num_facets, side="right") - 1
+    nodes_x = gather(x[nodes])[first]
+    dofs = gather(index_map.local_to_global(dofs.ravel()).reshape(dofs.shape))[first]
+    global_nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
+    vertices = gather(global_nodes[:, vertex_nodes])[first]
+
+    # Number by position: node numbers depend on the number of ranks, coordinates don't
+    _, at, vertices = np.unique(vertices, return_index=True, return_inverse=True)
+    vertices = vertices.reshape(-1, len(vertex_nodes))
+    vertex_x = nodes_x[:, vertex_nodes].reshape(-1, n)[at]
+    order = np.lexsort(vertex_x.T[::-1])
+    rank_of = np.empty_like(order)
+    rank_of[order] = np.arange(len(order))
+    vertices = rank_of[vertices]
+    facet_order = np.lexsort(np.sort(vertices, axis=1).T[::-1])
+    return Surface(
+        name=name,
+        x=vertex_x[order],
+        facets=vertices[facet_order].astype(np.int32),
+        nodes=nodes_x[facet_order],
+        dofs=dofs[facet_order],
+        owner=owner[facet_order].astype(np.int32),
+        geometry=geometry,
+        element=trace,
+        dof_range=np.append(0, np.cumsum(comm.allgather(index_map.size_local))),
+    )
+
+
+def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
+    """How far the cells behind facets reach, over the facets' length; the median. Collective.
+
+    Args:
+        V: Space on a mesh, of which :func:`create_surface` made a surface.
+        facets: Its facets on this rank.
+    """
+    mesh, n = V.mesh, V.mesh.geometry.dim
+    facets = np.asarray(facets, dtype=np.int32)
+    to_cells = mesh.topology.connectivity(n - 1, n)
+    cells = to_cells.array[to_cells.offsets[facets]]
+    x = mesh.geometry.x[:, :n]
+    v = x[compat.entities_to_geometry(mesh, n - 1, facets)[:, : 2 ** (n - 1)]]
+    height = np.einsum(
+        "fmi,fi->fm", x[compat.geometry_dofmap(mesh)[cells]] - v[:, :1], unit_normals(v)
+    )
+    polygon = v[:, around(np.arange(v.shape[1])[None])[0]]
+    length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=1), axis=2).max(axis=1, initial=0)
+    ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
+    return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
+
+
+def _cell_error(topology, name: str) -> str | None:
+    """Whether a mesh's cells have facets that this module knows, or what is wrong."""
+    cells = topology.cell_name()
+    if cells in ("triangle", "quadrilateral", "tetrahedron", "hexahedron"):
+        return None
+    return f"{name} lies on {cells} cells; bodies in space are made of tetrahedra or hexahedra."
+
+
+def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
+    """What is wrong with this rank's facets, or None."""
+    fdim = mesh.topology.dim - 1
+    if facets.ndim != 1 or (len(facets) and not np.issubdtype(facets.dtype, np.integer)):
+        return f"the facets of {name} must be a flat array of local facet indices (ft.find(tag))."
+    facet_map = mesh.topology.index_map(fdim)
+    num_facets = facet_map.size_local + facet_map.num_ghosts
+    bad = facets[(facets < 0) | (facets >= num_facets)]
+    if len(bad):
+        return (
+            f"facet {bad[0]} of {name} is out of range (rank {mesh.comm.rank} has {num_facets} "
+            "facets); give local facet indices, as ft.find(tag) does."
+        )
+    unique, count = np.unique(facets, return_counts=True)
+    if (count > 1).any():
+        return f"facet {unique[count > 1][0]} of {name} is given twice; pass each facet once."
+    num_cells = np.diff(mesh.topology.connectivity(fdim, fdim + 1).offsets)[facets]
+    interior = (num_cells != 1) | np.isin(facets, mesh.topology.interprocess_facets())
+    if interior.any():
+        return (
+            f"facet {facets[interior][0]} of {name} has a cell on both sides; an interface lies "
+            "on the boundary of its body (split the mesh along it)."
+        )
+    return None
+
+
+def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
+    """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
+    key = surface.edge_numbers
+    facet = np.repeat(np.arange(len(key)), key.shape[1])
+    key = key.ravel()
+    order = np.argsort(key, kind="stable")
+    _, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    start = start[count == 2]
+    return np.column_stack((facet[order[start]], facet[order[start + 1]]))

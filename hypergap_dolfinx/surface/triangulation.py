@@ -1,0 +1,286 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Surfaces in three dimensions: neighbours, kinks and smooth pieces."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.surface.nearest import nearest
+from hypergap_dolfinx.surface.trace import NOISE, STANDS_OUT, TURN, Surface, around, lengths
+
+FACES = -0.5  # cosine of the outward normals of facets that face each other: 60° off at most
+SAMPLES = 64  # facets of a piece that are asked what lies opposite
+CORNER = np.radians(
+    80
+)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
+CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
+
+
+def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
+    """The facet behind each edge of each facet, −1 behind a boundary edge.
+
+    Edge k of a facet goes from its vertex k to vertex k + 1.
+
+    Args:
+        facets: Vertices of each facet, one after the other, ``(num_facets, 3)`` or ``(…, 4)``.
+        name: What messages call the surface.
+        x: Vertex coordinates.
+
+    Returns:
+        As ``facets``.
+
+    Raises:
+        InterfaceError: More than two facets meet in an edge, or two that are turned over.
+    """
+    behind = np.empty(facets.shape, dtype=np.int32)
+    status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
+    if status == 0:
+        return behind.astype(np.intp)
+    a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
+    key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
+    order = np.argsort(key)
+    key = key[order]
+    twice = np.flatnonzero(key[1:] == key[:-1])
+    if not len(twice):
+        raise MemoryError("no memory for a surface's edges")
+    at = order[twice[0]]
+    place = spot(x[[a[at], b[at]]])
+    if (key // 2 == key[twice[0]] // 2).sum() == 2:
+        raise InterfaceError(
+            f"{name} is folded at {place}: the two facets at an edge there have their bodies "
+            "on opposite sides; are cells turned over?"
+        )
+    raise InterfaceError(
+        f"{name} branches at {place}: more than two facets meet in an edge there (make one tie "
+        "for each branch)."
+    )
+
+
+def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Where edges of facets start and end; their numbers count on around the facet."""
+    polygons = surface.polygons
+    num = polygons.shape[1]
+    return polygons[facet, k % num], polygons[facet, (k + 1) % num]
+
+
+def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
+    """Edges at which a surface has a corner: it turns there, and hardly beside it.
+
+    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved
+    ones turn inside of them and not where they meet.
+
+    Args:
+        surface: The surface.
+        behind: Its facets' neighbours.
+
+    Returns:
+        Facet and local number of each such edge (one of its two facets).
+    """
+    kink = np.empty(behind.shape, dtype=np.int32)
+    status = library().lib.find_kinks(
+        len(surface.x),
+        as_doubles(surface.x),
+        *behind.shape,
+        as_ints(surface.polygons),
+        as_ints(behind),
+        as_doubles(surface.normals),
+        TURN,
+        NOISE * np.abs(surface.x).max(),
+        CORNER,
+        STANDS_OUT,
+        as_ints(kink),
+    )
+    if status:
+        raise MemoryError("no memory for a surface's corners")
+    f, k = np.nonzero(kink)
+    g = behind[f, k]
+    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
+    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
+    turn = _angles(surface.normals[edges[0]], surface.normals[beyond[0]])
+    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
+    keep = np.ones(len(f), dtype=bool)
+    keep[bent] = left > CURVES * turn
+    return f[keep], k[keep]
+
+
+def _angles(n0, n1) -> npt.NDArray[np.float64]:
+    """Between normals, ``(num,)``."""
+    return np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
+
+
+def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
+    """Normals of curved facets in the middle of their edges, ``(num_edges, 3)``."""
+    if not len(facet):
+        return np.empty((0, 3))
+    corners = around(basix.geometry(surface.geometry.cell_type)[None])[0]
+    X = (corners + np.roll(corners, -1, axis=0))[k] / 2
+    derivatives = surface.geometry.tabulate(1, X)[1:, :, :, 0]
+    return np.cross(*(np.einsum("ea,eai->ei", d, surface.nodes[facet]) for d in derivatives))
+
+
+def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
+    """Which edges of a surface are on lines that run along edges of the other one.
+
+    Such a line parts what is beside it where the other surface has ended, too.
+    """
+    (f, k), (g, m) = edges, other_edges
+    first, last = edge_ends(surface, f, k)
+    a, b = surface.x[first], surface.x[last]
+    start, end = (other.x[end] for end in edge_ends(other, g, m))
+    t = end - start
+    length, square = np.linalg.norm(b - a, axis=1), (t**2).sum(axis=1)
+    near = np.empty(len(f), dtype=bool)
+    chunk = max(1, 2_000_000 // max(1, len(g)))
+    for c in range(0, len(f), chunk):
+        part = slice(c, c + chunk)
+        middle = (a[part] + b[part])[:, None] / 2
+        s = np.clip(np.einsum("eoi,oi->eo", middle - start, t) / square, 0, 1)
+        distance = np.linalg.norm(start + s[..., None] * t - middle, axis=2)
+        reach = 0.25 * np.maximum(length[part, None], np.sqrt(square))
+        near[part] = (distance < reach).any(axis=1)
+    line = components(len(surface.x), first, last)[first]
+    return np.isin(line, line[near])
+
+
+def facing_pieces(surfaces: tuple[Surface, Surface], behind):
+    """Smooth pieces of both surfaces that lie opposite to each other.
+
+    A piece ends at its surface's boundary, and where both surfaces have a kink.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        behind: The facets' neighbours, for both.
+
+    Returns:
+        The number of the pair of pieces that each facet belongs to, for both surfaces.
+
+    Raises:
+        InterfaceError: The surfaces don't face each other.
+    """
+    lines = [kinks(surfaces[0], behind[0])]
+    if len(lines[0][0]):  # else it doesn't matter where the other one has some
+        lines.append(kinks(surfaces[1], behind[1]))
+    pieces = []
+    for i, surface in enumerate(surfaces):
+        f, k = np.nonzero(behind[i] >= 0)
+        joined = np.ones(behind[i].shape, dtype=bool)
+        if len(lines) == 2 and len(lines[1][0]):
+            on = _on_lines(surface, lines[i], surfaces[1 - i], lines[1 - i])
+            e, m = (part[on] for part in lines[i])
+            joined[e, m] = False
+            g = behind[i][e, m]
+            joined[g, np.argmax(behind[i][g] == e[:, None], axis=1)] = False
+        keep = joined[f, k]
+        pieces.append(components(len(surface.facets), f[keep], behind[i][f, k][keep]))
+    # Each piece belongs to the one that most of it lies opposite to
+    num = [int(p.max()) + 1 for p in pieces]
+    pairs = []
+    for i in (0, 1):
+        piece, opposite = _opposite(surfaces[i], pieces[i], surfaces[1 - i])
+        votes = np.zeros((num[i], num[1 - i]), dtype=int)
+        np.add.at(votes, (piece, pieces[1 - i][opposite]), 1)
+        own, theirs = np.arange(num[i]), votes.argmax(axis=1)
+        pairs.append((own, num[0] + theirs) if i == 0 else (theirs, num[0] + own))
+    group = components(sum(num), *(np.concatenate(part) for part in zip(*pairs, strict=True)))
+    return group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]
+
+
+def _centres(surface: Surface, facets=slice(None)) -> npt.NDArray[np.float64]:
+    """Means of the vertices of facets, ``(num_facets, 3)``."""
+    v = surface.facets[facets]
+    return sum(surface.x[v[:, k]] for k in range(v.shape[1])) / v.shape[1]
+
+
+def _opposite(surface: Surface, pieces, other: Surface):
+    """Samples of each piece of a surface: their piece, and the other's facet they lie opposite.
+
+    Raises:
+        InterfaceError: The outward normals agree, or the surfaces are far apart.
+    """
+    order = np.argsort(pieces, kind="stable")
+    start = np.searchsorted(pieces[order], np.arange(pieces.max() + 2))
+    picks = [
+        order[np.unique(np.linspace(a, b - 1, SAMPLES).astype(np.intp))] for a, b in pairwise(start)
+    ]
+    samples = np.concatenate(picks)
+    centres, middles = _centres(other), _centres(surface, samples)
+    found = nearest(middles, centres)
+    normals = surface.normals[samples]
+    cosine = np.einsum("si,si->s", normals, other.normals[found])
+    agree = cosine > 0
+    for j in np.flatnonzero(cosine >= FACES):  # what is turned away counts as farther off
+        distance = lengths(centres - middles[j])
+        turned = other.normals @ normals[j]
+        found[j] = (distance * np.where(turned < FACES, 1, np.where(turned < 0, 4, 1e6))).argmin()
+    if agree.mean() > 0.5:
+        raise InterfaceError(
+            f"Γ0 and Γ1 don't face each other: their outward normals agree around {spot(middles)}; "
+            "is one of them the wrong side of its body, or the same surface given twice?"
+        )
+    cosine = np.einsum("si,si->s", normals, other.normals[found])
+    if (cosine > FACES).all():
+        angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
+        raise NotFacingError(
+            f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "
+            f"more than {angle:.0f}° from parallel; check the tags."
+        )
+    apart = middles - centres[found]
+    off = lengths(apart).min()
+    reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
+    if off > reach:
+        raise NotFacingError(
+            f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
+            f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
+            "check the tags."
+        )
+    return pieces[samples], found
+
+
+def _middle(surface: Surface, other: Surface, name: str) -> str:
+    return spot((surface if surface.name == name else other).x)
+
+
+def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
+    """Boundary loops: vertices in the facets' direction of travel.
+
+    Args:
+        facets: Vertices of each facet.
+        behind: The facets' neighbours.
+        name: What messages call the surface.
+        x: Vertex coordinates.
+
+    Returns:
+        A list of arrays.
+
+    Raises:
+        InterfaceError: Two parts of the surface touch in one vertex only.
+    """
+    f, k = np.nonzero(behind < 0)
+    if not len(f):
+        return []
+    start, end = facets[f, k], facets[f, (k + 1) % 3]
+    count = np.bincount(start, minlength=len(x))
+    if (count > 1).any():
+        raise InterfaceError(
+            f"{name} touches itself in a single vertex at {spot(x[count.argmax()])}; tie the parts "
+            "there with ties of their own."
+        )
+    after = dict(zip(start.tolist(), end.tolist(), strict=True))
+    found = []
+    for first in start.tolist():
+        loop, node = [], first
+        while node in after:
+            loop.append(node)
+            node = after.pop(node)
+        if loop:
+            found.append(np.array(loop))
+    return found

@@ -1,0 +1,199 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""Facing pieces that overlap in part, cut to what both have in common."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.triangulation import neighbours
+from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
+from hypergap_dolfinx.trimming.outlines import differing, locate, meetings
+from hypergap_dolfinx.trimming.subdivision import Cut
+
+SNAP = 2e-9
+"""Distance, in lengths of the outlines' edges, below which nodes and edges are at one place."""
+COARSER = 10.0
+"""Times that distance with which it is tried again where there are no cells."""
+TRIES = 3
+"""Times that it is tried."""
+
+
+def _kept(cut: Cut, other: Side) -> Side | None:
+    """The part that lies opposite to the other piece."""
+    side = cut.side
+    cells, origin, weights = cut.triangulation()
+    x = np.vstack((side.x, cut.places(range(cut.num_vertices, cut.num_vertices + len(cut.at)))[0]))
+    behind = neighbours(cells, side.surface.name, x)
+    n = len(x)
+    key = cells.astype(np.int64) * n + np.roll(cells, -1, axis=1)
+    path = np.array(cut.drawn(), dtype=np.int64).reshape(-1, 2)
+    left = np.isin(key, path[:, 0] * n + path[:, 1])
+    right = np.isin(key, path[:, 1] * n + path[:, 0])
+    f, k = np.nonzero((behind >= 0) & ~left & ~right)
+    part = components(len(cells), f, behind[f, k])
+    num = int(part.max()) + 1
+    votes = np.bincount(part[np.nonzero(left)[0]], minlength=num)
+    votes -= np.bincount(part[np.nonzero(right)[0]], minlength=num)
+    keep = votes > 0
+    asked = np.flatnonzero(votes == 0)
+    sample = np.searchsorted(part[np.argsort(part, kind="stable")], asked)
+    sample = np.argsort(part, kind="stable")[sample]
+    middle = x[cells[sample]].mean(axis=1)
+    keep[asked] = locate(other, middle, side.normals[origin[sample]])[0] >= 0
+    mine = keep[part]
+    if not mine.any():
+        return None
+    cells, origin, weights, behind = (a[mine] for a in (cells, origin, weights, behind))
+    number = np.full(len(mine), -1)
+    number[mine] = np.arange(len(cells))
+    behind = np.where(behind >= 0, number[behind], -1)
+    kept = sorted_out(side, x, cells, behind, origin, weights)
+    if cut.courses:
+        f, k = np.nonzero(left[mine])
+        bends = np.zeros((len(cells), 3, cut.courses.degree - 1, 2))
+        ends = weights[f[:, None], np.column_stack((k, (k + 1) % 3)), 1:]
+        pairs = np.column_stack((cells[f, k], cells[f, (k + 1) % 3]))
+        bends[f, k] = cut.courses.bends(pairs, origin[f], ends)
+        kept = replace(kept, bends=upright(kept.X, bends))
+    return kept
+
+
+def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
+    """A piece of cut triangles; parts that touch in a vertex only get one each."""
+    f, k = np.nonzero(behind >= 0)
+    g = behind[f, k]
+    m = (behind[g] == f[:, None]).argmax(axis=1)
+    one = np.concatenate((3 * f + k, 3 * f + (k + 1) % 3))
+    two = np.concatenate((3 * g + (m + 1) % 3, 3 * g + m))
+    corner = components(3 * len(cells), one, two)
+    _, first = np.unique(corner, return_index=True)
+    X = side.in_facets(np.repeat(origin, 3), weights.reshape(-1, 3)[:, 1:]).reshape(-1, 3, 2)
+    return Side(
+        side.surface,
+        x[cells.ravel()[first]],
+        corner.reshape(-1, 3).astype(np.intp),
+        side.facets[origin],
+        X,
+    )
+
+
+def _meet(cuts: tuple[Cut, Cut], snap: float) -> tuple[dict[int, int], dict[int, int]]:
+    """Nodes where the outlines meet, on both, and which are at one place.
+
+    Returns:
+        For each side its nodes at the other's nodes.
+    """
+    (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
+    twins: tuple[dict[int, int], dict[int, int]] = {}, {}
+    if not places0 or not places1:
+        return twins
+    met = meetings(edges0, edges1, snap)
+    edges, at = [], []
+    for places, edge, s in ((places0, met.edge, met.s), (places1, met.other, met.r)):
+        own = [places[e] for e in edge.tolist()]
+        edges.append([place[:2] for place in own])
+        at.append(np.array([low + t * (high - low) for (*_, low, high), t in zip(own, s)]))
+    some = np.flatnonzero((met.s > 0) & (met.s < 1) & (met.r > 0) & (met.r < 1))
+    if len(some) and any(cut.side.surface.curved.any() for cut in cuts):
+        arcs = [cut.arcs([own[i] for i in some]) for cut, own in zip(cuts, edges, strict=True)]
+        s, r, good = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
+        at[0][some[good]], at[1][some[good]] = s[good], r[good]
+    for i in range(len(met.s)):
+        nodes = [
+            cut.on_edge(a, b, float(t[i]))
+            for cut, (a, b), t in zip(cuts, (own[i] for own in edges), at, strict=True)
+        ]
+        twins[0][nodes[1]], twins[1][nodes[0]] = nodes
+    return twins
+
+
+def parts(side: Side) -> list[Side]:
+    """The connected parts of a piece."""
+    f, k = np.nonzero(side.behind >= 0)
+    part = components(len(side.triangles), f, side.behind[f, k])
+    found = []
+    for p in range(int(part.max()) + 1):
+        mine = part == p
+        vertices, triangles = np.unique(side.triangles[mine], return_inverse=True)
+        triangles = triangles.reshape(-1, 3)
+        bends = None if side.bends is None else side.bends[mine]
+        found.append(
+            Side(side.surface, side.x[vertices], triangles, side.facets[mine], side.X[mine], bends)
+        )
+    return found
+
+
+def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]]:
+    """What two facing pieces have in common: pairs with the same outlines.
+
+    Args:
+        side0: A piece of Γ0.
+        side1: The one of Γ1 that faces it.
+        snap: Distance, in lengths of the outlines' edges, that is none.
+
+    Returns:
+        Pairs of connected pieces; the two themselves if their outlines match.
+
+    Raises:
+        NotFacingError: They have nothing in common.
+        InterfaceError: Other parts are left of one than of the other.
+    """
+    alone = differing(side0, side1)
+    if not any(alone):
+        return [(side0, side1)]
+    sides = side0, side1 = side0.in_halves(), side1.in_halves()
+    lengths = [
+        np.linalg.norm(side.x[loop] - np.roll(side.x[loop], 1, axis=0), axis=1).mean()
+        for side, loops in zip(sides, alone, strict=True)
+        for loop in loops
+    ]
+    snap *= float(min(lengths))
+    cuts = Cut(side0, alone[0], snap), Cut(side1, alone[1], snap)
+    twins = _meet(cuts, snap)
+    outlines = [cut.outline() for cut in cuts]
+    for i in (0, 1):
+        cuts[i].follow(cuts[1 - i], outlines[1 - i], twins[i])
+    kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
+    if len(kept) < 2:
+        raise NotFacingError(
+            f"Γ0 around {spot(side0.x)} and Γ1 around {spot(side1.x)} have nothing "
+            "in common: neither lies opposite to the other; check the tags."
+        )
+    return _matched(*(parts(side) for side in kept))
+
+
+def _matched(parts0: list[Side], parts1: list[Side]) -> list[tuple[Side, Side]]:
+    """Parts of both sides that lie opposite to each other."""
+    if len(parts0) == len(parts1) == 1:  # tubes of five facets: a place on one may miss the other
+        return [(parts0[0], parts1[0])]
+    pairs = []
+    left = list(range(len(parts1)))
+    for part in parts0:
+        area = np.linalg.norm(
+            np.cross(
+                part.x[part.triangles[:, 1]] - part.x[part.triangles[:, 0]],
+                part.x[part.triangles[:, 2]] - part.x[part.triangles[:, 0]],
+            ),
+            axis=1,
+        )
+        largest = area.argmax()
+        middle = part.x[part.triangles[largest]].mean(axis=0)[None]
+        normal = part.normals[[largest]]
+        found = [j for j in left if locate(parts1[j], middle, normal)[0][0] >= 0]
+        if len(found) != 1:
+            break
+        left.remove(found[0])
+        pairs.append((part, parts1[found[0]]))
+    if left or len(pairs) < len(parts0):
+        raise InterfaceError(
+            f"Γ0 and Γ1 have {len(parts0)} and {len(parts1)} parts in common, around "
+            f"{spot(parts0[len(pairs) - 1].x)}: do the surfaces have the same shape there?"
+        )
+    return pairs

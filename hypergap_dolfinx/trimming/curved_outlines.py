@@ -1,0 +1,236 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""How a piece that is cut follows the other one's curved outline.
+
+The outline is drawn as straight segments on the piece's straight triangles. Where these cross edges
+is then moved to where the outline itself does, and what is cut gets edges that are bent: in its
+facet's reference coordinates, polynomials through places to which points of the outline project.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.surface.pieces import CORNERS, Side, bent
+
+NEWTON = 8  # steps to where two curves cross
+FOLDS = 0.2  # of a triangle's area that bent edges must leave it everywhere
+SAMPLES = basix.create_lattice(basix.CellType.triangle, 4, basix.LatticeType.equispaced, True)
+
+Edge = tuple[int, int, int]
+"""A triangle of a piece, and the two vertices of its edge."""
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """Curved edges of a piece's triangles."""
+
+    side: Side
+    triangle: npt.NDArray[np.intp]
+    """``(num_arcs,)``."""
+    corners: npt.NDArray[np.intp]
+    """Where they start and end in it, ``(num_arcs, 2)``."""
+
+    @classmethod
+    def between(cls, side: Side, triangle, vertices) -> "Arcs":
+        """Edges of triangles by their vertices, ``(num_arcs,)`` and ``(num_arcs, 2)``."""
+        triangle = np.asarray(triangle, dtype=np.intp)
+        vertices = np.asarray(vertices, dtype=np.intp).reshape(-1, 2)
+        match = side.triangles[triangle][:, None] == vertices[:, :, None]
+        return cls(side, triangle, match.argmax(axis=2))
+
+    def __getitem__(self, some) -> "Arcs":
+        """Some of them."""
+        return Arcs(self.side, self.triangle[some], self.corners[some])
+
+    def at(self, s) -> tuple[npt.NDArray[np.float64], ...]:
+        """Places at parameters from 0 to 1, the piece's normals there, and derivatives of both."""
+        start, end = CORNERS[self.corners[:, 0]], CORNERS[self.corners[:, 1]]
+        x, dx = self.side.geometry(self.triangle)(start + s[:, None] * (end - start))
+        n = self.side.vertex_normals[self.side.triangles[self.triangle[:, None], self.corners].T]
+        normal = n[0] + s[:, None] * (n[1] - n[0])
+        return x, normal, np.einsum("pj,pji->pi", end - start, dx), n[1] - n[0]
+
+
+def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Where curved edges of two pieces cross, seen along the first one's normals.
+
+    Args:
+        own: Edges of one piece.
+        other: As many of the other one.
+        s: Parameters to start from, ``(num_arcs,)``.
+        r: The same on the other edges.
+
+    Returns:
+        Both, and whether they were found.
+    """
+    z = np.zeros(len(s))
+    done = np.zeros(len(s), dtype=bool)
+    for _ in range(NEWTON):
+        x, n, dx, dn = own.at(s)
+        y, _, dy, _ = other.at(r)
+        off = x + z[:, None] * n - y
+        square = np.einsum("pi,pi->p", dx, dx)
+        J = np.stack((dx + z[:, None] * dn, n, -dy), axis=2)
+        size = np.sqrt(square * np.einsum("pi,pi->p", dy, dy))
+        J[np.abs(np.linalg.det(J)) < 1e-6 * size] = np.eye(3)  # they run along each other
+        step = np.where(done[:, None], 0, np.linalg.solve(J, off[:, :, None])[:, :, 0])
+        s, z, r = np.clip(s - step[:, 0], -1, 2), z - step[:, 1], np.clip(r - step[:, 2], -1, 2)
+        done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square
+        if done.all():
+            break
+    return s, r, done & (s > 0) & (s < 1) & (r > 0) & (r < 1)
+
+
+@dataclass
+class Courses:
+    """Parts of the other piece's outline that are drawn on a piece."""
+
+    def __init__(self, side: Side, other: Side):
+        """None is drawn yet."""
+        self.side, self.other = side, other
+        self.degree = max(one.surface.geometry.degree for one in (side, other))
+        self._tracks: list[tuple[Edge, list[int], list[float]]] = []
+        self._ends: dict[tuple[int, int], tuple[Edge, float, float]] = {}
+
+    def add(self, edge: Edge, nodes: list[int], r: list[float]):
+        """A part that is drawn: nodes along it, and what parameters they should have."""
+        self._tracks.append((edge, nodes, r))
+
+    def between_ends(self) -> list[int]:
+        """All nodes along the parts but at their ends."""
+        return list(dict.fromkeys(node for _, nodes, _ in self._tracks for node in nodes[1:-1]))
+
+    def settled(self, nodes: list[int], arcs: Arcs, s) -> dict[int, float]:
+        """Where the outline crosses the piece's edges.
+
+        Args:
+            nodes: Nodes that were made where straight segments cross them.
+            arcs: The edges.
+            s: The nodes' parameters, ``(num_nodes,)``.
+
+        Returns:
+            New parameters of the nodes at which it does.
+        """
+        if not nodes:
+            return {}
+        at: dict[int, tuple[int, int]] = {}
+        for i, (_, along, _) in enumerate(self._tracks):
+            for k, node in enumerate(along[1:-1], 1):
+                at.setdefault(node, (i, k))
+        places = [at[node] for node in nodes]
+        others = self._arcs([self._tracks[i][0] for i, _ in places])
+        r = np.array([self._tracks[i][2][k] for i, k in places])
+        s, r, good = crossings(arcs, others, s, r)
+        new = dict(zip(nodes, zip(s.tolist(), r.tolist(), good.tolist(), strict=True), strict=True))
+        found: dict[int, float] = {}
+        for i, (edge, along, before) in enumerate(self._tracks):
+            own = [node for node in along[1:-1] if at[node][0] == i and node in new]
+            after = [new[n][1] if n in own else b for n, b in zip(along, before, strict=True)]
+            steps = np.diff(after) * (before[-1] - before[0])
+            if own and all(new[node][2] for node in own) and steps.min() > 0:
+                self._tracks[i] = edge, along, after
+                found.update((node, new[node][0]) for node in own)
+        return found
+
+    def close(self, nodes: set[int]):
+        """No more is drawn; some nodes are where the outline is."""
+        for edge, along, r in self._tracks:
+            for k in range(len(along) - 1):
+                u, v = along[k : k + 2]
+                if u in nodes and v in nodes:
+                    self._ends[u, v] = edge, r[k], r[k + 1]
+
+    def foot(self, u: int, v: int, s: float, triangle: int, weights):
+        """Where the outline has a node between two others in a triangle.
+
+        Args:
+            u: A node.
+            v: Another.
+            s: Where the new one is between them, from 0 to 1.
+            triangle: The triangle.
+            weights: Of its corners, where the new one is on the straight segment.
+
+        Returns:
+            The weights, and its parameter on the other's edge.
+        """
+        if (v, u) in self._ends:
+            u, v, s = v, u, 1 - s
+        if (u, v) not in self._ends:
+            return weights, np.nan
+        edge, r0, r1 = self._ends[u, v]
+        r = (1 - s) * r0 + s * r1
+        place = self._arcs([edge]).at(np.array([r]))[0]
+        (xi,) = self.side.on_curved(np.array([triangle]), place, weights[None, 1:])
+        found = np.array((1 - xi.sum(), *xi))
+        return (found, r) if found.min() > 0 else (weights, np.nan)
+
+    def split(self, u: int, v: int, node: int, r: float):
+        """Put a node between two others; NaN if it isn't where the outline is."""
+        if (v, u) in self._ends:
+            u, v = v, u
+        if (u, v) in self._ends:
+            edge, r0, r1 = self._ends.pop((u, v))
+            if np.isfinite(r):
+                self._ends[u, node], self._ends[node, v] = (edge, r0, r), (edge, r, r1)
+
+    def bends(self, pairs, triangle, ends) -> npt.NDArray[np.float64]:
+        """By what straight edges of cut triangles are off the outline.
+
+        Args:
+            pairs: Their nodes, ``(num_edges, 2)``.
+            triangle: The piece's triangle that each lies in, ``(num_edges,)``.
+            ends: Reference coordinates of the nodes in it, ``(num_edges, 2, 2)``.
+
+        Returns:
+            As of :class:`Side`, in the host facets, ``(num_edges, num_terms, 2)``.
+        """
+        num = self.degree - 1
+        found = np.zeros((len(pairs), num, 2))
+        parts = [self._ends.get(tuple(pair)) for pair in pairs.tolist()]
+        some = np.array([i for i, part in enumerate(parts) if part], dtype=np.intp)
+        if not len(some) or not num:
+            return found
+        arcs = self._arcs([part[0] for part in parts if part])
+        r0, r1 = (np.array([part[i] for part in parts if part]) for i in (1, 2))
+        own, t = triangle[some], np.arange(1, num + 1) / (num + 1)
+        off = np.empty((len(some), num, 2))
+        for j in range(num):
+            x = arcs.at((1 - t[j]) * r0 + t[j] * r1)[0]
+            xi = (1 - t[j]) * ends[some, 0] + t[j] * ends[some, 1]
+            off[:, j] = (self.side.on_curved(own, x, xi) - xi) / (t[j] * (1 - t[j]))
+        off = np.linalg.inv(np.vander(2 * t - 1, increasing=True)) @ off
+        found[some] = off @ (self.side.X[own, 1:] - self.side.X[own, :1])
+        return found
+
+    def _arcs(self, edges: Sequence[Edge]) -> Arcs:
+        each = np.array(edges, dtype=np.intp).reshape(-1, 3)
+        return Arcs.between(self.other, each[:, 0], each[:, 1:])
+
+
+def upright(X, bends) -> npt.NDArray[np.float64] | None:
+    """Bends of triangles, without those that fold them.
+
+    Args:
+        X: Corners in the host facets, ``(num_triangles, 3, 2)``.
+        bends: As of :class:`Side`.
+
+    Returns:
+        As ``bends``; None if none is left.
+    """
+    some = np.flatnonzero(bends.any(axis=(1, 2, 3)))
+    straight = X[some, 1:] - X[some, :1]
+    twice = np.linalg.det(straight)
+    good = np.ones(len(some), dtype=bool)
+    for point in SAMPLES:
+        slopes = straight + bent(bends[some], np.tile(point, (len(some), 1)))[1]
+        good &= np.linalg.det(slopes) / twice > FOLDS
+    bends = bends.copy()
+    bends[some[~good]] = 0
+    return bends if bends.any() else None

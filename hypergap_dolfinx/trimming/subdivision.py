@@ -1,0 +1,357 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""A piece of a surface with the other one's outline in it, and what it is cut into."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.trimming.curved_outlines import Arcs, Courses, Edge
+from hypergap_dolfinx.trimming.delaunay import Cutting
+from hypergap_dolfinx.trimming.insertion import Nodes
+from hypergap_dolfinx.trimming.outlines import Edges, locate
+
+CHORDS = 2
+"""Straight parts that stand for an edge of a curved outline, per degree of its geometry."""
+BLUNT = -0.98
+"""Cosine of an angle below which the edge opposite to it gets a node at its foot."""
+ROUNDS = 5
+"""Times that angles are looked at: feet make others blunt where edges are almost parallel."""
+
+
+class Cut(Nodes):
+    """A piece with nodes and edges put into it; its own triangles stay until the end."""
+
+    def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
+        """A piece whose outline (loops of vertices) has nodes where it is curved."""
+        super().__init__(side, snap)
+        self.loops = [loop.tolist() for loop in outline]
+        self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
+        self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
+        self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
+        self.courses: Courses | None = None  # of it, if it is curved
+        degree = side.surface.geometry.degree
+        for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
+            if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
+                for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
+                    self.on_edge(a, b, s)
+
+    # Its own outline
+
+    def outline(self) -> list[list[int]]:
+        """Loops of nodes."""
+        return [
+            [node for a, b in pairwise([*loop, loop[0]]) for node in self.between(a, b)[:-1]]
+            for loop in self.loops
+        ]
+
+    def edges(self) -> tuple[list[tuple], Edges]:
+        """The outline's edges: their places on the vertices' edges, and where they are in space."""
+        places: list[tuple] = []
+        ends: list[tuple[int, int]] = []
+        for loop in self.loops:
+            for a, b in pairwise([*loop, loop[0]]):
+                nodes = self.between(a, b)
+                s = [0.0, *(r for r, _ in self.on.get((min(a, b), max(a, b)), [])), 1.0]
+                s = s if a < b else [1 - r for r in s[::-1]]
+                places += [(a, b, *pair) for pair in pairwise(s)]
+                ends += pairwise(nodes)
+        start, normal0 = self.places([a for a, _ in ends])
+        end, normal1 = self.places([b for _, b in ends])
+        normal = normal0 + normal1
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        return places, Edges(start, end, normal)
+
+    # The other's outline
+
+    def draw(self, u: int, v: int) -> list[tuple[int, float]]:
+        """Put a segment between two nodes into the triangles that it crosses.
+
+        Returns:
+            The nodes along it, and where they are on it, from 0 to 1.
+        """
+        passed = [(u, 0.0)]
+        start, target = self.flat(u), self.flat(v)
+        along = target - start
+        square = float(along @ along)
+        triangles = np.array([self.triangles_at(node)[0] for node in (u, v)])
+        across = np.cross(along, self.side.normals[triangles].sum(axis=0))
+        across /= max(float(np.linalg.norm(across)), 1e-300)
+        done = 0.0
+        for _ in range(len(self.side.triangles) + 2):
+            near = self.triangles_at(u)
+            common = set(near).intersection(self.triangles_at(v))
+            if common:
+                self._join(u, v, min(common))
+                return [*passed, (v, 1.0)]
+            best = None
+            for triangle in near:
+                for progress, step in self._exits(u, triangle, start, along / square, across):
+                    if progress > done and (best is None or progress < best[0]):
+                        best = progress, triangle, step
+            if best is None:
+                break
+            done, triangle, step = best
+            w = self.on_edge(*step) if len(step) == 3 else step[0]
+            if w != u:
+                self._join(u, w, triangle)
+                passed.append((w, done))
+            u = w
+        raise InterfaceError(
+            f"the outline of the other side can't be drawn on {self.side.surface.name} from "
+            f"{spot(start)} to {spot(target)}: do the surfaces have the same shape there?"
+        )
+
+    def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
+        """Where a plane leaves a triangle, seen from a node in it: how far, and the place.
+
+        A place is a vertex, or an edge and a parameter on it.
+        """
+        v = self.side.triangles[triangle].tolist()
+        x = self.side.x[v] - start
+        d = [0.0 if abs(s) <= self.snap else s for s in (x @ across).tolist()]
+        t = (x @ along).tolist()
+        at = () if u < self.num_vertices else self.at[u - self.num_vertices]
+        own = set(at[:2]) if len(at) == 3 else {u}
+        for k in range(3):
+            m = (k + 1) % 3
+            if d[k] == 0 and v[k] != u:
+                yield t[k], (v[k],)
+            if d[k] * d[m] < 0 and not (own <= {v[k], v[m]}):
+                s = d[k] / (d[k] - d[m])
+                yield t[k] + s * (t[m] - t[k]), (v[k], v[m], s)
+
+    def _join(self, u: int, v: int, triangle: int):
+        if self.edge_of((u, v)):
+            self.runs.append((u, v))
+        elif u != v:
+            self.segments[triangle].append((u, v))
+            self.path.append((u, v))
+
+    def follow(self, other: "Cut", outline: list[list[int]], twins: dict[int, int]):
+        """Draw the other piece's outline, where it lies inside.
+
+        Args:
+            other: The other piece.
+            outline: Loops of its nodes.
+            twins: Nodes of the own outline at the same place as nodes of the other one.
+        """
+        own = {pair for loop in self.outline() for pair in pairwise([*loop, loop[0]])}
+        parts = [pair for loop in outline for pair in pairwise([loop[0], *loop[::-1]])]
+        if not parts:
+            return
+        crossing = []
+        for u, v in parts:
+            here = twins.get(u, -1), twins.get(v, -1)
+            if here in own or here[::-1] in own:
+                self.runs.append(here)
+            else:
+                crossing.append((u, v))
+        (x, n), (y, m) = (other.places([pair[i] for pair in crossing]) for i in (0, 1))
+        inside = locate(self.side, (x + y) / 2, n + m)[0] >= 0
+        crossing = [pair for pair, within in zip(crossing, inside.tolist(), strict=True) if within]
+        free = sorted({node for pair in crossing for node in pair if node not in twins})
+        place, normal = other.places(free)
+        triangle, weights = locate(self.side, place, normal)
+        if (triangle < 0).any():
+            raise InterfaceError(
+                f"the outline of {other.side.surface.name} at {spot(place[triangle.argmin()])} "
+                f"lies neither on {self.side.surface.name} nor beside it: do the surfaces have the "
+                "same shape there?"
+            )
+        nodes = dict(twins)
+        for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
+            nodes[node] = self.in_triangle(t, w)
+        drawn = [
+            (other.part(u, v), self.draw(nodes[u], nodes[v]))
+            for u, v in crossing
+            if nodes[u] != nodes[v]
+        ]
+        if any(cut.side.surface.curved.any() for cut in (self, other)):
+            self._settle(Courses(self.side, other.side), drawn, set(nodes.values()))
+
+    def part(self, u: int, v: int) -> tuple[Edge, float, float]:
+        """The edge that two nodes of the own outline lie on, and their parameters."""
+        edge = self.edge_of((u, v))
+        assert edge
+        s = [float(n == edge[1]) if n < self.num_vertices else self.parameter(n) for n in (u, v)]
+        return (self.around(*edge)[0], *edge), s[0], s[1]
+
+    def arcs(self, edges: list[tuple[int, int]]) -> Arcs:
+        """Edges by their vertices."""
+        return Arcs.between(self.side, [self.around(*edge)[0] for edge in edges], edges)
+
+    def _settle(self, courses: Courses, drawn, located: set[int]):
+        """Move nodes to where the other's outline crosses edges; where it doesn't, they stay.
+
+        Args:
+            courses: Of the outline.
+            drawn: Its parts, and the nodes along each.
+            located: Nodes at ends of parts.
+        """
+        for (edge, r0, r1), passed in drawn:
+            courses.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
+        at = {
+            node: self.at[node - self.num_vertices]
+            for node in courses.between_ends()
+            if node >= self.num_vertices and node not in located
+        }
+        at = {node: place for node, place in at.items() if len(place) == 3}  # on edges
+        arcs = self.arcs([place[:2] for place in at.values()])
+        new = courses.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
+        settled = set(located)
+        for edge in dict.fromkeys(at[node][:2] for node in new):
+            if self.slide(edge, new):
+                settled.update(node for _, node in self.on[edge] if node in new)
+        courses.close(settled)
+        self.courses = courses
+
+    # The triangles
+
+    def triangulation(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
+        t = self.side.triangles
+        made: dict[int, tuple] = {}
+        for rest in range(ROUNDS, -1, -1):
+            touched = set(self.inside) | set(self.segments)
+            touched.update(triangle for edge in self.on for triangle in self.around(*edge))
+            fresh = sorted(touched.difference(made))
+            made.update((triangle, self._cut(triangle)) for triangle in fresh)
+            changed: set[int] = set()
+            for triangle in fresh if rest else ():
+                if triangle not in changed:
+                    changed |= self._widen(triangle, *made[triangle])
+            if not changed:
+                break
+            made = {triangle: cut for triangle, cut in made.items() if triangle not in changed}
+        new, origin, weights = [], [], []
+        for triangle in sorted(touched):
+            nodes, w, parts = made[triangle]
+            new += [[nodes[i] for i in part] for part in parts]
+            weights += [w[list(part)] for part in parts]
+            origin += [triangle] * len(parts)
+        whole = np.setdiff1d(np.arange(len(t)), sorted(touched))
+        cells = np.vstack((t[whole], np.array(new, dtype=np.intp).reshape(-1, 3)))
+        hosts = np.concatenate((whole, np.array(origin, dtype=np.intp)))
+        unit = np.broadcast_to(np.eye(3), (len(whole), 3, 3))
+        return cells, hosts, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
+
+    def _widen(self, triangle: int, nodes, weights, cells) -> set[int]:
+        """Put nodes into edges that are opposite to a blunt angle of what a triangle is cut into.
+
+        Functions of degree 2 on a triangle that is flat but not narrow at any of its edges have
+        gradients of any size: a middle node may differ from the mean of two beside it.
+
+        Returns:
+            The triangles that have to be cut anew.
+        """
+        x = weights @ self._plane(triangle)
+        changed: set[int] = set()
+        feet: set[tuple[int, int]] = set()  # edges that have one
+        for a, b, c in ((*cell[k:], *cell[:k]) for cell in cells for k in range(3)):
+            d, e, along = x[b] - x[a], x[c] - x[a], x[c] - x[b]
+            lengths = float(np.sqrt((d @ d) * (e @ e)))
+            if d @ e < BLUNT * lengths and (min(b, c), max(b, c)) not in feet:
+                feet.add((min(b, c), max(b, c)))
+                s = -float(d @ along) / float(along @ along)
+                place = (1 - s) * weights[b] + s * weights[c]
+                changed |= self._put(triangle, nodes[b], nodes[c], s, place)
+        return changed
+
+    def _put(self, triangle: int, u: int, v: int, s: float, weights) -> set[int]:
+        """Put a node between two others of a triangle.
+
+        Args:
+            triangle: The triangle.
+            u: A node at it.
+            v: Another.
+            s: Where the new one is between them, from 0 to 1.
+            weights: Where it is in the triangle.
+
+        Returns:
+            The triangles that it changes.
+        """
+        if edge := self.edge_of((u, v)):
+            ends = [float(n == edge[1]) for n in (u, v)]
+            for i, n in enumerate((u, v)):
+                if n >= self.num_vertices:
+                    ends[i] = self.parameter(n)
+            self.on_edge(*edge, (1 - s) * ends[0] + s * ends[1])
+            return set(self.around(*edge))
+        r = np.nan
+        if self.courses:
+            weights, r = self.courses.foot(u, v, s, triangle, weights)
+        node = self.in_triangle(triangle, weights)
+        if self.courses:
+            self.courses.split(u, v, node, r)
+        for segments in (self.segments[triangle], self.path):
+            for i, pair in enumerate(segments):
+                if set(pair) == {u, v}:
+                    segments[i : i + 1] = [(pair[0], node), (node, pair[1])]
+                    break
+        return {triangle}
+
+    def _plane(self, triangle: int) -> npt.NDArray[np.float64]:
+        """A triangle's corners in its plane, the first edge of length one, ``(3, 2)``."""
+        x = self.side.x[self.side.triangles[triangle]]
+        e, f = x[1] - x[0], x[2] - x[0]
+        length = np.linalg.norm(e)
+        return np.array(
+            [(0, 0), (1, 0), ((e @ f) / length**2, np.linalg.norm(np.cross(e, f)) / length**2)]
+        )
+
+    def _cut(self, triangle: int):
+        """A triangle's nodes, their weights, and the triangles between them."""
+        corners = self.side.triangles[triangle].tolist()
+        nodes: list[int] = list(corners)
+        edges: list[range] = []
+        for k in range(3):
+            inner = self.between(corners[k], corners[(k + 1) % 3])[1:-1]
+            edges.append(range(len(nodes), len(nodes) + len(inner)))
+            nodes += inner
+        first = len(nodes)
+        nodes += self.inside.get(triangle, [])
+        w = np.zeros((len(nodes), 3))
+        w[:3] = np.eye(3)
+        for i, node in enumerate(nodes[3:], 3):
+            at = self.at[node - self.num_vertices]
+            if len(at) == 2:
+                w[i] = at[1]
+            else:
+                w[i, corners.index(at[0])], w[i, corners.index(at[1])] = 1 - at[2], at[2]
+        cutting = Cutting((w @ self._plane(triangle)).tolist())
+        for k, between in enumerate(edges):
+            last = k
+            for point in between:
+                cutting.split_edge(last, (k + 1) % 3, point)
+                last = point
+        for point in range(first, len(nodes)):
+            cutting.insert(point)
+        number = {node: i for i, node in enumerate(nodes)}
+        for u, v in self.segments.get(triangle, []):
+            if not cutting.fix(number[u], number[v]):
+                raise InterfaceError(
+                    f"{self.side.surface.name} can't be cut along the other side's outline at "
+                    f"{spot(self.side.x[corners])}"
+                )
+        cutting.relax()
+        return nodes, w, cutting.triangles()
+
+    def drawn(self) -> list[tuple[int, int]]:
+        """The edges along the other's outline, from node to node."""
+        found = list(self.path)
+        for u, v in self.runs:
+            a, b = self.edge_of((u, v)) or (u, v)
+            nodes = self.between(a, b)
+            i, j = nodes.index(u), nodes.index(v)
+            run = nodes[i : j + 1] if i < j else nodes[j : i + 1][::-1]
+            found += pairwise(run)
+        return found
