@@ -30,8 +30,8 @@ from scipy.spatial import ConvexHull, Delaunay, cKDTree
 import basix.ufl
 import dolfinx
 from dolfinx import fem
-from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
-from hypergap_dolfinx import InterfaceError, Tie
+from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx import InterfaceError, Tie, compat
 
 TAU = 2 * np.pi
 
@@ -398,7 +398,9 @@ def layer(nodes, t, outwards, thickness=0.02, comm=MPI.COMM_SELF):
     mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x)
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)
-    corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)[:, :3]]
+    corners = mesh.geometry.input_global_indices[
+        compat.entities_to_geometry(mesh, 2, facets)[:, :3]
+    ]
     return mesh, facets[(corners < n).all(axis=1)]
 
 

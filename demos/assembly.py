@@ -31,8 +31,7 @@ from dolfinx import mesh as dmesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 from demos.error_against_run_time import forget_peak, memory
-from hypergap_dolfinx import Tie, TiedProblem, find_touching
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Tie, TiedProblem, find_touching, progress
 from meshes.cad import fused_assembly, parts_of_assembly
 
 # -

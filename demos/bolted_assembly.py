@@ -32,8 +32,7 @@ from dolfinx.plot import vtk_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 from demos.assembly import FILE, MATERIALS, held, integral, stiffness, stress
-from hypergap_dolfinx import Contact, ContactProblem, Tie, files, find_touching
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Contact, ContactProblem, Tie, files, find_touching, progress
 from meshes.cad import parts_of_assembly
 
 # -

@@ -26,8 +26,7 @@ from dolfinx.mesh import compute_midpoints, meshtags
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Contact, ContactProblem
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Contact, ContactProblem, progress
 
 # -
 

@@ -40,8 +40,7 @@ from dolfinx.mesh import compute_midpoints
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Contact, ContactProblem, SolveError
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Contact, ContactProblem, SolveError, progress
 
 # -
 

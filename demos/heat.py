@@ -25,8 +25,7 @@ from dolfinx import default_scalar_type, fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 parser = argparse.ArgumentParser(description="Heat conduction through two tied plates.")
 parser.add_argument("--n", type=int, default=8, help="refines the meshes")

@@ -27,8 +27,7 @@ from dolfinx import fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import NonlinearTiedProblem, Tie
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import NonlinearTiedProblem, Tie, progress
 
 parser = argparse.ArgumentParser(description="Large bending of two tied strips.")
 parser.add_argument("--n", type=int, default=1, help="refines the meshes")

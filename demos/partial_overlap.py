@@ -35,7 +35,6 @@ from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import (
     compute_midpoints,
     create_submesh,
-    entities_to_geometry,
     exterior_facet_indices,
     locate_entities_boundary,
     meshtags,
@@ -43,8 +42,7 @@ from dolfinx.mesh import (
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Tie, TiedProblem, compat, progress
 
 # -
 
@@ -185,7 +183,7 @@ CURVED = {
 
 def under_the_pad(mesh, facets, angles):
     """Facets whose vertices lie under the pad."""
-    nodes = entities_to_geometry(mesh, 2, facets)[:, :3]
+    nodes = compat.entities_to_geometry(mesh, 2, facets)[:, :3]
     x = np.column_stack(angles(mesh.geometry.x[nodes.ravel()]))
     angle, size, _ = PAD
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))

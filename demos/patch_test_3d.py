@@ -31,8 +31,7 @@ from dolfinx.mesh import locate_entities_boundary
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 import meshes
-from hypergap_dolfinx import Tie, TiedProblem
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import Tie, TiedProblem, progress
 
 # -
 

@@ -23,8 +23,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, io
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for a package that isn't installed
-from hypergap_dolfinx import Tie, TiedProblem, files
-from hypergap_dolfinx.core import compat
+from hypergap_dolfinx import Tie, TiedProblem, compat, files
 
 parser = argparse.ArgumentParser(description="Tie meshes that are read from files.")
 parser.add_argument("--json", type=Path, metavar="FILE")

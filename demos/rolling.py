@@ -26,7 +26,7 @@ from dolfinx import default_scalar_type, fem
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the package and the meshes
 from bouncing import Ball, R, energies
 
-from hypergap_dolfinx.core import progress
+from hypergap_dolfinx import progress
 
 # -
 

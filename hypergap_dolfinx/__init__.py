@@ -9,6 +9,7 @@ from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFI
 
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
+from hypergap_dolfinx.core import compat, progress
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
@@ -24,6 +25,8 @@ __all__ = [
     "SolveError",
     "Tie",
     "TiedProblem",
+    "compat",
     "find_touching",
+    "progress",
 ]
 __version__ = "0.1.0"

@@ -17,8 +17,9 @@ import basix.ufl
 import dolfinx
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
+from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.core import compat
 
 DEPTH = 0.35
 """Thickness of both bodies, relative to the distance from the surface's middle."""
@@ -67,7 +68,9 @@ def thick(shape, h, outwards, degree):
     mesh = dolfinx.mesh.create_mesh(comm, cells.astype(np.int64)[part], e=element, x=x[part])
     mesh.topology.create_connectivity(2, 3)
     facets = exterior_facet_indices(mesh.topology)
-    corners = mesh.geometry.input_global_indices[entities_to_geometry(mesh, 2, facets)[:, :3]]
+    corners = mesh.geometry.input_global_indices[
+        compat.entities_to_geometry(mesh, 2, facets)[:, :3]
+    ]
     return mesh, facets[(corners < n).all(axis=1)]
 
 

@@ -18,6 +18,7 @@ import dolfinx
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import InterfaceError, find_touching
+from hypergap_dolfinx.core import compat
 
 PLANE, SPACE = ("triangle", "quadrilateral"), ("tetrahedron", "hexahedron")
 # Facets as simplices, with the vertices in DOLFINx's order
@@ -53,7 +54,7 @@ def vertices(V, facets=None):
     if facets is None:
         facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     num = {"tetrahedron": 3, "hexahedron": 4}.get(mesh.topology.cell_name(), 2)
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, n - 1, facets)[:, :num]
+    nodes = compat.entities_to_geometry(mesh, n - 1, facets)[:, :num]
     x = np.concatenate(comm.allgather(mesh.geometry.x[nodes, :n]))
     return x[np.lexsort(x.mean(axis=1).T)]
 

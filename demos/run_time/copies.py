@@ -9,7 +9,7 @@ import hertz
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx.mesh import entities_to_geometry
+from hypergap_dolfinx import compat
 
 
 @dataclass
@@ -55,7 +55,7 @@ def _copied(upper, mesh, ft, touching) -> Copy:
     def nodes(d, entities=None):
         if entities is None:
             entities = np.arange(mesh.topology.index_map(d).size_local)
-        return entities_to_geometry(mesh, d, np.asarray(entities, dtype=np.int32))
+        return compat.entities_to_geometry(mesh, d, np.asarray(entities, dtype=np.int32))
 
     at = nodes(0).ravel()
     vertex = np.full(len(place), -1, dtype=np.int32)

@@ -3,4 +3,4 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What every room uses: compiled C, DOLFINx versions, lifetimes of PETSc objects, graphs, progress."""
+"""Tools of every room: compiled C, DOLFINx versions, PETSc objects' lifetimes, graphs, progress."""

@@ -8,7 +8,8 @@ r"""An interface that gives way: by a compliance, u₁ − u₀ = c λ, or a con
 Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. A compliance's takes the place of the zero,
 Σ_i B_i u_i − C λ = g. So the mean that holds in cells of Σ is that of c: where it is next to
 infinite at one node, nothing gets through any of the cells around. A conductance is a law
-(:mod:`hypergap_dolfinx.interface_laws.law`) with F(w) = H w, and the mean is that of h: one node conducts.
+(:mod:`hypergap_dolfinx.interface_laws.law`) with F(w) = H w, and the mean is that of h: one node
+conducts.
 """
 
 from collections.abc import Callable, Hashable, Sequence

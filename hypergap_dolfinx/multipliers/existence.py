@@ -10,8 +10,8 @@ could lose rank. What remains keeps this **invariant**:
 
 * no row of B, on what is free, follows from the others: where multipliers had to be replaced, each
   new row makes an angle with those before it whose sine is at least
-  :data:`~hypergap_dolfinx.multipliers.replacements.INDEPENDENT` (`CONSISTENT` for rows that a patch test
-  needs);
+  :data:`~hypergap_dolfinx.multipliers.replacements.INDEPENDENT` (`CONSISTENT` for rows that a
+  patch test needs);
 * there are no more rows than free dofs that can answer to them;
 * each patch's λ can be any polynomial of degree k − 1, and can carry a force and a moment.
 

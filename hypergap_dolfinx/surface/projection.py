@@ -34,8 +34,8 @@ class Curves:
     X: npt.NDArray[np.float64]
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
     bends: npt.NDArray[np.float64] | None
-    """By what edges leave the straight line there, as :class:`~hypergap_dolfinx.surface.pieces.Side`
-    has them."""
+    """Deviation of edges from straight lines, as in
+    :class:`~hypergap_dolfinx.surface.pieces.Side`."""
     normals: npt.NDArray[np.float64]
     """Unit normals at the vertices, ``(num_vertices, 3)``."""
 
