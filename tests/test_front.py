@@ -16,7 +16,7 @@ import pytest
 
 import basix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap_mesh import front, prisms, slab, swaps
+from hypergap_dolfinx.gap_mesh import front, prisms, repair, slab
 from hypergap_dolfinx.gap_mesh.cavity import is_whole, linear_program
 from hypergap_dolfinx.gap_mesh.rim import in_walls
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, areas, single_faces
@@ -227,12 +227,12 @@ def test_swaps():
         return D / scale
 
     bound = np.quantile(quality(made.cells), 0.02)
-    cells = swaps.improve(made.cells, alpha, lambda c: quality(c) - bound)
+    cells = repair.improve(made.cells, alpha, lambda c: quality(c) - bound)
     before, after = quality(made.cells), quality(cells)
     assert (after <= bound).sum() < 0.7 * (before <= bound).sum() and after.min() >= before.min()
     outer = np.vstack((made.sides[0].triangles, n0 + made.sides[1].triangles))
     assert is_whole(cells, outer)
-    np.testing.assert_array_equal(swaps.improve(cells, alpha, quality), cells)
+    np.testing.assert_array_equal(repair.improve(cells, alpha, quality), cells)
 
 
 def derivatives(made):

@@ -14,8 +14,8 @@ from helpers import sweep
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
+from hypergap_dolfinx.gap_mesh.cells import covered_parts
 from hypergap_dolfinx.multipliers.replacements import CONSISTENT, INDEPENDENT, Rows
-from hypergap_dolfinx.surface.coverage import covered_parts
 from hypergap_dolfinx.surface.trace import create_surface
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 

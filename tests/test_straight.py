@@ -14,7 +14,7 @@ from helpers import close, comm, interpolated, raises, residual
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import InvertedCellError, Tie
-from hypergap_dolfinx.gap_mesh import repair, straightening, swaps
+from hypergap_dolfinx.gap_mesh import repair, tetrahedra
 from hypergap_dolfinx.gap_mesh.cells import geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.surface.trace import create_surface
@@ -54,7 +54,7 @@ def num_straight(domain):
 @pytest.mark.ranks(2)
 def test_linear_fields(monkeypatch):
     """Nodes on straight edges have hosts where they are: linear fields have no gap."""
-    monkeypatch.setattr(swaps, "improve", lambda cells, *_: cells)
+    monkeypatch.setattr(repair, "improve", lambda cells, *_: cells)
     tie = Tie(*curved_sides(2, 0.25))
     assert comm.allreduce(num_straight(tie.domain)) > 0
 
@@ -66,11 +66,11 @@ def test_linear_fields(monkeypatch):
 
 def test_no_cell_is_turned_over(monkeypatch):
     """Nor with edges so curved that facets hardly aren't."""
-    monkeypatch.setattr(swaps, "improve", lambda cells, *_: cells)
+    monkeypatch.setattr(repair, "improve", lambda cells, *_: cells)
     domain = Tie(*curved_sides(2, 0.3)).domain
     domain.gap_matrices()
-    monkeypatch.setattr(straightening, "straighten", lambda *_: straightening.NONE)
-    monkeypatch.setattr(repair, "straighten", lambda *_: straightening.NONE)
+    monkeypatch.setattr(tetrahedra, "straighten", lambda *_: tetrahedra.NONE)
+    monkeypatch.setattr(repair, "straighten", lambda *_: tetrahedra.NONE)
     with raises(InvertedCellError, "inverted"):
         Tie(*curved_sides(2, 0.3)).domain.gap_matrices()
 
@@ -78,14 +78,14 @@ def test_no_cell_is_turned_over(monkeypatch):
 @pytest.mark.serial
 def test_hosts_are_found_once(monkeypatch):
     """Those with which cells were judged are what the slab would find, also of swapped cells."""
-    improve, swapped = swaps.improve, []
+    improve, swapped = repair.improve, []
 
     def counted(cells, *args):
         found = improve(cells, *args)
         swapped.append(found is not cells)
         return found
 
-    monkeypatch.setattr(swaps, "improve", counted)
+    monkeypatch.setattr(repair, "improve", counted)
     V, facets = zip(*curved_sides(2, 0.25), strict=True)
     surfaces = [create_surface(*side, name) for *side, name in zip(V, facets, ("Γ0", "Γ1"))]
     slab = mesh_slab(comm, *surfaces).slabs[0]
@@ -114,9 +114,9 @@ def test_which_edges():
 
     through = {(0, 4), (1, 4), (2, 4)}
     for wanted in (set(), through, through | {(1, 2)}):
-        found = straightening.straighten(CELLS, ALPHA, margins(wanted))
+        found = tetrahedra.straighten(CELLS, ALPHA, margins(wanted))
         assert {tuple(edge) for edge in found.tolist()} == wanted
-    found = straightening.straighten(CELLS, ALPHA, margins({(7, 8)}))
+    found = tetrahedra.straighten(CELLS, ALPHA, margins({(7, 8)}))
     assert len(found) == 6
 
 

@@ -18,12 +18,10 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.mortar.constraint import coo_matrix
-from hypergap_dolfinx.multipliers.compliance_blocks import Compliances
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.law_fields import openings
+from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, openings
 from hypergap_dolfinx.multipliers.numbering import prescribed_dofs, values_at
-from hypergap_dolfinx.multipliers.prolongation import Extension
 from hypergap_dolfinx.surface.component import Component
 
 UNTIED = 1e-12

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.floating import FreeMotions
-from hypergap_dolfinx.algebra.rigid_modes import mean, places
+from hypergap_dolfinx.algebra.rigid_motions import mean, places
 from hypergap_dolfinx.errors import spot
 
 MOVES = 1e-3

@@ -15,8 +15,14 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
-from hypergap_dolfinx.algebra.rigid_modes import mean, motions, places
-from hypergap_dolfinx.algebra.rigid_motions import fields_of, tied_groups, unhindered
+from hypergap_dolfinx.algebra.rigid_motions import (
+    fields_of,
+    mean,
+    motions,
+    places,
+    tied_groups,
+    unhindered,
+)
 from hypergap_dolfinx.core.graph import parts
 
 SAME = 1e-6

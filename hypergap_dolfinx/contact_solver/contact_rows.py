@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices."""
+"""One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices.
+
+Where bodies in contact are, to go back there or on the way to somewhere else.
+"""
 
 from collections.abc import Sequence
 from copy import copy
@@ -541,3 +544,27 @@ def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
     """This rank's owned values, ``(num_dofs,)``."""
     dofmap = u.function_space.dofmap
     return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+
+
+@dataclass(frozen=True)
+class State:
+    """What a load step changes, and gives back if it fails."""
+
+    values: Sequence[npt.NDArray[np.float64]]
+    """This rank's unknowns of bodies and ties."""
+    pressed: Sequence[Pressed]
+    """Of each contact."""
+
+    def towards(self, other: "State", share: float) -> "State":
+        """One on the way to another or beyond, with its own sets.
+
+        Args:
+            other: The other one.
+            share: Of the way: 0 is here, 1 there.
+        """
+        values = [a + share * (b - a) for a, b in zip(self.values, other.values, strict=True)]
+        pressed = []
+        for one, two in zip(self.pressed, other.pressed, strict=True):
+            ends = {k: (a, two.arrays[k]) for k, a in one.arrays.items() if a.dtype != bool}
+            pressed.append(replace(one, **{k: a + share * (b - a) for k, (a, b) in ends.items()}))
+        return State(values, pressed)

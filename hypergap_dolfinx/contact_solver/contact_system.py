@@ -22,6 +22,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactRows,
     Linear,
     Pressed,
+    State,
     Touching,
     owned_values,
     share_ends,
@@ -29,7 +30,6 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.relaxation import RELAXED, SHORTENED, Relaxation
-from hypergap_dolfinx.contact_solver.states import State
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.errors import SolveError, spot
 from hypergap_dolfinx.multipliers.interface import Pieces

@@ -24,8 +24,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.pattern import Pattern
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.solvers.direct import PLANE, DirectStep
-from hypergap_dolfinx.solvers.options import Options, names_types
+from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
 
 RESIDUAL = 1e-8
 """Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric

@@ -3,19 +3,161 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What is between two surfaces once a front got through: cells that are turned over are mended."""
+"""What is between two surfaces once a front got through: cells that are turned over are mended.
 
-from collections.abc import Callable
+Swaps of cells that share a face or an edge for others that fill the same room better.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap_mesh import cavity, swaps
+from hypergap_dolfinx.gap_mesh import cavity, repair
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.rim import NO_WALLS, in_walls
-from hypergap_dolfinx.gap_mesh.straightening import NONE, straighten
-from hypergap_dolfinx.gap_mesh.tetrahedra import FACES
+from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, NONE, straighten
+
+ROUNDS = 12  # of swaps, before what is left is left
+AROUND = 6  # cells around an edge that are swapped at most
+
+Cell = tuple[int, ...]
+Swap = tuple[tuple[int, ...], list[Cell]]
+"""Numbers of the cells that go, and the cells that come."""
+
+
+def improve(
+    cells: npt.NDArray[np.integer],
+    alpha: npt.NDArray[np.float64],
+    margins: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.float64]],
+) -> npt.NDArray[np.integer]:
+    """Swap cells that are turned over somewhere for others, as long as the worst get better.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        alpha: α at the vertices.
+        margins: How far cells are from being turned over: not positive where they are.
+
+    Returns:
+        The cells, of which none is worse than the worst that it replaces.
+    """
+    value = margins(cells)
+    for _ in range(ROUNDS):
+        bad = np.flatnonzero(value <= 0)
+        swaps = list(_swaps(cells, alpha, bad)) if len(bad) else []
+        if not swaps:
+            break
+        num = np.array([len(new) for _, new in swaps])
+        made = margins(np.array([cell for _, new in swaps for cell in new]))
+        least = np.minimum.reduceat(made, np.cumsum(num) - num)
+        before = np.array([value[list(old)].min() for old, _ in swaps])
+        gone, come = np.zeros(len(cells), dtype=bool), []
+        # Whole cures first, then what helps most
+        for i in np.lexsort((before - least, least <= 0)):
+            old, new = swaps[i]
+            if least[i] > before[i] and not gone[list(old)].any():
+                gone[list(old)] = True
+                start = num[:i].sum()
+                come.append((new, made[start : start + num[i]]))
+        if not come:
+            break
+        cells = np.vstack((cells[~gone], *(new for new, _ in come)))
+        value = np.concatenate((value[~gone], *(each for _, each in come)))
+    return cells
+
+
+def _swaps(cells, alpha, bad) -> Iterator[Swap]:
+    """All swaps in which some cells take part."""
+    near = np.flatnonzero(np.isin(cells, cells[bad]).sum(axis=1) >= 2)
+    around: dict[frozenset, list[int]] = defaultdict(list)  # cells at an edge or a face
+    corners = {int(c): cells[c].tolist() for c in near}
+    for c, v in corners.items():
+        for i in range(4):
+            around[frozenset(v[:i] + v[i + 1 :])].append(c)
+            for j in range(i):
+                around[frozenset((v[i], v[j]))].append(c)
+    seen = set()
+    for c in bad.tolist():
+        v = corners[c]
+        for i in range(4):
+            face = frozenset(v[:i] + v[i + 1 :])
+            if face not in seen and len(around[face]) == 2:
+                seen.add(face)
+                yield from _of_face(face, around[face], corners, alpha)
+            for j in range(i):
+                edge = frozenset((v[i], v[j]))
+                if edge not in seen and 3 <= len(around[edge]) <= AROUND:
+                    seen.add(edge)
+                    yield from _of_edge(v[i], v[j], around[edge], corners, alpha)
+
+
+def _may_be_edge(a: int, b: int, alpha) -> bool:
+    """An edge inside of Σ goes from one side to the other, or to a vertex between them."""
+    return alpha[a] != alpha[b] or 0 < alpha[a] < 1
+
+
+def _of_face(face, pair, corners, alpha) -> Iterator[Swap]:
+    """Two cells become three around a new edge."""
+    a, b = (sum(corners[c]) - sum(face) for c in pair)
+    if a == b or not _may_be_edge(a, b, alpha):
+        return
+    c, d, e = face
+    if _is_odd((c, d, e, b), corners[pair[1]]):
+        c, d = d, c
+    yield tuple(pair), [(a, b, c, d), (a, b, d, e), (a, b, e, c)]
+
+
+def _of_edge(a, b, ring, corners, alpha) -> Iterator[Swap]:
+    """The n cells around an edge become 2 (n − 2) without it, for each way to cut the polygon."""
+    following = {}
+    for cell in ring:
+        c, d = (v for v in corners[cell] if v not in (a, b))
+        if _is_odd((a, b, c, d), corners[cell]):
+            c, d = d, c
+        following[c] = d
+    polygon = [c]
+    while (d := following.get(polygon[-1])) is not None and d != polygon[0]:
+        if len(polygon) == len(ring):
+            return
+        polygon.append(d)
+    if d is None or len(polygon) < len(ring):  # at the boundary
+        return
+    n = len(polygon)
+    may = {(i, j): _may_be_edge(polygon[i], polygon[j], alpha) for j in range(n) for i in range(j)}
+    for numbers, diagonals in _triangulations(n):
+        if all(may[ends] for ends in diagonals):
+            triangles = [(polygon[i], polygon[j], polygon[k]) for i, j, k in numbers]
+            above = [(c, d, e, b) for c, d, e in triangles]
+            yield tuple(ring), above + [(d, c, e, a) for c, d, e in triangles]
+
+
+@cache
+def _triangulations(n: int) -> list[tuple[list[Cell], list[tuple[int, int]]]]:
+    """All ways to cut a polygon into triangles, each turning like it; and the edges inside."""
+
+    def cuts(first: int, last: int) -> Iterator[list[Cell]]:
+        if last - first < 2:
+            yield []
+        for k in range(first + 1, last):  # the triangle at the edge from the last to the first
+            for left in cuts(first, k):
+                for right in cuts(k, last):
+                    yield [(first, k, last), *left, *right]
+
+    found = []
+    for triangles in cuts(0, n - 1):
+        edges = {ends for i, j, k in triangles for ends in ((i, j), (j, k), (i, k))}
+        found.append((triangles, sorted((i, j) for i, j in edges if 1 < j - i < n - 1)))
+    return found
+
+
+def _is_odd(v, w) -> bool:
+    """Whether an odd permutation makes one cell of another with the same vertices."""
+    at = [w.index(i) for i in v]
+    return sum(at[i] > at[j] for i in range(4) for j in range(i + 1, 4)) % 2 == 1
+
 
 PARALLEL = 1e-2
 """D over its scale of cells between edges of both outlines that are taken away if curved cells are
@@ -87,7 +229,7 @@ class Workshop:
             values[~flat] = margins(filling.with_cells(cells[~flat]))
             return values
 
-        cells = swaps.improve(mesh.cells, mesh.alpha, upright)
+        cells = repair.improve(mesh.cells, mesh.alpha, upright)
         whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
         return filling.with_cells(cells) if whole else filling
 

@@ -14,8 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap_mesh.straightening import EDGES
-from hypergap_dolfinx.gap_mesh.tetrahedra import find
+from hypergap_dolfinx.gap_mesh.tetrahedra import EDGES, find
 from hypergap_dolfinx.gap_mesh.walls import Rim
 from hypergap_dolfinx.surface.pieces import CORNERS, Side
 from hypergap_dolfinx.surface.trace import lengths

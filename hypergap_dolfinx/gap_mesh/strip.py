@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
-from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts
-from hypergap_dolfinx.surface.coverage import covered_parts
+from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
 from hypergap_dolfinx.surface.trace import KINK, NOISE, STANDS_OUT, TURN, Surface
 
 TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first

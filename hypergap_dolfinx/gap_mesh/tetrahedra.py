@@ -3,7 +3,17 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tetrahedra between two surfaces: their areas, their faces, and whether they are valid."""
+"""Tetrahedra between two surfaces: their areas, their faces, and whether they are valid.
+
+Straight edges of curved tetrahedra: where these are turned over, and as few as it takes.
+
+Cells are made such that their vertices' simplices aren't turned over. So there is always a way:
+cells become straight one edge after the other, together with those beside them that share the edge.
+The nodes of such an edge have hosts where they project to, so Σ stays consistent along the surfaces
+and is off them by what the edge is curved.
+"""
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -92,3 +102,118 @@ def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
     if library().lib.single_faces(num, *data):
         raise MemoryError("no memory for the cells of the gap domain")
     return faces[: counts[1]].astype(np.intp), counts[0] == 0
+
+
+EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+NONE = np.empty((0, 2), dtype=np.intp)
+
+Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
+"""``margins(cells, edges)``: how far cells are from being turned over if some edges are straight,
+not positive where they are somewhere."""
+
+
+def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
+    """Whether two of some vertices are the ends of one of some edges.
+
+    Args:
+        vertices: ``(num, num_vertices)``.
+        edges: ``(num_edges, 2)``.
+
+    Returns:
+        ``(num,)``.
+    """
+    if not len(edges):
+        return np.zeros(len(vertices), dtype=bool)
+    i, j = np.triu_indices(vertices.shape[1], 1)
+    pairs = np.stack((vertices[:, i], vertices[:, j]), axis=2)
+    return np.isin(_keys(pairs), _keys(edges)).any(axis=1)
+
+
+def marked(cells: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
+    """Which edges of cells are among some.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        edges: ``(num_edges, 2)``.
+
+    Returns:
+        ``(num_cells, 6)``.
+    """
+    if not len(edges):
+        return np.zeros((len(cells), 6), dtype=bool)
+    return np.isin(_keys(cells[:, EDGES]), _keys(edges))
+
+
+def _keys(edges) -> npt.NDArray[np.int64]:
+    """A number for each edge that depends on its vertices only."""
+    edges = np.sort(edges, axis=-1).astype(np.int64)
+    return (edges[..., 0] << 32) + edges[..., 1]
+
+
+def on_straight(marks: npt.NDArray[np.bool_], points: npt.NDArray[np.float64]):
+    """Which points of cells lie on a straight edge or between it and other vertices.
+
+    Args:
+        marks: Which edges are straight, ``(num_cells, 6)``.
+        points: Reference points, ``(num_points, 3)``.
+
+    Returns:
+        ``(num_cells, num_points)``.
+    """
+    weights = np.column_stack((1 - points.sum(axis=1), points))
+    between = (np.abs(weights[:, EDGES]) > 1e-12).all(axis=2)  # (point, edge)
+    return (marks[:, None] & between).any(axis=2)
+
+
+def straightened(x, points, marks, vertices) -> npt.NDArray[np.float64]:
+    """Geometry nodes of cells with those of straight edges on them.
+
+    Args:
+        x: ``(num_cells, num_points, 3)``.
+        points: Where the nodes are in the reference cell, ``(num_points, 3)``.
+        marks: Which edges are straight, ``(num_cells, 6)``.
+        vertices: The cells', ``(num_cells, 4, 3)``.
+    """
+    weights = np.column_stack((1 - points.sum(axis=1), points))
+    return np.where(on_straight(marks, points)[..., None], weights @ vertices, x)
+
+
+def straighten(cells, alpha, margins: Margins) -> npt.NDArray[np.integer]:
+    """Edges to be straight so that no cell is turned over.
+
+    Those through the gap first: no body has them. Of those on the surfaces one at a time, which
+    helps most.
+
+    Args:
+        cells: ``(num_cells, 4)``.
+        alpha: α at the vertices.
+        margins: Tells cells that are turned over.
+
+    Returns:
+        ``(num_edges, 2)``.
+    """
+    edges = NONE
+    for _ in range(6 * len(cells) + 1):  # each time another edge at least
+        bad = np.flatnonzero(margins(cells, edges) <= 0)
+        left = ~marked(cells[bad], edges)
+        ends = alpha[cells[bad][:, EDGES]]
+        through = left & ((ends[..., 0] != ends[..., 1]) | (ends[..., 0] % 1 != 0))
+        if through.any():
+            more = cells[bad][:, EDGES][through]
+        else:
+            more = _best(cells[bad], left, edges, margins)
+        if not len(more):
+            break
+        edges = np.unique(np.sort(np.vstack((edges, more)), axis=1), axis=0)
+    return edges
+
+
+def _best(cells, left, edges, margins: Margins) -> npt.NDArray[np.integer]:
+    """Of the edges that each cell has left the one that helps it most."""
+    found = []
+    for cell, own in zip(cells, left, strict=True):
+        tries = cell[EDGES[own]]
+        values = [margins(cell[None], np.vstack((edges, more)))[0] for more in tries]
+        if values:
+            found.append(tries[int(np.argmax(values))])
+    return np.array(found, dtype=np.intp).reshape(-1, 2)

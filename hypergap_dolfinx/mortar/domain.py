@@ -22,8 +22,8 @@ from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
 from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
-from hypergap_dolfinx.gap_mesh.straightening import straightened
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
+from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.surface.quadrilaterals import middle_rows
 from hypergap_dolfinx.surface.trace import LAST_DIGITS, SAME_NODE, STRAIGHT, Surface, tabulate
@@ -69,7 +69,7 @@ class GapDomain:
     """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
     least: npt.NDArray[np.float64]
     """Least share of a function's square that this part has, ``(num_facets1,)``; see
-    :mod:`~hypergap_dolfinx.surface.coverage`."""
+    :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
     overhang: Overhang | None = None
     """What is beyond what both sides have in common, to be taken out of integrals; None if nothing.
     See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""

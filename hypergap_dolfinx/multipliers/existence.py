@@ -50,7 +50,7 @@ COVERED = 0.3
 """Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
 KNOWN = 1e-4
 """Least share of a function's square that this part must have for them: see
-:mod:`~hypergap_dolfinx.surface.coverage`."""
+:mod:`~hypergap_dolfinx.gap_mesh.cells`."""
 
 
 def interfaces(ties: Sequence[Interface], bodies: Sequence[Pair]) -> list[list[int]]:

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
-from hypergap_dolfinx.algebra.rigid_modes import rigid_modes
+from hypergap_dolfinx.algebra.rigid_motions import rigid_modes
 from hypergap_dolfinx.core.graph import parts
-from hypergap_dolfinx.solvers.options import prefixed
-from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System
+from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.solvers.substructures import Substructures, order_of_bodies
 from hypergap_dolfinx.surface.trace import is_mixed
 

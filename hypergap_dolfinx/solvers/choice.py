@@ -8,10 +8,15 @@
 from petsc4py import PETSc
 
 from hypergap_dolfinx.solvers.bodywise import Bodies
-from hypergap_dolfinx.solvers.direct import Direct, DirectStep
 from hypergap_dolfinx.solvers.multigrid import Multigrid
-from hypergap_dolfinx.solvers.options import names_types
-from hypergap_dolfinx.solvers.solver import KSPSolver, Solver, System
+from hypergap_dolfinx.solvers.solver import (
+    Direct,
+    DirectStep,
+    KSPSolver,
+    Solver,
+    System,
+    names_types,
+)
 
 SOLVERS: dict[str, type[KSPSolver]] = {cls.name: cls for cls in (Direct, Bodies, Multigrid)}
 """What a user can name."""

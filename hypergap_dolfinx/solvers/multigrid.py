@@ -6,9 +6,8 @@
 """The saddle system solved by conjugate gradients and algebraic multigrid."""
 
 from hypergap_dolfinx.solvers.bodywise import LU
-from hypergap_dolfinx.solvers.options import prefixed
 from hypergap_dolfinx.solvers.projected import ProjectedSystem
-from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System
+from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.surface.trace import is_mixed
 
 

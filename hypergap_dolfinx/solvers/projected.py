@@ -29,7 +29,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.matrices import mean_diagonal, nonzero_columns
-from hypergap_dolfinx.algebra.rigid_modes import common_modes
+from hypergap_dolfinx.algebra.rigid_motions import common_modes
 from hypergap_dolfinx.algebra.saddle import check_solved
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import Substitute

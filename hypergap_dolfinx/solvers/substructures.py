@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.matrices import column_sums, mean_diagonal, product
-from hypergap_dolfinx.algebra.rigid_modes import NOTHING
+from hypergap_dolfinx.algebra.rigid_motions import NOTHING
 
 
 def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:
@@ -64,7 +64,7 @@ class Body:
 
         Args:
             K: Stiffness.
-            modes: Its :func:`~hypergap_dolfinx.algebra.rigid_modes.rigid_modes`.
+            modes: Its :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
             prefix: Of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
             loaded: B₀ of the ties whose Γ0 the body has.
@@ -211,7 +211,7 @@ class Substructures:
             sides: The bodies that each interface moves besides Γ1's, and Γ1's.
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
             order: Of the bodies, see :func:`order_of_bodies`.
-            modes: The bodies' :func:`~hypergap_dolfinx.algebra.rigid_modes.rigid_modes`.
+            modes: The bodies' :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
         """
         self._K, self._B, self._sides, self._own = K, B, sides, own
         self._order, self._modes = order, modes
