@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface, lagrange_element

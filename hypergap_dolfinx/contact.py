@@ -22,7 +22,8 @@ from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
 from hypergap_dolfinx.contact_geometry.space import Opening
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching, owned_values
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.friction import Friction, friction_of
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced

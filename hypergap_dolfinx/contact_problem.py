@@ -16,19 +16,14 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.load_path import LoadPath
-from hypergap_dolfinx.algebra.matrices import mean_diagonal
 from hypergap_dolfinx.contact import ALIKE, STIFF, Contact
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core import progress
-from hypergap_dolfinx.errors import (
-    InterfaceError,
-    InvertedCellError,
-    SolveError,
-    raise_on_all,
-    spot,
-)
+from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.core.sparse import mean_diagonal
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie

@@ -19,8 +19,9 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.core import lifetime
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.core import collective
+from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
 from hypergap_dolfinx.interface_laws.given_values import Given
@@ -41,7 +42,7 @@ ALIKE = 1.1  # ratio of the sides' distances between nodes up to which stiffness
 THIN = 0.01  # thickness of cells, over their length, of a layer that is Γ1 even if it is finer
 
 
-class Tie(lifetime.Owner):
+class Tie(collective.Owner):
     """Ties two surfaces whose meshes don't match.
 
     Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
@@ -167,7 +168,7 @@ class Tie(lifetime.Owner):
                 )
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
-        self._ticket = lifetime.enter(comm)
+        self._ticket = collective.enter(comm)
         if MPI.Comm.Compare(comm, V1.mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
                 "the meshes of Γ0 and Γ1 live on different communicators; make both on one."

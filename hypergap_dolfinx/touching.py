@@ -17,8 +17,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx.core import compat, graph
+from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.intersection import axes_across, common_part
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import lagrange_element, unit_normals
 

@@ -24,7 +24,7 @@ from hypergap_dolfinx import (
     TiedProblem,
     find_touching,
 )
-from hypergap_dolfinx.errors import spot
+from hypergap_dolfinx.core.collective import spot
 
 pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)

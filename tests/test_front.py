@@ -18,9 +18,8 @@ import basix
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh import front, prisms, repair, slab
 from hypergap_dolfinx.gap_mesh.cavity import is_whole, linear_program
-from hypergap_dolfinx.gap_mesh.rim import in_walls
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, areas, single_faces
-from hypergap_dolfinx.gap_mesh.walls import rims
+from hypergap_dolfinx.gap_mesh.walls import in_walls, rims
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import Surface
 

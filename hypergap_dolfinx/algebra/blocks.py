@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
+from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.mortar.constraint import coo_matrix
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, openings

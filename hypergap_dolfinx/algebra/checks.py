@@ -21,7 +21,8 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all, spot
+from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.numbering import SAME_PLACE
 from hypergap_dolfinx.surface.trace import NOISE, STRAIGHT

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra.floating import FreeMotions
 from hypergap_dolfinx.algebra.rigid_motions import mean, places
-from hypergap_dolfinx.errors import spot
+from hypergap_dolfinx.core.collective import spot
 
 MOVES = 1e-3
 """What rows in contact make of a motion of length 1 up to which they don't hold it, and the

@@ -19,14 +19,14 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
-from hypergap_dolfinx.algebra.matrices import (
+from hypergap_dolfinx.core.graph import components, parts
+from hypergap_dolfinx.core.sparse import (
     absolute,
     column_length,
     nonzero_columns,
     product,
     row_length,
 )
-from hypergap_dolfinx.core.graph import components, parts
 from hypergap_dolfinx.surface.component import Component, lagrange_components
 
 NOTHING = 1e-12

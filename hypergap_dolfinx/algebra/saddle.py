@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.matrices import row_length
+from hypergap_dolfinx.core.sparse import row_length
 from hypergap_dolfinx.errors import SolveError
 
 RESIDUAL = 1e-3

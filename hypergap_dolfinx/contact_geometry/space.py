@@ -34,7 +34,8 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     polygon_areas,
     reference_corners,
 )
-from hypergap_dolfinx.errors import NotFacingError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import COVERED, Displacements, Sides, Sparse, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
 

@@ -16,7 +16,6 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.diagnostics import Strays
 from hypergap_dolfinx.algebra.floating import FreeMotions
-from hypergap_dolfinx.algebra.matrices import mean_diagonal, row_length
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactRows,
@@ -31,7 +30,9 @@ from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, Rubbed, 
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.relaxation import RELAXED, SHORTENED, Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
-from hypergap_dolfinx.errors import SolveError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
+from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import Pieces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements

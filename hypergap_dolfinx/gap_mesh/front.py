@@ -16,9 +16,8 @@ from hypergap_dolfinx.core.compiled import library
 from hypergap_dolfinx.gap_mesh import cavity, prisms
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, Workshop
-from hypergap_dolfinx.gap_mesh.rim import along
 from hypergap_dolfinx.gap_mesh.tetrahedra import FLAT
-from hypergap_dolfinx.gap_mesh.walls import Rim, rims
+from hypergap_dolfinx.gap_mesh.walls import Rim, along, rims
 from hypergap_dolfinx.surface.pieces import Side
 
 SHIFT = 0.1  # by how much of an edge's length ties are told apart

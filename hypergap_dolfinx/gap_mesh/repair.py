@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.gap_mesh import cavity, repair
 from hypergap_dolfinx.gap_mesh.cavity import Place
-from hypergap_dolfinx.gap_mesh.rim import NO_WALLS, in_walls
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, NONE, straighten
+from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, in_walls
 
 ROUNDS = 12  # of swaps, before what is left is left
 AROUND = 6  # cells around an edge that are swapped at most

@@ -23,8 +23,9 @@ import numpy.typing as npt
 
 import basix
 import basix.ufl
+from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.compiled import library
-from hypergap_dolfinx.errors import InterfaceError, NotFacingError, raise_on_all, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh import front
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.cells import (
@@ -36,9 +37,9 @@ from hypergap_dolfinx.gap_mesh.cells import (
 )
 from hypergap_dolfinx.gap_mesh.overhang import overhang
 from hypergap_dolfinx.gap_mesh.repair import Filling
-from hypergap_dolfinx.gap_mesh.rim import kinds
 from hypergap_dolfinx.gap_mesh.slab_cells import Slab, key_of
 from hypergap_dolfinx.gap_mesh.tetrahedra import NONE, areas, marked, straightened
+from hypergap_dolfinx.gap_mesh.walls import kinds
 from hypergap_dolfinx.mortar.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import Surface

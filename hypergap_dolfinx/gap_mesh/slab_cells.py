@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.gap_mesh.cells import Hosts
-from hypergap_dolfinx.gap_mesh.rim import NO_WALLS, Outline, in_walls
 from hypergap_dolfinx.gap_mesh.tetrahedra import NONE, find, have
+from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, Outline, in_walls
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import lengths
 

@@ -17,7 +17,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
 from hypergap_dolfinx.surface.trace import KINK, NOISE, STANDS_OUT, TURN, Surface
 

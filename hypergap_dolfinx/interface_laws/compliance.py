@@ -22,10 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.interface_laws import given_values
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.constraint import Constraint, triplets
+from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.mortar.quadrature import Samples
 from hypergap_dolfinx.surface.trace import (

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.errors import raise_on_all, spot
+from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.interface_laws import given_values
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface

@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from hypergap_dolfinx.errors import raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
 from hypergap_dolfinx.mortar.quadrature import Samples

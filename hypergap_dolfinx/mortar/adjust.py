@@ -17,8 +17,9 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.mortar.constraint import Constraint, coo_matrix, create_constraint
+from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.surface.trace import Surface, create_surface

@@ -7,14 +7,14 @@
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.core import compat, lifetime
+from hypergap_dolfinx.core import collective
+from hypergap_dolfinx.core.sparse import coo_matrix, triplets
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
 
 ON_SURFACE = 1e-10
@@ -23,7 +23,7 @@ nearest has 0.03 with degree 10, and round-off makes 2e-16."""
 
 
 @dataclass(frozen=True)
-class Constraint(lifetime.Owner):
+class Constraint(collective.Owner):
     """One constraint for each multiplier: Σ_i B_i u_i = 0, for each component of u.
 
     The matrices act on one component (a block of dofs counts as one); see :func:`expand`.
@@ -44,32 +44,10 @@ class Constraint(lifetime.Owner):
     rows: npt.NDArray[np.int64]
     """Row of B of each multiplier."""
 
-    _ticket: lifetime.Ticket | None = None
+    _ticket: collective.Ticket | None = None
 
     def _release(self) -> list:
         return [*self.B, *self.R, self.R_A]
-
-
-def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
-    """An AIJ matrix from (row, column, value) triplets, which are added up. Collective.
-
-    Args:
-        comm: Communicator.
-        sizes: Local numbers of rows and columns.
-        i: Global rows, on any rank.
-        j: Global columns.
-        values: Values.
-
-    Returns:
-        The assembled matrix.
-    """
-    rows, columns = sizes
-    A = PETSc.Mat().create(comm)
-    A.setSizes(((rows, None), (columns, None)))
-    A.setType(PETSc.Mat.Type.AIJ)
-    values = np.ascontiguousarray(values, dtype=PETSc.ScalarType)
-    compat.set_triplets(A, np.ravel(i), np.ravel(j), values.ravel())
-    return A
 
 
 def create_constraint(
@@ -164,7 +142,7 @@ def create_constraint(
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
-    return Constraint(tuple(B), R, R_A, dofs, patch, rows, lifetime.enter(comm))
+    return Constraint(tuple(B), R, R_A, dofs, patch, rows, collective.enter(comm))
 
 
 def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
@@ -221,10 +199,3 @@ def expand(B: PETSc.Mat, block_size: int, turn: npt.NDArray | None = None) -> PE
         j[:, None] * block_size + column,
         value[:, None] * factors,
     )
-
-
-def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Global rows, global columns and values of this rank's rows; real, as geometry is."""
-    start, end = B.getOwnershipRange()
-    indptr, columns, values = B.getValuesCSR()
-    return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values.real

@@ -19,7 +19,8 @@ import dolfinx
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.errors import InvertedCellError, raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.errors import InvertedCellError
 from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element, interpolate_geometry
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip

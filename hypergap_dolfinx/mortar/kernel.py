@@ -27,7 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.errors import InvertedCellError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import InvertedCellError
 
 CHUNK = 8192  # cells at a time: what fits in a cache
 ENOUGH = 12

@@ -10,13 +10,14 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core import lifetime
+from hypergap_dolfinx.core import collective
+from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.constraint import Constraint, coo_matrix, expand
+from hypergap_dolfinx.mortar.constraint import Constraint, expand
 from hypergap_dolfinx.mortar.domain import GapDomain
 
 
-class Samples(lifetime.Owner):
+class Samples(collective.Owner):
     """D with a row for each point: ∂φ_A/∂α times the root of the point's weight."""
 
     def __init__(self, domain: GapDomain, constraint: Constraint):
@@ -26,7 +27,7 @@ class Samples(lifetime.Owner):
             domain: Σ.
             constraint: The constraint on it.
         """
-        self._ticket = lifetime.enter(domain.mesh.comm)
+        self._ticket = collective.enter(domain.mesh.comm)
         self.domain = domain
         n = domain.x.shape[2]
         # Of straight cells c and both derivatives are polynomials of degree k − 1

@@ -40,8 +40,9 @@ import numpy.typing as npt
 
 import basix
 from dolfinx import fem
-from hypergap_dolfinx.core import lifetime
-from hypergap_dolfinx.mortar.constraint import Constraint, coo_matrix, triplets
+from hypergap_dolfinx.core import collective
+from hypergap_dolfinx.core.sparse import coo_matrix, triplets
+from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
 from hypergap_dolfinx.mortar.faces import Faces
 from hypergap_dolfinx.mortar.fields import nodal_values
@@ -61,7 +62,7 @@ FEWER = 3
 """How many times fewer they are from one t to the next, down to one."""
 
 
-class Recovery(lifetime.Owner):
+class Recovery(collective.Owner):
     """The system for the tractions on Γ0 and Γ1 of one tie."""
 
     def __init__(self, domain: GapDomain, constraint: Constraint):
@@ -71,7 +72,7 @@ class Recovery(lifetime.Owner):
             domain: Σ.
             constraint: The constraint on it.
         """
-        self._ticket = lifetime.enter(domain.mesh.comm)
+        self._ticket = collective.enter(domain.mesh.comm)
         self._domain, self._constraint = domain, constraint
         self._faces = Faces.of(domain, 0), Faces.of(domain, 1)
         self._unknowns = Unknowns(domain, constraint)

@@ -17,9 +17,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.matrices import nonzero_columns
+from hypergap_dolfinx.core.sparse import coo_matrix, nonzero_columns, triplets
 from hypergap_dolfinx.interface_laws.compliance import Compliance
-from hypergap_dolfinx.mortar.constraint import coo_matrix, triplets
 from hypergap_dolfinx.multipliers.interface import Interface
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.mortar.constraint import triplets
+from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.numbering import Every, Pair, prescribed_dofs
 

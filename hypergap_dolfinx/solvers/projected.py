@@ -28,9 +28,9 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
-from hypergap_dolfinx.algebra.matrices import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.algebra.rigid_motions import common_modes
 from hypergap_dolfinx.algebra.saddle import check_solved
+from hypergap_dolfinx.core.sparse import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import Substitute
 from hypergap_dolfinx.solvers.substructures import create_solver

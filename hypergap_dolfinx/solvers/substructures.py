@@ -25,8 +25,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.matrices import column_sums, mean_diagonal, product
 from hypergap_dolfinx.algebra.rigid_motions import NOTHING
+from hypergap_dolfinx.core.sparse import column_sums, mean_diagonal, product
 
 
 def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:

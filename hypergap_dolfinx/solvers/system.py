@@ -24,7 +24,7 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks, saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
-from hypergap_dolfinx.core import compat, lifetime
+from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import Interface, Pieces
 from hypergap_dolfinx.solvers.solver import Solver, System
@@ -77,7 +77,7 @@ PRESSURES = " (a pressure at a node, where displacements are prescribed all arou
 """What else may have to be held in mixed spaces."""
 
 
-class TiedSystem(lifetime.Owner):
+class TiedSystem(collective.Owner):
     """[K Bᵀ; B −C] [u; λ] = b with K from forms, B and C from ties, and a solver for it."""
 
     _solver: Solver
@@ -108,7 +108,7 @@ class TiedSystem(lifetime.Owner):
         self._motions_known = self._constants_known = False
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
-        self._ticket = lifetime.enter(self._u[0].function_space.mesh.comm)
+        self._ticket = collective.enter(self._u[0].function_space.mesh.comm)
         wrong = next((bc for bc in bcs if not isinstance(bc, fem.DirichletBC)), None)
         if wrong is not None:
             raise ValueError(

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.trace import Surface
 
 ORTHOGONAL = 1e-10

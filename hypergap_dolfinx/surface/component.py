@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.mortar.constraint import coo_matrix
 from hypergap_dolfinx.surface.trace import is_mixed, lagrange_element
 
 

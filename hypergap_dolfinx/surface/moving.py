@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.mortar.constraint import triplets
+from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.trace import Surface, tabulate
 
 

@@ -15,8 +15,9 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints
-from hypergap_dolfinx.errors import InterfaceError, raise_on_all
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.polynomials import terms
 
 STRAIGHT = 1e-12

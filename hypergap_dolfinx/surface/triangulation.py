@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.nearest import nearest
 from hypergap_dolfinx.surface.trace import NOISE, STANDS_OUT, TURN, Surface, around, lengths
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.errors import InterfaceError, NotFacingError, spot
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright

@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError, spot
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.trimming.curved_outlines import Arcs, Courses, Edge
 from hypergap_dolfinx.trimming.delaunay import Cutting

@@ -5,10 +5,13 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Sizes of matrices, and where they have entries."""
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+
+from hypergap_dolfinx.core.compat import set_triplets
 
 
 def row_length(A: PETSc.Mat) -> float:
@@ -97,3 +100,32 @@ def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
     x.destroy()
     y.destroy()
     return result
+
+
+def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
+    """An AIJ matrix from (row, column, value) triplets, which are added up. Collective.
+
+    Args:
+        comm: Communicator.
+        sizes: Local numbers of rows and columns.
+        i: Global rows, on any rank.
+        j: Global columns.
+        values: Values.
+
+    Returns:
+        The assembled matrix.
+    """
+    rows, columns = sizes
+    A = PETSc.Mat().create(comm)
+    A.setSizes(((rows, None), (columns, None)))
+    A.setType(PETSc.Mat.Type.AIJ)
+    values = np.ascontiguousarray(values, dtype=PETSc.ScalarType)
+    set_triplets(A, np.ravel(i), np.ravel(j), values.ravel())
+    return A
+
+
+def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+    """Global rows, global columns and values of this rank's rows; real, as geometry is."""
+    start, end = B.getOwnershipRange()
+    indptr, columns, values = B.getValuesCSR()
+    return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values.real

@@ -3,7 +3,9 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""When PETSc's objects go: destruction is collective, Python's garbage collection is not.
+"""Actions of all ranks together: raising the same error and destroying PETSc's objects.
+
+Destruction is collective, Python's garbage collection is not.
 
 The ranks may let go of two problems in different orders. So what a rank no longer needs waits
 until all ranks meet, when the next tie or problem is made: what all of them have let go is
@@ -18,6 +20,11 @@ from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.errors import InterfaceError
 
 Ranks = tuple[int, ...]
 Ticket = tuple[Ranks, int]
@@ -89,3 +96,26 @@ class Owner:
     def _release(self) -> list[Any]:
         """The PETSc objects, which their owner forgets; None is left out."""
         raise NotImplementedError
+
+
+DIGITS = 6  # of coordinates in messages
+
+
+def spot(x: npt.NDArray[np.floating]) -> str:
+    """A place for a message, without what is round-off in its coordinates.
+
+    Args:
+        x: Its coordinates, or those of points of which it is the middle, ``(…, n)``.
+    """
+    middle = x.reshape(-1, x.shape[-1]).mean(axis=0)
+    size = np.abs(x[np.isfinite(x)]).max(initial=0)
+    decimals = DIGITS - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
+    rounded = (round(float(value), decimals) + 0.0 for value in middle)
+    return f"({', '.join(f'{value:.{DIGITS}g}' for value in rounded)})"
+
+
+def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):
+    """Raise the lowest rank's message on every rank, if any rank has one. Collective."""
+    first = next((m for m in comm.allgather(message) if m), None)
+    if first:
+        raise error(first)
