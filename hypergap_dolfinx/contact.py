@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx.coefficient import Coefficient, Value
+from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma
 from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
 from hypergap_dolfinx.contact_geometry.space import Opening
@@ -24,19 +24,14 @@ from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching, 
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.friction import Friction, friction_of
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
-from hypergap_dolfinx.surface.trace import KINK, Surface, create_surface, facet_pairs
+from hypergap_dolfinx.surface.tolerances import KINK
+from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
+from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, FLAT_TURN, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
-ALIKE = 1.1  # ratio of the sides' sizes of facets up to which stiffness decides
-STIFF = 100.0  # ratio of stiffnesses from which the softer side is Γ1, whatever the sizes
-FINER = 1.5  # how much finer than Γ0 a Γ1 may be unwarned
-BEHIND = 0.5  # overlap, in thicknesses of the thinner body, from which surfaces face away
-FLAT = 1e-6  # turn of a surface in space, in radians, that is none
-TURNED = 0.5  # length of the mean normal up to which a surface looks to all sides
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -141,7 +136,9 @@ class Contact:
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
-        self._depth = BEHIND * min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
+        self._depth = BEHIND_BODY * min(
+            _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
+        )
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
         self._compliance = (
             None
@@ -513,7 +510,7 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     n = surface.gdim
     size = surface.size ** (n - 1)
     mean = (size[:, None] * surface.normals).sum(axis=0) / size.sum()
-    along = mean[None] if np.linalg.norm(mean) > TURNED else np.eye(n)
+    along = mean[None] if np.linalg.norm(mean) > CLOSED_NORMAL else np.eye(n)
     along /= np.linalg.norm(along, axis=1)[:, None]
     x = V.mesh.geometry.x[:, :n] @ along.T
     ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
@@ -531,4 +528,4 @@ def _is_round(surface: Surface) -> bool:
         return bool(((turn > 0) & ~corner).any())
     n0, n1 = surface.normals[facet_pairs(surface).T]
     turn = np.linalg.norm(n0 - n1, axis=1)
-    return bool(((turn > FLAT) & (turn < KINK)).any())
+    return bool(((turn > FLAT_TURN) & (turn < KINK)).any())

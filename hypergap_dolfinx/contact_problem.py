@@ -16,7 +16,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.load_path import LoadPath
-from hypergap_dolfinx.contact import ALIKE, STIFF, Contact
+from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
@@ -27,11 +27,9 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.tolerances import ALIKE, HALVINGS, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
-
-HALVINGS = 6
-"""Times that a load step is halved."""
 
 
 class ContactProblem(ContactSystem):

@@ -20,12 +20,10 @@ from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers, smooth_pieces
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.trace import NOISE, STRAIGHT, Surface
+from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
+from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.tie import Tie
-
-NEAR = 0.5
-"""Distance of surfaces, in lengths of their longest facet, up to which they can be pieces of one
-interface; what is tied across a distance (periodic faces) has no common Σ around a corner."""
+from hypergap_dolfinx.tolerances import NEAR_PIECES
 
 
 class _Whole(Tie):
@@ -153,7 +151,7 @@ def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:
 
 def _is_near(tie: Tie) -> bool:
     length = max(surface.size.max(initial=0.0) for surface in tie.surfaces)
-    return bool(tie.domain.distance() <= NEAR * length)
+    return bool(tie.domain.distance() <= NEAR_PIECES * length)
 
 
 def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]:

@@ -28,17 +28,9 @@ from hypergap_dolfinx.core import display
 from hypergap_dolfinx.core.compat import geometry_dofmap
 from hypergap_dolfinx.surface.trace import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.tolerances import CLOSED_NORMAL, LIFT, PARTS, SEEN_THROUGH
 
 _BODY, _EDGE, _SHEAR = "#e8e4da", "#555555", "#1b7837"
-PARTS = 8
-"""Straight parts that an edge of Γ1 is drawn with."""
-LIFT = 0.01
-"""How far from Γ0's body Γ1 is drawn in space, in its extent; shear twice as far."""
-SEEN_THROUGH = 0.3
-"""Opacity of a body in space that is in contact with itself."""
-CLOSED = 0.5
-"""Length of the mean of the unit normals up to which a surface is drawn as closed: a closed one has
-0, half a circle 0.64, half a sphere 0.5."""
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -409,7 +401,7 @@ def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
     normals, size = _padded(surface.normals), surface.size ** (surface.gdim - 1)
     extent = np.ptp(_padded(surface.x), axis=0).max()
     mean = _mean_normal(surface)
-    if np.linalg.norm(mean) > CLOSED:
+    if np.linalg.norm(mean) > CLOSED_NORMAL:
         return distance * mean / np.linalg.norm(mean), np.zeros(3), 1.0
     # Closed around a centre: the outer body grows, or the inner one shrinks
     centre = (size[:, None] * x).sum(axis=0) / size.sum()
@@ -426,7 +418,7 @@ def _draw_gap_domains(
         distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
     places = _pulled_apart(ties, distance)
     mean = _mean_normal(ties[0].surfaces[0])
-    closed = dim == 3 and np.linalg.norm(mean) <= CLOSED
+    closed = dim == 3 and np.linalg.norm(mean) <= CLOSED_NORMAL
     bodies = {id(V.mesh): V.mesh for tie in ties for V in tie.spaces}
     plotter = _plotter(comm, window)
     for key, mesh in bodies.items():

@@ -35,11 +35,9 @@ from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface, create_surface, thinness
+from hypergap_dolfinx.tolerances import ALIKE, THIN_LAYER
 
 LOG = logging.getLogger("hypergap_dolfinx")
-
-ALIKE = 1.1  # ratio of the sides' distances between nodes up to which stiffness decides
-THIN = 0.01  # thickness of cells, over their length, of a layer that is Γ1 even if it is finer
 
 
 class Tie(collective.Owner):
@@ -264,7 +262,7 @@ class Tie(collective.Owner):
         for side, name in ((a, "the first side"), (b, "the second side")):
             surface = create_surface(Component.of(side[0]).space, side[1], name)
             size.append(float(np.median(surface.size)) / surface.element.degree)
-            thin.append(thinness(*side) < THIN)
+            thin.append(thinness(*side) < THIN_LAYER)
         ratio = size[0] / size[1]
         if thin[0] != thin[1]:
             swapped, why = thin[0], "thin"

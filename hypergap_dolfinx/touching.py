@@ -22,15 +22,16 @@ from hypergap_dolfinx.core.intersection import axes_across, common_part
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import lagrange_element, unit_normals
-
-NEAR = 1e-3  # distance of flat facets, over the smaller one's size, at which they touch
-BULGES = 2  # the same of curved ones, in heights over the facet that turns tell of
-FACING = np.pi / 3  # angle by which normals may miss being opposite, if a distance is given
-TILT = np.pi / 36  # the same by default, for flat facets; curved ones may turn more
-TURNS = 0.75  # how much more, in sums of both facets' turns
-CORNER = np.pi * 65 / 180  # turn at an edge beyond which the surface isn't curved but has a corner
-COVER = 1e-6  # part of the smaller facet in common that is none: an edge, a point
-LEAF = 4096  # pairs of boxes that are compared one by one
+from hypergap_dolfinx.tolerances import (
+    BULGES,
+    CORNER_ASSEMBLY,
+    COVER,
+    FACING_ANGLE,
+    LEAF,
+    NEAR_FLAT,
+    TILT,
+    TURNS_EXPLAINED,
+)
 
 # A facet that is a quadrilateral, as two triangles; its vertices as DOLFINx orders them
 _SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
@@ -88,7 +89,7 @@ class _Boundary:
 
     def boxes(self, distance: float | None) -> npt.NDArray[np.float64]:
         """Lower and upper corners of boxes that meet where simplices may touch, ``(num, 2, n)``."""
-        reach = self.bulge + NEAR * self.size if distance is None else distance
+        reach = self.bulge + NEAR_FLAT * self.size if distance is None else distance
         reach = np.broadcast_to(reach, len(self.x))[:, None]
         return np.stack((self.x.min(axis=1) - reach, self.x.max(axis=1) + reach), axis=1)
 
@@ -279,7 +280,7 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
     f, g = a // n, b // n
     cosine = np.einsum("ei,ei->e", normals[f], normals[g])
     theta = np.arccos(np.clip(cosine, -1, 1))
-    theta[theta > CORNER] = 0
+    theta[theta > CORNER_ASSEMBLY] = 0
     sag = np.minimum(height.ravel()[a], height.ravel()[b]) * theta / 8
     bulge, turn = np.zeros(num), np.zeros(num)
     for at in (f, g):
@@ -354,10 +355,10 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np
     """Whether simplices touch, pair by pair."""
     n0, n1 = a.normals, b.normals
     if distance is None:
-        limit = np.minimum(TILT + TURNS * (a.turn + b.turn), FACING)
-        reach = np.maximum(a.bulge, b.bulge) + NEAR * np.minimum(a.size, b.size)
+        limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
+        reach = np.maximum(a.bulge, b.bulge) + NEAR_FLAT * np.minimum(a.size, b.size)
     else:
-        limit, reach = np.full(len(n0), FACING), np.full(len(n0), distance)
+        limit, reach = np.full(len(n0), FACING_ANGLE), np.full(len(n0), distance)
     touch = np.einsum("pi,pi->p", n0, n1) < -np.cos(limit)
     f = np.flatnonzero(touch)
     n0, n1, x0, x1 = n0[f], n1[f], a.x[f], b.x[f]

@@ -158,9 +158,9 @@ def test_room(monkeypatch):
     """Where there is too little for cells and entries there is more."""
     sides, u, _ = scene()
     found = []
-    for room in (fans.ROOM, 0):
-        monkeypatch.setattr(fans, "ROOM", room)
-        monkeypatch.setattr(rays, "ROOM", room)
+    for room in (fans.ROOM_ROW, 0):
+        monkeypatch.setattr(fans, "ROOM_ROW", room)
+        monkeypatch.setattr(rays, "ROOM_CELLS", room)
         g, _, C = PlaneOpening.between(sides, u, free(sides)).gap(u)
         found.append(np.concatenate((g, dense(C, (len(g), 2 * sum(map(len, u)))).ravel())))
     close(*found, 1e-15)

@@ -15,7 +15,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
 from hypergap_dolfinx.gap_mesh.cells import covered_parts
-from hypergap_dolfinx.multipliers.replacements import CONSISTENT, INDEPENDENT, Rows
+from hypergap_dolfinx.multipliers.replacements import Rows
+from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS
 from hypergap_dolfinx.surface.trace import create_surface
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
@@ -101,8 +102,8 @@ def test_no_row_follows_from_the_others(scene, name, held):
 def test_rows():
     """A row counts from an angle on; one that is consistent may be nearer to the others."""
     columns = [(0, 0), (0, 1), (1, 0)]
-    assert CONSISTENT < INDEPENDENT
-    for tilt, taken in ((0.9 * INDEPENDENT, False), (1.1 * INDEPENDENT, True)):
+    assert CONSISTENT < INDEPENDENT_ROWS
+    for tilt, taken in ((0.9 * INDEPENDENT_ROWS, False), (1.1 * INDEPENDENT_ROWS, True)):
         rows = Rows()
         assert rows.add(columns, np.array((1.0, 1.0, 0.0)), np.sqrt(2))
         sine = tilt / np.sqrt(1 - tilt**2) * np.sqrt(2)

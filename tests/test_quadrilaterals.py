@@ -24,7 +24,8 @@ from hypergap_dolfinx.gap_mesh import slab
 from hypergap_dolfinx.mortar.quality import unevenness
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS, middle_rows
-from hypergap_dolfinx.surface.trace import SAME_NODE, create_surface, tabulate
+from hypergap_dolfinx.surface.tolerances import SAME_NODE
+from hypergap_dolfinx.surface.trace import create_surface, tabulate
 
 VARIANTS = basix.LagrangeVariant.gll_warped, basix.LagrangeVariant.equispaced
 

@@ -226,7 +226,7 @@ def test_factors_of_narrow_cells(monkeypatch, k):
     sides = bars((2, 3), (k, k), SHAPES["saddle"], g=min(k, 2))
     tie = Tie(*sides)
     first = [dense(matrix) for matrix in tie.blocks()]
-    monkeypatch.setattr(domain, "NARROW", 0.0)
+    monkeypatch.setattr(domain, "NARROW_CELL", 0.0)
     tie = Tie(*sides)
     for matrix, other in zip(tie.blocks(), first, strict=True):
         assert np.abs(dense(matrix) - other).max() < 1e-13 * np.abs(other).max()

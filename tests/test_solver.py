@@ -468,7 +468,7 @@ def test_the_default(monkeypatch):
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
     problem.solve()
     assert problem.solver.getPC().getType() == "lu"
-    monkeypatch.setattr(choice, "LARGE", 100)
+    monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
     large = TiedProblem(a, L, bcs=bcs, ties=ties)
     large.solve()
     assert large.solver.getPC().getType() == "python"
@@ -481,7 +481,7 @@ def test_the_default(monkeypatch):
 @pytest.mark.ranks(2)
 def test_the_default_falls_back(monkeypatch):
     """A much stiffer Γ1 would take hundreds of iterations."""
-    monkeypatch.setattr(choice, "LARGE", 100)
+    monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
     pytest.importorskip("gmsh")
     a, L, bcs, ties = pile(3, stiffness=(1.0, 1e3))
     options = dict(choice.Bodies.OPTIONS, ksp_max_it=5)

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
+from hypergap_dolfinx.algebra.tolerances import UNTIED
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
@@ -23,11 +24,6 @@ from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, openings
 from hypergap_dolfinx.multipliers.numbering import prescribed_dofs, values_at
 from hypergap_dolfinx.surface.component import Component
-
-UNTIED = 1e-12
-"""Sum of a row's entries at displacements of Γ0 that can move, over the largest such sum, up to
-which nothing moves there: entries of prescribed ones are exact zeros, others are integrals of shape
-functions or round-off."""
 
 
 class ConstraintBlocks:

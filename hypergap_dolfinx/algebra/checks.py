@@ -20,23 +20,19 @@ import basix
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.algebra.tolerances import (
+    CHECKED_AT_ONCE,
+    CONTRADICT,
+    FLAT_CELL,
+    INVERTED_CORNER,
+    NO_LENGTH,
+)
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.numbering import SAME_PLACE
-from hypergap_dolfinx.surface.trace import NOISE, STRAIGHT
-
-CHUNK = 100_000  # cells at a time
-FLAT = 1e-14  # volume of a cell, over its diameter to the power n, that counts as none
-TURNED = 1e-10
-"""How negative det J may be at a cell's corner, over its diameter to the power n: corners of 180°
-are flat up to the digits that files have."""
-CONTRADICT = 1e-6
-"""Difference of values prescribed on both sides, over the largest of them, that contradicts: what
-both meshes interpolate from one function differs by 1e-16, or by 1e-7 in single precision."""
-NO_LENGTH = 1e-12
-"""Difference of prescribed displacements, in sizes of the interface, that never contradicts."""
+from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
+from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 
 
 def check_cells(mesh: Mesh, name: str):
@@ -77,9 +73,9 @@ def check_cells(mesh: Mesh, name: str):
     ):
         size = np.ptp(x, axis=1).max(axis=1) ** n
         sign = np.sign(det[:, :1])
-        bad = ~(sign * det[:, :num_inside] > FLAT * size[:, None]).all(axis=1)
+        bad = ~(sign * det[:, :num_inside] > FLAT_CELL * size[:, None]).all(axis=1)
         # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
-        bad |= (sign * det < -TURNED * size[:, None]).any(axis=1)
+        bad |= (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
         # NaN and infinity in coordinates are told by others, with the name of the surface or body
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
@@ -99,10 +95,12 @@ def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
     if cells.shape[1] == n + 1:
         return straight
     weights = np.column_stack((1 - points.sum(axis=1), points))
-    for start in range(0, len(cells), CHUNK):
-        nodes = x[cells[start : start + CHUNK]]
+    for start in range(0, len(cells), CHECKED_AT_ONCE):
+        nodes = x[cells[start : start + CHECKED_AT_ONCE]]
         deviation = np.abs(weights @ nodes[:, : n + 1] - nodes).max(axis=(1, 2))
-        straight[start : start + CHUNK] = ~(deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2)))
+        straight[start : start + CHECKED_AT_ONCE] = ~(
+            deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2))
+        )
     return straight
 
 
@@ -120,8 +118,8 @@ def _determinants(x, element, cells, inside, boundary):
         Nodes of the chunk's cells, det J ``(num_cells, num_points)``, and num_inside.
     """
     dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
-    for start in range(0, len(cells), CHUNK):
-        nodes = x[cells[start : start + CHUNK]]  # (cell, node, n)
+    for start in range(0, len(cells), CHECKED_AT_ONCE):
+        nodes = x[cells[start : start + CHECKED_AT_ONCE]]  # (cell, node, n)
         J = np.einsum("cmi,jpm->cpij", nodes, dpsi, optimize=True)
         with np.errstate(invalid="ignore"):  # NaN in coordinates are told by others
             det = _det(J)

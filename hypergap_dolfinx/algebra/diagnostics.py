@@ -15,15 +15,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra.floating import FreeMotions
 from hypergap_dolfinx.algebra.rigid_motions import mean, places
+from hypergap_dolfinx.algebra.tolerances import ASTRAY, MOVES, ROTATES
 from hypergap_dolfinx.core.collective import spot
-
-MOVES = 1e-3
-"""What rows in contact make of a motion of length 1 up to which they don't hold it, and the
-displacement of a node, over the largest one, from which it is told to move."""
-TURNS = 0.1
-"""What a motion turns, over what it shifts, from which a message says that it turns."""
-FAR = 0.5
-"""Way of a body in a failed load step, in its own extent, from which it went astray."""
 
 
 class Strays:
@@ -116,7 +109,7 @@ class Strays:
             middle, shift = mean(self._comm, [x]), mean(self._comm, [way])
             extent = 2 * np.sqrt(mean(self._comm, [(x - middle) ** 2]).sum())
             only.append(f"{self._names[i]} at {spot(middle)}")
-            if np.isfinite(shift).all() and np.linalg.norm(shift) > FAR * extent:
+            if np.isfinite(shift).all() and np.linalg.norm(shift) > ASTRAY * extent:
                 off.append(
                     f"{only[-1]} had gone by {spot(shift)}: it falls, slides off or is ejected"
                 )
@@ -145,7 +138,7 @@ def in_words(comm: MPI.Comm, x: npt.NDArray[np.float64], v: npt.NDArray[np.float
     inertia = square * np.eye(3) - comm.allreduce(r.T @ r)
     spin = np.linalg.pinv(inertia) @ comm.allreduce(np.cross(r, w).sum(axis=0))
     rate = np.linalg.norm(spin)
-    if rate * np.sqrt(square / num) <= TURNS * np.linalg.norm(shift):
+    if rate * np.sqrt(square / num) <= ROTATES * np.linalg.norm(shift):
         return f"along {_direction(shift)}"
     around = middle + (np.cross(spin, np.pad(shift, (0, 3 - n))) / rate**2)[:n]
     axis = f" on the axis {_direction(spin)}" if n == 3 else ""

@@ -23,10 +23,8 @@ from hypergap_dolfinx.algebra.rigid_motions import (
     tied_groups,
     unhindered,
 )
+from hypergap_dolfinx.algebra.tolerances import SAME
 from hypergap_dolfinx.core.graph import parts
-
-SAME = 1e-6
-"""Sine between free motions of single parts and of what is tied that are the same."""
 
 
 class FreeMotions:

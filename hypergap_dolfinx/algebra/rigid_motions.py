@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.tolerances import APART, DEPENDENT, NOTHING
 from hypergap_dolfinx.core.graph import components, parts
 from hypergap_dolfinx.core.sparse import (
     absolute,
@@ -28,15 +29,6 @@ from hypergap_dolfinx.core.sparse import (
     row_length,
 )
 from hypergap_dolfinx.surface.component import Component, lagrange_components
-
-NOTHING = 1e-12
-"""Force or energy of a rigid motion of length 1, over the size of K's rows, that counts as none.
-Round-off makes 2e-15 (1000 times a body's size away from the origin 5e-13), 80 000 displacements
-held at one node a force of 2.5e-3 and an energy of 2.5e-5."""
-DEPENDENT = 1e-10
-"""Eigenvalue of the Gram matrix of columns of length 1 that counts as zero: motions that are the
-same on what isn't prescribed make 1e-16, a rotation of free dofs within 1e-5 of the body's size
-1e-10."""
 
 
 def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
@@ -132,11 +124,6 @@ def mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np
     total = sum(part.sum(axis=0) for part in x)
     return comm.allreduce(total) / comm.allreduce(sum(len(part) for part in x))
 
-
-APART = 0.5
-"""Distance across a tie, over the size of the cells beside it, from which on that isn't an error of
-the meshes. Closed rings of 12 and 20 cells have 0.05, polygons of 3 edges in rings of 7 up to 0.28;
-blocks that are one cell apart 0.74 with 3 cells on 4, and 0.99 with 4 on 4."""
 
 Field = tuple[int, Component]
 """A body, and one of its fields: of a mixed space each has motions of its own."""

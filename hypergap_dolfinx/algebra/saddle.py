@@ -12,19 +12,9 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED, RETRIES
 from hypergap_dolfinx.core.sparse import row_length
 from hypergap_dolfinx.errors import SolveError
-
-RESIDUAL = 1e-3
-"""Largest residual of a direct solve, relative to the right-hand side, both as forces: 1e-15 times
-how ill the system is conditioned if there is a solution, and about 1 if there is none."""
-
-BACKWARD = 1e-6
-"""Largest :func:`backward_error` of an iteration that says it converged: those that did have up to
-6e-10, with contrasts of 1e-6 to 1e6 and in any unit."""
-
-RETRIES = 4
-"""Times that MUMPS gets three times its workspace: from 100 % to 8100 % more than it estimates."""
 
 
 def saddle_matrix(
@@ -156,7 +146,7 @@ def failure(
     ksp: PETSc.KSP,
     advice: str = "",
     units: npt.NDArray | None = None,
-    bound: float = RESIDUAL,
+    bound: float = RESIDUAL_ACCEPTED,
 ) -> str | None:
     """Why a solve did not converge, or None if it did. Collective.
 

@@ -17,14 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.contact_geometry.tolerances import DRIFT, NEWTON_CURVES, PARALLEL_CURVES
 from hypergap_dolfinx.surface.trace import lengths
-
-NEWTON = 5  # steps to where two edges cross
-PARALLEL = 0.1
-"""Sine of the angle between two edges below which where they cross counts less, and at 0 not at
-all: edges that are one but for round-off cross anywhere."""
-DRIFT = 0.5
-"""By how much, in edges, a crossing is elsewhere than that of straight edges at most."""
 
 
 @cache
@@ -102,14 +96,14 @@ def _crossings(a, b, s, t) -> npt.NDArray[np.float64]:
     """Where curves are crossed by others; nearer to where straight ones are if all but parallel."""
     first, s, t = s, s.copy(), t.copy()
     straight = np.abs(_sine(a[:, 1:].sum(axis=1), b[:, 1:].sum(axis=1)))
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_CURVES):
         (x, dx), (y, dy) = _evaluate(a, s), _evaluate(b, t)
         rest, det = y - x, cross(dx, dy)
         det = np.where(np.abs(det) > 1e-300, det, np.inf)
         s += np.clip(cross(rest, dy) / det, -1, 1)
         t += np.clip(cross(rest, dx) / det, -1, 1)
     sine = np.minimum(np.abs(_sine(dx, dy)), straight)
-    share = np.minimum(sine / PARALLEL, 1)
+    share = np.minimum(sine / PARALLEL_CURVES, 1)
     return first + share**2 * (3 - 2 * share) * np.clip(s - first, -DRIFT, DRIFT)
 
 

@@ -33,11 +33,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.rays import Fans
+from hypergap_dolfinx.contact_geometry.tolerances import ROOM_ROW
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.surface.moving import Sparse
-
-ROOM = 32
-"""Entries of a row for which there is room at first."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ def _entries(fans: Fans, square: bool, add: Callable) -> Sparse:
     num_rows = sides[1].num_vertices
     if square:
         num_rows = 2 * sum(side.num_edges * side.num_dofs for side in sides)
-    room = ROOM * num_rows
+    room = ROOM_ROW * num_rows
     while True:
         ints = np.empty((3, room), np.int32)
         values, first = np.empty(room), np.full(num_rows, -1, np.int32)

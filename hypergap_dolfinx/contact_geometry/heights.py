@@ -28,11 +28,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_geometry.opposite import LAST, Frames, reference_middle, sides_of
+from hypergap_dolfinx.contact_geometry.opposite import Frames, reference_middle, sides_of
+from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_HEIGHTS
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.surface.trace import Surface
-
-NEWTON = 10  # steps to where a ray meets a curved facet: round-off after 4
 
 
 class At(IntEnum):
@@ -139,7 +138,7 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
     library().lib.cast_columns(
         sides_of(surfaces),
         as_doubles(frames.tangents),
-        1 if straight else NEWTON,
+        1 if straight else NEWTON_HEIGHTS,
         LAST,
         *map(as_ints, facets),
         as_doubles(X),

@@ -16,14 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.contact_geometry.tolerances import REACH_POINTS, WIDTH
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
-
-REACH = 0.2
-"""By how much points are farther from the middle for each degree, in standard deviations of the
-polygon; for degree 0 they would be at 1, a square's edges are at 1.7, a triangle's at 1.4."""
-WIDTH = 1e-6
-"""Standard deviation over that along a polygon at which points are across it at least: what slivers
-have is round-off."""
 
 
 def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
@@ -73,7 +67,7 @@ def _points(degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         circles.append(2**0.5 * _circle(3))
     else:  # as many points as monomials: no polynomial is 0 at them
         for k in range(degree // 2 + 1):
-            radius = (1 + REACH * degree) * np.sin(np.pi * k / degree)
+            radius = (1 + REACH_POINTS * degree) * np.sin(np.pi * k / degree)
             circles.append(radius * _circle(4 * k + 1))
     points = np.vstack(circles)
     if degree <= 2:

@@ -19,6 +19,14 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry import curves
+from hypergap_dolfinx.contact_geometry.tolerances import (
+    BENDS,
+    LAST,
+    LEANS_OPPOSITE,
+    NEWTON_OPPOSITE,
+    ROOM_PIECES,
+    SLIVER,
+)
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.search import along_curve
@@ -28,18 +36,6 @@ from hypergap_dolfinx.surface.trace import (
     lengths,
     tabulate,
 )
-
-LEANS = 0.25
-"""Cosine between normals from which facets face each other."""
-SLIVER = 1e-14
-"""Area of a piece, over its facet's, that is none."""
-BENDS = 1e-14
-"""How far an edge bends, on Γ1's reference facet, that is straight."""
-
-ROOM = 4
-"""Pieces for each facet of both sides for which there is room at first."""
-NEWTON = 10  # steps to a point of a curved facet: round-off after 4
-LAST = 1e-8  # step of Newton's method on a reference facet: squared it is round-off
 
 
 class Label(IntEnum):
@@ -231,7 +227,7 @@ def _cut(surfaces, frames: Frames, parts):
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = as_ints(along_curve(below.x[below.facets].mean(axis=1)))
     given = sides_of(surfaces), order, *map(as_doubles, (below.normals, planes, reach, parts))
-    room = ROOM * (len(below.facets) + len(above.facets))
+    room = ROOM_PIECES * (len(below.facets) + len(above.facets))
     while True:
         ints = np.empty((4, room), dtype=np.int32)
         edge = np.empty((room, lib.MOST_CORNERS), dtype=np.int32)
@@ -240,7 +236,7 @@ def _cut(surfaces, frames: Frames, parts):
         fields = {"max": room, "facets": [of0, of1], "part": part, "count": count}
         fields |= {"edge": as_ints(edge), "y": as_doubles(points[0]), "X": as_doubles(points[1])}
         pieces = ffi.new("Pieces *", fields)
-        if lib.find_pieces(*given, LEANS, SLIVER, LAST, pieces):
+        if lib.find_pieces(*given, LEANS_OPPOSITE, SLIVER, LAST, pieces):
             raise MemoryError("no memory for the pieces of the gap domain")
         if pieces.num <= room:
             break
@@ -299,7 +295,7 @@ def _in_curved(surface: Surface, frames: Frames, facet, y) -> npt.NDArray[np.flo
     """
     nodes = frames.project(np.arange(len(surface.nodes)), surface.nodes)[facet]
     X = reference_middle(surface) + y
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_OPPOSITE):
         table = surface.geometry.tabulate(1, X.reshape(-1, 2))[..., 0]  # (value or slope, ...)
         at, p, q = table.reshape(3, *y.shape[:2], -1) @ nodes
         rest, det = y - at, curves.cross(p, q)

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.contact_geometry.tolerances import KINK_ORDER
 from hypergap_dolfinx.core.compiled import as_ints, library
 from hypergap_dolfinx.gap_mesh.strip import chains
 from hypergap_dolfinx.surface.trace import Surface
-
-KINK = 0.5
-"""Cosine of the turn of a surface from which it goes on beyond a vertex."""
 
 
 @dataclass(frozen=True)
@@ -74,5 +72,5 @@ def find_kinks(sigma, i: int) -> npt.NDArray[np.bool_]:
     """
     side = sigma.sides[i]
     kinks = np.empty(side.num_vertices, np.int32)
-    library().lib.kinks_of(library().ffi.addressof(side), KINK, as_ints(kinks))
+    library().lib.kinks_of(library().ffi.addressof(side), KINK_ORDER, as_ints(kinks))
     return kinks > 0

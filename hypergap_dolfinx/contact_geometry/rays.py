@@ -28,30 +28,22 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.order import Order, find_kinks
+from hypergap_dolfinx.contact_geometry.tolerances import (
+    COMES,
+    END,
+    FACING_EDGES,
+    FARTHER,
+    GOES,
+    KEPT,
+    REACHED,
+    ROOM_CELLS,
+    STEEPER,
+)
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.surface.moving import COVERED, MovingSurface, Sparse, joined
+from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
+from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface
-
-END = 1e-7
-"""Distance along an edge, in its lengths, of ends that are opposite to each other."""
-FACES = 0.25
-"""Cosine between edges of Γ0 and Γ1 from which they face each other."""
-FARTHER = 8.0
-"""Longest way on Γ0 between neighbouring rays, in lengths of their edges."""
-REACHED = 0.999
-"""Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if only one had them."""
-KEPT = 0.9
-"""The same of degree 2, if both had them: for degree 1 it is :data:`COVERED`."""
-COMES = 0.2
-"""Part of an edge of Γ1, of degree 1, that Γ0 must reach for a share of the vertex beyond its end.
-For degree 2 nodes between vertices give way as it is."""
-GOES = 0.02
-"""The same if it had a share."""
-STEEPER = 2.0
-"""Pressure of that vertex, over that of the one before the end, up to which it may be."""
-ROOM = 3
-"""Cells for each edge of both sides for which there is room at first."""
 
 CELL = np.dtype(
     [(name, np.int32) for name in ("side", "base", "apex")]
@@ -171,7 +163,7 @@ def cast(
     """
     lib, ffi = library().lib, library().ffi
     num = len(surfaces[1].facets)
-    room = ROOM * (num + len(surfaces[0].facets))
+    room = ROOM_CELLS * (num + len(surfaces[0].facets))
     crossings = np.empty(3 * num, CROSSING)
     motions = np.empty((len(crossings), 2 * sum(side["num_dofs"] for side in sides)))
     fields = {
@@ -187,13 +179,20 @@ def cast(
     order = Order.of(surfaces[0], kinks0, last.order if last else None)
     chains = ffi.new("Chains *", order.chains)
     linear = surfaces[1].element.degree == 1
-    kept = COVERED if linear else KEPT
+    kept = COVERED_SIDE if linear else KEPT
     beyond = np.full(num, COMES if linear and shares else 1.0)
     if last:
         beyond[last.cut] = GOES
     least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     whole, owners = np.empty((2, num), np.int32)
-    given = as_ints(kinks1), as_doubles(least), len(walls), as_ints(np.array(walls)), END, FACES
+    given = (
+        as_ints(kinks1),
+        as_doubles(least),
+        len(walls),
+        as_ints(np.array(walls)),
+        END,
+        FACING_EDGES,
+    )
     while True:
         cells = np.empty(room, CELL)
         fields["cells"] = sigma.cells = ffi.from_buffer("Cell[]", cells)

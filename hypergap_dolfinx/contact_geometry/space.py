@@ -36,7 +36,8 @@ from hypergap_dolfinx.contact_geometry.opposite import (
 )
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.surface.moving import COVERED, Displacements, Sides, Sparse, displaced
+from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced
+from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface, lengths
 
 
@@ -438,13 +439,13 @@ def _edges(state: _State, which=True, *, outline: bool = False) -> _Edges:
 def _stand_ins(surface: Surface, pieces: Pieces) -> npt.NDArray[np.intp]:
     """The vertex of Γ1 that has what is next to each one, ``(num_vertices,)``.
 
-    A vertex of which no facet is covered by more than :data:`COVERED` has no multiplier: what it
-    would have goes to the nearest vertex that has one.
+    A vertex of which no facet is covered by more than :data:`COVERED_SIDE` has no multiplier: its
+    share goes to the nearest vertex that has one.
     """
     whole = polygon_areas(reference_corners(surface)[None])[0]
     covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
     has = np.zeros(len(surface.x), dtype=bool)
-    has[surface.facets[covered > COVERED]] = True
+    has[surface.facets[covered > COVERED_SIDE]] = True
     stand_in = np.arange(len(surface.x))
     without = np.zeros_like(has)
     without[pieces.vertex] = True

@@ -11,10 +11,14 @@ Where bodies that only contact holds come to rest, as rigid ones. NumPy alone.
 import numpy as np
 import numpy.typing as npt
 
-NONE = 1e-9
-"""Balance and cost, over the largest, that is none."""
-PIVOTS = 50
-"""Exchanges, for each motion, after which what is found is taken."""
+from hypergap_dolfinx.contact_solver.tolerances import (
+    COVERED_AREA,
+    DIGITS_SETS,
+    GAP_ZERO,
+    HOLDS,
+    PIVOTS,
+    REST,
+)
 
 
 def resting(holds, load, distance) -> npt.NDArray[np.intp]:
@@ -47,32 +51,19 @@ def resting(holds, load, distance) -> npt.NDArray[np.intp]:
         inverse = np.linalg.inv(A[:, basis])
         x = inverse @ b
         lost, work = cost - cost[:, basis] @ inverse @ A
-        lost[np.abs(lost) <= NONE] = 0
+        lost[np.abs(lost) <= GAP_ZERO] = 0
         work = np.where(lost == 0, work, 0)
         enters = lost.argmin() if lost.min() < 0 else work.argmin()
-        if lost[enters] >= 0 and work[enters] >= -NONE:
+        if lost[enters] >= 0 and work[enters] >= -GAP_ZERO:
             break
         falls = inverse @ A[:, enters]
         ways = np.full(k, np.inf)
-        np.divide(x, falls, ways, where=falls > NONE)
+        np.divide(x, falls, ways, where=falls > GAP_ZERO)
         if not np.isfinite(ways.min()):
             break
         basis[ways.argmin()] = enters
-    acts = basis[x > NONE]
+    acts = basis[x > GAP_ZERO]
     return none if (acts >= num).any() else acts
-
-
-COVERED = 1e-3
-"""Area m_a of a weight, over that of Γ1's facets around its vertex, from which it is one: what is
-cut off by the other side's end has little to say."""
-HOLDS = 1e-6
-"""Sine between what a multiplier holds of the free rigid motions and what others do, from which it
-holds more than they."""
-REST = 2 / 3
-"""How near the level is of which the inside has the whole force, against the last one of a set,
-to that of contact: exact for spheres."""
-DIGITS = 9
-"""To which ways to contact are compared: round-off doesn't choose between them."""
 
 
 def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
@@ -82,7 +73,7 @@ def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
         m: Areas of the weights, ``(num,)``.
         area: Areas of Γ1 that the vertices stand for, ``(num,)``.
     """
-    return m > COVERED * area
+    return m > COVERED_AREA * area
 
 
 def sources(come, lasting, on, facets) -> npt.NDArray[np.intp]:
@@ -278,7 +269,7 @@ def seeded(
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
     way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
-    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS)
+    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS_SETS)
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
 
     def enlarged(leading):

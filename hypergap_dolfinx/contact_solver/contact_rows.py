@@ -22,16 +22,12 @@ from dolfinx import fem
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, lenders
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, FREE
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Gaps, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
-
-CLOSED = 1e-9
-"""Gap of what is in contact, in sizes of facets, that is none."""
-FREE = 1e-8
-"""Size of a gap's derivative at what can move, over that at all, from which contact can act."""
 
 
 @dataclass(frozen=True)
@@ -286,7 +282,7 @@ class ContactRows:
     @property
     def closed(self) -> float:
         """The length of gaps that are none."""
-        return CLOSED * float(self.sides[1].reference.size.max())
+        return CLOSED_GAP * float(self.sides[1].reference.size.max())
 
     @property
     def typical_area(self) -> float:

@@ -28,29 +28,25 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, Rubbed, hold_by_sticking
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
-from hypergap_dolfinx.contact_solver.relaxation import RELAXED, SHORTENED, Relaxation
+from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
+from hypergap_dolfinx.contact_solver.tolerances import (
+    AHEAD,
+    FAR_STEP,
+    PULLS,
+    RELAXED,
+    ROUND_OFF_FORCES,
+    SHORTENED,
+    SLACK,
+    STEPS,
+    UNPRESSED,
+)
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import Pieces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements
-
-STEPS = 25
-"""Newton steps after which a load step is halved."""
-AHEAD = 10
-"""Newton steps in which sets look ahead; they could cycle in later ones."""
-FAR = 1.0
-"""Prescribed motion, in sizes of facets, from which gaps are no guide to what comes after it."""
-PULLS = 1e-8
-"""Negative pressure, over the largest, that is none."""
-UNPRESSED = 1e-12
-"""Pressure, over the largest of all contacts, that is round-off: it neither pushes nor pulls."""
-SLACK = 1e-4
-"""Displacement, in sizes of facets, after which a stiffness is as good as anew for a first step."""
-ROUND_OFF = 1e-14
-"""Residual over stiffness and displacement that is round-off."""
 
 
 class ContactSystem(NonlinearSystem):
@@ -415,7 +411,7 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             size += sum((force**2).sum() for force in rows.acting())
         self._largest = max(self._largest, np.sqrt(least))  # what bodies come back from left digits
-        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF * self._largest))
+        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF_FORCES * self._largest))
 
     def _continues(self) -> bool:
         """Whether what is in contact is what was, and pushes."""
@@ -427,7 +423,7 @@ class ContactSystem(NonlinearSystem):
         far = comm.allreduce(max(float(abs(part).max(initial=0)) for part in jump), MPI.MAX)
         assert self._free is not None
         return not self._free.num and any(
-            rows.now.p.any() and far > FAR * rows.sides[1].reference.size.max()
+            rows.now.p.any() and far > FAR_STEP * rows.sides[1].reference.size.max()
             for rows in self._rows
         )
 
@@ -455,7 +451,7 @@ class ContactSystem(NonlinearSystem):
             of_sides, apart = motions_of(rows, motions)
             turn = None not in of_sides and turns_together(*of_sides)
             together &= turn
-            if far and apart > FAR:
+            if far and apart > FAR_STEP:
                 rows.forget()
             elif turn and isinstance(rows, FrictionRows):
                 rows.turn(of_sides[1])

@@ -21,16 +21,8 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     joined,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
+from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS, UNTOLD
 from hypergap_dolfinx.surface.moving import Displacements, Sparse
-
-EXCEEDS = 1e-7
-"""Traction of what sticks beyond what friction can hold, over the largest, that is none."""
-UNTOLD = 1e-12
-"""Weight of changes of what sticks: tractions that nothing tells stay as they are, where more
-vertices stick than displacements can move, as between walls that hold both bodies."""
-EXACT = 1e-11
-"""Gap, in sizes of facets, beyond which one more Newton step is taken: times tractions, gaps are
-what moments of friction lack."""
 
 
 @dataclass

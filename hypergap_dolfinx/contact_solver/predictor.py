@@ -14,14 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, owned_values
-
-SPREAD = 1e-12
-"""Square of the extent of points, over that of their longest direction, that says nothing of how
-a body turns around it."""
-TURNS = 1e-10
-"""Turn that is none but for round-off."""
-TOGETHER = 0.5
-"""How one turns against the other, over how they turn, from which they don't turn together."""
+from hypergap_dolfinx.contact_solver.tolerances import ROTATION_ZERO, SPREAD, TOGETHER
 
 
 @dataclass(frozen=True)
@@ -36,7 +29,7 @@ class RigidMotion:
     @property
     def turns(self) -> bool:
         """Whether it turns at all."""
-        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > TURNS)
+        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > ROTATION_ZERO)
 
     def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """By how much points move, ``(num, n)`` each."""
@@ -135,4 +128,4 @@ def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
     """
     one = np.eye(len(a.end))
     most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
-    return bool(most > TURNS and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)
+    return bool(most > ROTATION_ZERO and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)

@@ -23,36 +23,22 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-TURNS = -0.5
-"""Cosine between steps from which they go to and fro."""
-SHRINKS = 0.5
-"""Length of a step, over the last one's, below which it ends even so."""
-LONG = 3.0
-"""Length of a step, over that of the load step's first one, from which it goes nowhere."""
-NOISE = 1e-6
-"""Length of a step, over that of the load step's first one, below which it is round-off's."""
-SHARE = 0.3
-"""Share of the bodies' stiffness at first."""
-GROWS = 4.0
-"""Times the share where steps turn again, or are longer than those that went to and fro."""
-FALLS = 0.1
-"""Times the share at least from step to step where the residual falls."""
-LEAST = 1e-3
-"""Share that is none."""
-MOST = 5.0
-"""Share from which bodies only creep: half a load step is faster."""
-REFUSED = 4
-"""Times in a row that a step is too long: viscosity doesn't shorten what closes gaps."""
-BACK = 3
-"""Steps back in a load step before bodies are viscous."""
-WORSE = 3.0
-"""Residual after a step, over that before it, from which it was too long."""
-SHORTENED = 0.25
-"""Part of it that is taken."""
-SHORTEST = 4
-"""Times that it is shortened."""
-RELAXED = 50
-"""Steps that are granted beside those of a load step."""
+from hypergap_dolfinx.contact_solver.tolerances import (
+    BACK,
+    FALLS,
+    GROWS,
+    LEAST,
+    LONG,
+    MOST,
+    NOISE_RELAXATION,
+    OSCILLATES,
+    REFUSED,
+    SHARE,
+    SHORTENED,
+    SHORTEST,
+    SHRINKS,
+    WORSE,
+)
 
 
 class Relaxation:
@@ -124,8 +110,8 @@ class Relaxation:
         product, square = sums
         self._length = np.sqrt(square)
         self._first = self._first or self._length
-        least = max(SHRINKS * np.sqrt(self._square), NOISE * self._first)
-        turned = product < TURNS * np.sqrt(square * self._square)
+        least = max(SHRINKS * np.sqrt(self._square), NOISE_RELAXATION * self._first)
+        turned = product < OSCILLATES * np.sqrt(square * self._square)
         turned &= self._length > least
         longest = self._longest if self.acts else LONG * self._first
         refused = exact and self._length > longest and self._num_refused < REFUSED

@@ -11,12 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.contact_solver.tolerances import NEAR_ENDS, PARALLEL_ENDS
 from hypergap_dolfinx.surface.trace import Surface, normals_by_area
-
-NEAR = 0.5
-"""Distance of the ends of two sides, in facet lengths, up to which they are at one place."""
-PARALLEL = 0.5
-"""Cosine between normals of two contacts from which they hold the same motion of one place."""
 
 HELD = "held"
 """The node of all that can't move."""
@@ -74,7 +70,7 @@ def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArra
     for side in (side for sides in contacts for side in sides):
         normals = _vertex_normals(side.surface)
         for v in _ends(side.surface).tolist():
-            if side.held is not None and side.held[v][np.abs(normals[v]) > PARALLEL].all():
+            if side.held is not None and side.held[v][np.abs(normals[v]) > PARALLEL_ENDS].all():
                 places.join(_node(side, v), HELD)
     for sides in ties:
         for v1, v0 in _facing(sides):
@@ -131,7 +127,7 @@ def _facing(sides: Sides) -> list[tuple[int, int | None]]:
     ends0, found = _ends(surface0), []
     for v in _ends(surface1).tolist():
         distance = np.linalg.norm(surface0.x[ends0] - surface1.x[v], axis=1)
-        near = len(ends0) > 0 and distance.min() <= NEAR * size[v]
+        near = len(ends0) > 0 and distance.min() <= NEAR_ENDS * size[v]
         found.append((v, int(ends0[distance.argmin()]) if near else None))
     return found
 
@@ -146,7 +142,7 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
             other
             for node in front
             for other, n in along.get(node, ())
-            if abs(n @ normal) > PARALLEL and other not in seen
+            if abs(n @ normal) > PARALLEL_ENDS and other not in seen
         ]
         seen.update(front)
     return False

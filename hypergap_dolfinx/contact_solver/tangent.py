@@ -22,20 +22,16 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.pattern import Pattern
+from hypergap_dolfinx.contact_solver.tolerances import (
+    ITERATIONS,
+    NEAR_FACTORS,
+    REDUCED,
+    RESIDUAL_LDLT,
+)
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
 
-RESIDUAL = 1e-8
-"""Residual of a solution with LDLᵀ, over the right-hand side, from which the matrix isn't symmetric
-or needs LU's pivots; what is below is for Newton's next step."""
-NEAR = 1e-4
-"""Change of a matrix, over its size, below which the factors that there are precondition it: two to
-five iterations take what a factorisation takes in the plane, and a tenth of it in space."""
-ITERATIONS = 8
-"""Iterations after which it is factorised even so."""
-REDUCED = 1e-10
-"""Residual that iterations leave, over the one that they start from."""
 ROOM = {"mat_mumps_icntl_14": 30}
 """LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
 SPACE = {"mat_mumps_icntl_7": 5}
@@ -51,7 +47,7 @@ class Way:
     """A way to solve, and what it is to reach."""
 
     options: Options
-    residual: float = saddle.RESIDUAL
+    residual: float = saddle.RESIDUAL_ACCEPTED
     """Largest residual over the right-hand side."""
     keeps: bool = False
     """Whether factors are kept while the matrix hardly changes."""
@@ -73,7 +69,7 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
         defaults = {**DirectStep.OPTIONS, **ROOM, **(PLANE if plane else SPACE)}
         defaults["pc_type"] = "cholesky"
         options = Options(prefix, given or {}, defaults, UNFIT)
-        found.insert(0, Way(options, RESIDUAL, keeps=True))
+        found.insert(0, Way(options, RESIDUAL_LDLT, keeps=True))
     return found
 
 
@@ -147,7 +143,7 @@ class _Kept:
             change = 0.0 if part is before else np.linalg.norm(part - before)
             sums += change**2, np.linalg.norm(before) ** 2
         self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
-        return bool(0 < sums[0] <= NEAR**2 * sums[1])
+        return bool(0 < sums[0] <= NEAR_FACTORS**2 * sums[1])
 
     def iterate(self, start: npt.NDArray) -> bool:
         """Solve with factors of a matrix that is near, and say whether that worked. Collective.

@@ -24,6 +24,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.core.tolerances import DIGITS_MESSAGES
 from hypergap_dolfinx.errors import InterfaceError
 
 Ranks = tuple[int, ...]
@@ -98,9 +99,6 @@ class Owner:
         raise NotImplementedError
 
 
-DIGITS = 6  # of coordinates in messages
-
-
 def spot(x: npt.NDArray[np.floating]) -> str:
     """A place for a message, without what is round-off in its coordinates.
 
@@ -109,9 +107,9 @@ def spot(x: npt.NDArray[np.floating]) -> str:
     """
     middle = x.reshape(-1, x.shape[-1]).mean(axis=0)
     size = np.abs(x[np.isfinite(x)]).max(initial=0)
-    decimals = DIGITS - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
+    decimals = DIGITS_MESSAGES - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
     rounded = (round(float(value), decimals) + 0.0 for value in middle)
-    return f"({', '.join(f'{value:.{DIGITS}g}' for value in rounded)})"
+    return f"({', '.join(f'{value:.{DIGITS_MESSAGES}g}' for value in rounded)})"
 
 
 def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):

@@ -11,10 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem, la
-
-MANY = 20
-"""Parts beyond which a mesh counts as one: each has its own rigid motions in memory, up to 120
-numbers for each displacement."""
+from hypergap_dolfinx.core.tolerances import MANY
 
 
 def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:

@@ -13,12 +13,14 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.compiled import as_ints, library
 from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, FLAT, areas, single_faces
-
-INSET = 0.02  # least share of α that an interior node keeps from both surfaces
-SEES = 1e-3  # how far inside (in edge lengths) a point must be that sees all faces
-ROUNDS = 100  # of removing cells around a cavity
-LARGE = 400  # faces of a cavity that is given up
+from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, areas, single_faces
+from hypergap_dolfinx.gap_mesh.tolerances import (
+    FLAT_GAP_CELL,
+    INSET,
+    LARGE_CAVITY,
+    ROUNDS_CAVITY,
+    SEES,
+)
 
 Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
 """``place(x, alpha, vertices)``: place, α and normal of a node near x that is hosted on both
@@ -38,7 +40,7 @@ class Cells:
     cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
 
-    def flat(self, limit: float = FLAT) -> npt.NDArray[np.bool_]:
+    def flat(self, limit: float = FLAT_GAP_CELL) -> npt.NDArray[np.bool_]:
         """Which cells are flat or inverted: D over its scale up to a limit, ``(num_cells,)``."""
         v = self.cells
         D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
@@ -138,8 +140,8 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
     Returns:
         Its faces, and the node: place, α, normal and hosts; None if there is none.
     """
-    for _ in range(ROUNDS):
-        if not 0 < len(faces) <= LARGE:
+    for _ in range(ROUNDS_CAVITY):
+        if not 0 < len(faces) <= LARGE_CAVITY:
             return None
         x, alpha, slack = _sees_best(mesh, faces)
         if slack.min() > SEES:

@@ -26,9 +26,8 @@ import numpy.typing as npt
 
 import basix
 import basix.ufl
+from hypergap_dolfinx.gap_mesh.tolerances import WHOLE_COVERED
 from hypergap_dolfinx.surface.trace import Surface, tabulate
-
-WHOLE = 1 - 1e-9  # part of a facet from which it isn't cut
 
 
 def covered_parts(
@@ -52,8 +51,8 @@ def covered_parts(
     """
     num, dim = len(surface.facets), X.shape[2]
     covered = np.bincount(facets, shares, minlength=num)
-    least = np.where(covered < WHOLE, 0.0, 1.0)
-    cut = np.flatnonzero((covered > 0) & (covered < WHOLE))
+    least = np.where(covered < WHOLE_COVERED, 0.0, 1.0)
+    cut = np.flatnonzero((covered > 0) & (covered < WHOLE_COVERED))
     number = np.full(num, -1)
     number[cut] = np.arange(len(cut))
     use = np.flatnonzero(number[facets] >= 0)

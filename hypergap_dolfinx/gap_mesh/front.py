@@ -16,36 +16,30 @@ from hypergap_dolfinx.core.compiled import library
 from hypergap_dolfinx.gap_mesh import cavity, prisms
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, Workshop
-from hypergap_dolfinx.gap_mesh.tetrahedra import FLAT
+from hypergap_dolfinx.gap_mesh.tolerances import (
+    CELLS,
+    EXTRAPOLATE,
+    FLAT_GAP_CELL,
+    LEAN,
+    LEFT,
+    SHIFT,
+    SWEEP,
+    SWEEPS,
+    SWEPT,
+    THIN_CELL,
+    VISITS,
+    VISITS_EACH,
+)
 from hypergap_dolfinx.gap_mesh.walls import Rim, along, rims
 from hypergap_dolfinx.surface.pieces import Side
 
-SHIFT = 0.1  # by how much of an edge's length ties are told apart
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
-SWEEP = 0.1
-"""The displacement, in edges, that heights stand for besides: with it a front goes from one end to
-the other, and what it works on stays in a cache."""
-SWEPT = 10_000  # vertices of surfaces with walls from which they are swept too
-LEAN = 0.3  # share of the displacement by which walls lean outwards at least
-SWEEPS = 3000  # of the search for weights, before it is given up
-VISITS = 30_000_000  # of edges in it; of many edges
-VISITS_EACH = 30  # of each
 VARIANTS = (
     *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
     *((False, False, 1e-8), (False, True, 1e-8)),
 )
 """Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
 gets through is taken. Facets that are cut may be narrower than a displacement."""
-THIN = 1e-4
-"""As ``FLAT``, of cells that fronts do without at first, and take if there is no other way. Between
-edges that are parallel but for an angle of 1e-8 they cost all digits of λ."""
-EXTRAPOLATE = 2.0
-"""∂λ/∂α of a cell's barycentric coordinates from which it is swapped for others, if these have
-smaller ones. They are at most one where the vertices lie on what they face."""
-LEFT = 2e-3
-"""Triangles left for each cell up to which cavities are filled at once. Else another front is tried
-first: it may need no interior nodes."""
-CELLS = 30  # a front that makes more of them for each facet is given up
 
 
 @dataclass(frozen=True)
@@ -178,7 +172,7 @@ class Front:
 
 
 def advance(
-    problem: Problem, weighted: bool, reverse: bool, share: float = 1.0, flat: float = FLAT
+    problem: Problem, weighted: bool, reverse: bool, share: float = 1.0, flat: float = FLAT_GAP_CELL
 ) -> Front:
     """Let a front run from one surface to the other.
 
@@ -318,7 +312,7 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
     Returns:
         The cells, None if there are none.
     """
-    for flat in (THIN, FLAT):
+    for flat in (THIN_CELL, FLAT_GAP_CELL):
         filling = _construct(problem, place, margins, flat)
         if filling:
             return filling

@@ -24,7 +24,7 @@ from hypergap_dolfinx.gap_mesh.cells import Overhang
 from hypergap_dolfinx.gap_mesh.slab_cells import Slab
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES
 from hypergap_dolfinx.surface.trace import lengths
-from hypergap_dolfinx.trimming.outlines import NEARLY, OFF
+from hypergap_dolfinx.trimming.tolerances import NEARLY, OFF_OUTLINES
 
 VERTICES = np.vstack((np.zeros(3), np.eye(3)))  # of the reference tetrahedron
 
@@ -75,7 +75,7 @@ def _leaning(slab: Slab) -> tuple[npt.NDArray, ...]:
         ends[turned] = ends[turned][:, [1, 0, 2]]
     known = (twin[v[:, 0]] >= 0) & (twin[v[:, 1]] == v[:, 2])
     off = np.einsum("tki,ti->tk", slab.x[twin[v[:, :2]]] - slab.x[v[:, :2]], outwards)
-    lean = known & (np.abs(off).max(axis=1, initial=0) > OFF * length)
+    lean = known & (np.abs(off).max(axis=1, initial=0) > OFF_OUTLINES * length)
     return cells[lean], corners[lean], length[lean], off[lean]
 
 

@@ -11,10 +11,9 @@ Each facet and its twin make three tetrahedra; each facet and its four quarters 
 import numpy as np
 import numpy.typing as npt
 
-NEAR = 0.05  # how far apart (in edge lengths) twins may be
+from hypergap_dolfinx.gap_mesh.tolerances import CROWD, NEAR_MATCHING, SOME
+
 DIRECTION = np.array((0.6130, 0.5023, 0.6098))  # vertices are told apart by their place along it
-SOME = 8  # vertices that are looked at before all are
-CROWD = 500  # vertices at about the same place along it, beyond which none are looked for
 
 
 def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
@@ -32,7 +31,7 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """
     if len(x0) != len(x1) or len(facets0) != len(facets1):
         return None
-    twin = _nearest(x0, x1, NEAR * size)
+    twin = _nearest(x0, x1, NEAR_MATCHING * size)
     if twin is None:
         return None
     return twin if np.array_equal(_sorted(twin[facets0]), _sorted(facets1)) else None
@@ -76,7 +75,7 @@ def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | Non
     """
     if len(facets1) != 4 * len(facets0):
         return None
-    twin = _nearest(x0, x1, NEAR * size)
+    twin = _nearest(x0, x1, NEAR_MATCHING * size)
     if twin is None:
         return None
     corner = np.full(len(x1), -1)

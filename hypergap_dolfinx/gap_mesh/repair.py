@@ -19,10 +19,8 @@ import numpy.typing as npt
 from hypergap_dolfinx.gap_mesh import cavity, repair
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, NONE, straighten
+from hypergap_dolfinx.gap_mesh.tolerances import AROUND_SWAPS, PARALLEL_RIMS, ROUNDS_SWAPS
 from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, in_walls
-
-ROUNDS = 12  # of swaps, before what is left is left
-AROUND = 6  # cells around an edge that are swapped at most
 
 Cell = tuple[int, ...]
 Swap = tuple[tuple[int, ...], list[Cell]]
@@ -45,7 +43,7 @@ def improve(
         The cells, of which none is worse than the worst that it replaces.
     """
     value = margins(cells)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_SWAPS):
         bad = np.flatnonzero(value <= 0)
         swaps = list(_swaps(cells, alpha, bad)) if len(bad) else []
         if not swaps:
@@ -89,7 +87,7 @@ def _swaps(cells, alpha, bad) -> Iterator[Swap]:
                 yield from _of_face(face, around[face], corners, alpha)
             for j in range(i):
                 edge = frozenset((v[i], v[j]))
-                if edge not in seen and 3 <= len(around[edge]) <= AROUND:
+                if edge not in seen and 3 <= len(around[edge]) <= AROUND_SWAPS:
                     seen.add(edge)
                     yield from _of_edge(v[i], v[j], around[edge], corners, alpha)
 
@@ -157,11 +155,6 @@ def _is_odd(v, w) -> bool:
     """Whether an odd permutation makes one cell of another with the same vertices."""
     at = [w.index(i) for i in v]
     return sum(at[i] > at[j] for i in range(4) for j in range(i + 1, 4)) % 2 == 1
-
-
-PARALLEL = 1e-2
-"""D over its scale of cells between edges of both outlines that are taken away if curved cells are
-turned over: they fill nothing but what walls bend by."""
 
 
 @dataclass(frozen=True)
@@ -258,7 +251,7 @@ class Workshop:
         found = bool(self.num_bad(filling))
         while found:
             found = False
-            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL)
+            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL_RIMS)
             gone &= (filling.mesh.alpha[filling.cells] == 0).sum(axis=1) == 2
             for i in np.flatnonzero(gone)[::-1]:
                 faces = filling.cells[i][FACES]

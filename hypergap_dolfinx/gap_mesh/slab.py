@@ -43,8 +43,9 @@ from hypergap_dolfinx.gap_mesh.walls import kinds
 from hypergap_dolfinx.mortar.kernel import GapElement, curved_rule, geometry_at_points
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import Surface
-from hypergap_dolfinx.trimming.clip import COARSER, SNAP, TRIES, clip
+from hypergap_dolfinx.trimming.clip import clip
 from hypergap_dolfinx.trimming.parting import pairs_of_pieces
+from hypergap_dolfinx.trimming.tolerances import COARSER, SNAP, TRIES
 
 LOG = logging.getLogger("hypergap_dolfinx")
 

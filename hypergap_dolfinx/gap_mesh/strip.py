@@ -20,14 +20,17 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
-from hypergap_dolfinx.surface.trace import KINK, NOISE, STANDS_OUT, TURN, Surface
+from hypergap_dolfinx.gap_mesh.tolerances import (
+    COINCIDE_CHAINS,
+    END,
+    SAME_TURN,
+    SAMPLES_CHAINS,
+    TIE,
+)
+from hypergap_dolfinx.surface.tolerances import KINK, NOISE, STANDS_OUT, TURN
+from hypergap_dolfinx.surface.trace import Surface
 
-TIE = 1e-9  # midpoints (of chains from 0 to 1) this close count as equal: Γ0's comes first
-END = 1e-7  # ends this close (in facet lengths) are no partial overlap; files have 8 digits
 DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
-SAME_TURN = 1e-3  # relative difference of the turns of both surfaces that have one kink
-COINCIDE = 2e-9  # distance of nodes at one place, in sizes of the interface (less than 2³⁰ cells)
-SAMPLES = 64  # places at which two chains are compared in direction
 
 
 def _length(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -300,7 +303,7 @@ def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
 
 def _aligned(c0: Chain, c1: Chain) -> bool:
     """Whether two chains run side by side in the same direction."""
-    s = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    s = (np.arange(SAMPLES_CHAINS) + 0.5) / SAMPLES_CHAINS
     edges = [np.searchsorted(c.arc[1:-1], s) for c in (c0, c1)]
     tangents = [c.tangents[e] / c.lengths[e, None] for c, e in zip((c0, c1), edges, strict=True)]
     return bool(np.einsum("si,si->s", *tangents).mean() > 0)
@@ -329,7 +332,7 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices of the points of two sets that lie at the same place."""
     origin = np.array([min(a.min(), b.min()) for a, b in zip(x0.T, x1.T, strict=True)])
     size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
-    cell = COINCIDE * size + NOISE * np.abs(x0).max()
+    cell = COINCIDE_CHAINS * size + NOISE * np.abs(x0).max()
     # Positions along one line sort out most points: few have one of the other set near them there
     near = _near(x0 @ DIRECTION, x1 @ DIRECTION, 2 * cell)
     x0, x1 = x0[near[0]], x1[near[1]]

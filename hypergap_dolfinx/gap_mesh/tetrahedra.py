@@ -21,7 +21,6 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.compiled import as_ints, library
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
-FLAT = 1e-9  # D of a cell over the product of its two edges on the surfaces that is none
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
 

@@ -21,14 +21,21 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import merge
 from hypergap_dolfinx.gap_mesh.tetrahedra import EDGES, find
+from hypergap_dolfinx.gap_mesh.tolerances import (
+    APPROXIMATED,
+    COINCIDE_WALLS,
+    CONVERGED_RIM,
+    FURTHER_RIM,
+    NEWTON_RIM,
+    REACH_WALLS,
+    WITHIN,
+)
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import CORNERS, Side
-from hypergap_dolfinx.surface.trace import NOISE, lengths
-from hypergap_dolfinx.trimming.outlines import CORNER, is_along
-
-COINCIDE = 1e-9  # distance, in sizes of a loop, below which two nodes are one
-APPROXIMATED = 1e-3  # the same where surfaces are curved, in lengths of edges, and of parameters
-REACH = 0.5  # how far apart (in facet lengths) the edges of facing pieces may be
+from hypergap_dolfinx.surface.tolerances import NOISE
+from hypergap_dolfinx.surface.trace import lengths
+from hypergap_dolfinx.trimming.outlines import is_along
+from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,7 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
     nearest = on_loop(x1, x0).node
     distance = lengths(x1 - x0[nearest])
     size = np.ptp(x0, axis=0).max()
-    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
+    shared = distance < COINCIDE_WALLS * size + NOISE * np.abs(x0).max()
     curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
     if curved:
         shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
@@ -207,7 +214,7 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
     n = side0.vertex_normals[loop0[there.edge]]
     apart = there.apart - np.einsum("pi,pi->p", there.apart, n)[:, None] * n  # a gap is fine
     distance = lengths(apart)
-    if distance.max() > REACH * size:
+    if distance.max() > REACH_WALLS * size:
         worst = distance.argmax()
         raise InterfaceError(
             f"the boundary of Γ1 at {spot(x1[worst])} lies {distance[worst]:.3g} off that "
@@ -216,10 +223,6 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
 
 
 NO_WALLS = np.empty((0, 3), dtype=np.intp)
-NEWTON = 8  # steps to the nearest point of a curved edge
-CONVERGED = 1e-13  # a step, in edges, that is the last one
-WITHIN = 0.95  # of an edge's length along the outline, where a corner is not at its end
-FURTHER = 100  # edges that a point may be away along an outline
 
 
 def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
@@ -241,7 +244,9 @@ def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
         s[rim.nodes[0]], s[n0 + rim.nodes[1]] = rim.s[0][:-1], rim.s[1][:-1]
         t = np.roll(x[rim.nodes[0]], -1, axis=0) - x[rim.nodes[0]]
         t /= np.maximum(lengths(t), 1e-300)[:, None]
-        corners = rim.s[0][:-1][np.einsum("ei,ei->e", t, np.roll(t, 1, axis=0)) < np.cos(CORNER)]
+        corners = rim.s[0][:-1][
+            np.einsum("ei,ei->e", t, np.roll(t, 1, axis=0)) < np.cos(CORNER_OUTLINE)
+        ]
         middle, half = s[edges].mean(axis=1), np.ptp(s[edges], axis=1) / 2
         far = half > 0.25  # the other way round
         middle, half = (np.where(far, 0.5 + y, z) for y, z in ((middle, middle), (-half, half)))
@@ -312,7 +317,7 @@ class Outline:
         edge, s = edge.copy(), np.zeros(len(points))
         way = np.zeros(len(points))  # which way along the outline each came
         active = np.arange(len(points))
-        for _ in range(FURTHER):
+        for _ in range(FURTHER_RIM):
             found = self._nearest(edge[active], points[active])
             go = np.sign(np.where(found > 1, 1, np.minimum(found, 0)))
             s[active] = np.clip(found, 0, 1)
@@ -334,12 +339,12 @@ class Outline:
         along = CORNERS[(self.corner[edge] + 1) % 3] - start
         geometry = self.side.geometry(self.triangle[edge])
         s = np.full(len(edge), 0.5)
-        for _ in range(NEWTON):
+        for _ in range(NEWTON_RIM):
             x, dx = geometry(start + s[:, None] * along)
             tangent = np.einsum("pj,pji->pi", along, dx)
             square = np.maximum(np.einsum("pi,pi->p", tangent, tangent), 1e-300)
             before, s = s, s - np.einsum("pi,pi->p", x - points, tangent) / square
             s = np.clip(s, -1, 2)
-            if np.abs(s - before).max() < CONVERGED:
+            if np.abs(s - before).max() < CONVERGED_RIM:
                 break
         return s

@@ -29,12 +29,8 @@ from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.mortar.quadrature import Samples
-from hypergap_dolfinx.surface.trace import (
-    LAST_DIGITS,
-    Surface,
-    create_surface,
-    lagrange_element,
-)
+from hypergap_dolfinx.surface.tolerances import LAST_DIGITS
+from hypergap_dolfinx.surface.trace import Surface, create_surface, lagrange_element
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 Given = Part | Sequence[Part]

@@ -22,9 +22,8 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers
+from hypergap_dolfinx.mortar.tolerances import ROUNDS_ADJUST
 from hypergap_dolfinx.surface.trace import Surface, create_surface
-
-ROUNDS = 3
 
 
 def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
@@ -52,7 +51,7 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
     """
     W = [_coordinate_space(mesh) for mesh in (mesh0, mesh1)]
     start = _positions(W[1])
-    for k in range(ROUNDS):
+    for k in range(ROUNDS_ADJUST):
         try:
             surfaces = create_surface(W[0], facets0, "Γ0"), create_surface(W[1], facets1, "Γ1")
             domain = create_gap_domain(mesh1.comm, *surfaces)
@@ -69,7 +68,7 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
         X = [_positions(V) - origin for V in W]
         moved = _solve(constraint, domain, X) + origin
         constraint.destroy()
-        if k < ROUNDS - 1:
+        if k < ROUNDS_ADJUST - 1:
             _set_positions(W[1], moved)
     return (lambda: _set_positions(W[1], moved)), domain
 

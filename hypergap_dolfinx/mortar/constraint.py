@@ -16,10 +16,7 @@ from dolfinx import fem
 from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.sparse import coo_matrix, triplets
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
-
-ON_SURFACE = 1e-10
-"""Distance of α from 0 or 1 at which a node is on Γ0 or Γ1. Of the nodes between them the
-nearest has 0.03 with degree 10, and round-off makes 2e-16."""
+from hypergap_dolfinx.mortar.tolerances import ON_SURFACE
 
 
 @dataclass(frozen=True)

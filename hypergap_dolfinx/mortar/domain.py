@@ -26,17 +26,10 @@ from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.mortar import kernel
+from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT
 from hypergap_dolfinx.surface.quadrilaterals import middle_rows
-from hypergap_dolfinx.surface.trace import LAST_DIGITS, SAME_NODE, STRAIGHT, Surface, tabulate
-
-NOUGHT = 1e-13
-"""Value of a shape function that counts as none: at a node of a triangle round-off makes
-7e-16 of a zero with degree 5, and 4e-15 with degree 10."""
-
-
-NARROW = 30.0
-"""How much farther a cell reaches along the surfaces than it is wide from which its matrix is
-multiplied by factors: there round-off is that many times as large."""
+from hypergap_dolfinx.surface.tolerances import LAST_DIGITS, SAME_NODE, STRAIGHT
+from hypergap_dolfinx.surface.trace import Surface, tabulate
 
 
 @dataclass(frozen=True)
@@ -138,7 +131,7 @@ class GapDomain:
         """Cells whose matrices have large entries that cancel each other, ``(num_narrow,)``."""
         middle = kernel.GapElement.with_quadrature(self.geometry, self.element, 0)
         _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
-        return np.flatnonzero((np.abs(v) > NARROW).any(axis=(1, 2)))
+        return np.flatnonzero((np.abs(v) > NARROW_CELL).any(axis=(1, 2)))
 
     @property
     def curved_rule(self) -> int:

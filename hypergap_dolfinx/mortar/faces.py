@@ -17,9 +17,10 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.mortar.constraint import ON_SURFACE
 from hypergap_dolfinx.mortar.domain import GapDomain, distributed
-from hypergap_dolfinx.surface.trace import SAME_NODE, normals_by_area, tabulate
+from hypergap_dolfinx.mortar.tolerances import ON_SURFACE
+from hypergap_dolfinx.surface.tolerances import SAME_NODE
+from hypergap_dolfinx.surface.trace import normals_by_area, tabulate
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InvertedCellError
-
-CHUNK = 8192  # cells at a time: what fits in a cache
-ENOUGH = 12
-"""Degree of a Gauss rule from which points are dear: 122 in a tetrahedron, of degree 16 there are
-729. The matrices of halves of distorted quadrilaterals, of degree 4 with geometry of degree 4, pass
-the linear patch test at 3e-14 with rules of degree 9 to 16, and at 2e-9 with 8."""
+from hypergap_dolfinx.mortar.tolerances import ENOUGH, POINTS_AT_ONCE
 
 
 def cofactor(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -215,7 +210,7 @@ def _contract(dpsi, T, x, alpha, normal):
     upper[np.triu_indices(nodes)] = np.arange(T.shape[1])
     pair = np.maximum(upper, upper.T).ravel()
     G = np.empty((len(x), nodes * nodes))
-    size = max(CHUNK // num_points, 64)
+    size = max(POINTS_AT_ONCE // num_points, 64)
     for start in range(0, len(x), size):
         part = slice(start, start + size)
         x_part = x[part] - x[part, :1]  # what basis functions' derivatives add up to is round-off

@@ -21,13 +21,9 @@ from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
+from hypergap_dolfinx.mortar.tolerances import AROUND_FOLLOWED, INDEPENDENT_NEIGHBOURS
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.surface.triangulation import kinks, neighbours
-
-AROUND = 3  # rings of facets in which multipliers are looked for that a dropped one can follow
-INDEPENDENT = 1e-6
-"""Smallest singular value of the monomials at a facet's neighbours from which these determine a
-polynomial, with lengths in facets: 0.023 and more, or 5e-16, in the tests of ends and pieces."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +151,7 @@ class Multipliers:
         """
         v = self.surface.x[self.surface.facets[facets[0]]]
         exponents, fits = _exponents(self.surface.element), []
-        for _ in range(AROUND):
+        for _ in range(AROUND_FOLLOWED):
             known = self.on_facets[facets]
             facets = np.flatnonzero(np.isin(self.on_facets, known[known >= 0]).any(axis=1))
             known = self.on_facets[facets]
@@ -185,7 +181,7 @@ class _Fit:
         axes = plane @ np.linalg.svd((x - self._origin) @ plane)[2].T
         self._axes = axes / np.abs(edges @ axes).max(axis=0)
         U, size, V = np.linalg.svd(self._monomials(x))
-        self.rank = int((size > INDEPENDENT).sum())
+        self.rank = int((size > INDEPENDENT_NEIGHBOURS).sum())
         """As many polynomials are determined."""
         self._pinv = V[: self.rank].T / size[: self.rank] @ U[:, : self.rank].T
         self._null = V[self.rank :].T

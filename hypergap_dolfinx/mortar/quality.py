@@ -12,26 +12,9 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.mortar.domain import GapDomain
-from hypergap_dolfinx.surface.trace import SAME_NODE, Surface, thinness
-
-SAG = 1e-5
-"""Distance of curved facets from straight ones, in their lengths, that is taken for straight.
-
-A facet of a circle with 500 of them has 1.6e-3; what CAD kernels and files round has 1e-8."""
-UNEVEN = 5.5
-"""How much narrower than Γ0's facets, and than its cells' depth, facets of Γ1 may be, per degree.
-
-Two linear tetrahedra across a unit cube, a smooth field prescribed all around: λ's L² error is 2.3
-times that of matching facets at 4, 4 times at 8, 8 times at 16, and 2.5, 4.2 and 11 times with
-facets that cross and are 5, 10 and 20 times as long as wide; quadratic: 1.5 times at 8, 2.5 times
-with crossed facets of 10. In the plane 2.7, 4 and 5.8 times at 4, 8 and 16. The displacements'
-error changes by 2 %. Where Γ1's cells are as fine across it as along, λ's error doesn't grow.
-Between whole numbers, so that round-off doesn't decide about meshes of equal cells."""
-WHOLE = 0.99
-"""Part of a facet's length or area from which it counts as not cut."""
-
-SAMPLES = 5000
-"""Cells of a rank, at most twice as many, that tell how uneven facets are."""
+from hypergap_dolfinx.mortar.tolerances import SAG_CURVED, SAMPLES_UNEVEN, UNEVEN, WHOLE_FACET
+from hypergap_dolfinx.surface.tolerances import SAME_NODE
+from hypergap_dolfinx.surface.trace import Surface, thinness
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -76,7 +59,9 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
         bend = surface.nodes - surface.straight_nodes
         sag = np.abs(np.einsum("fmi,fi->fm", bend, surface.normals)).max(axis=1)
         sags.append(np.where(surface.curved, sag, 0))
-    curved = [bool((sag > SAG * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)]
+    curved = [
+        bool((sag > SAG_CURVED * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)
+    ]
     if all(curved) or not any(curved):
         return None
     i = curved.index(True)
@@ -128,7 +113,7 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     on = domain.alpha_vertices == i
     apex = domain.alpha_vertices == 1 - i
     base = np.flatnonzero((on.sum(axis=1) == n) & (apex.sum(axis=1) == 1))
-    base = base[:: max(1, len(base) // SAMPLES)]
+    base = base[:: max(1, len(base) // SAMPLES_UNEVEN)]
     on, apex = on[base], apex[base]
     v = domain.x[base, : n + 1][on].reshape(-1, n, n)
     facet = domain.hosts.facets[1 - i][base, : n + 1][apex]
@@ -138,7 +123,7 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     # Where the sides overlap in part, facets of Γ_i are cut
     if n == 2:
         own = domain.hosts.facets[i][base, : n + 1][on].reshape(-1, n)[:, 0]
-        some &= area > WHOLE * domain.surfaces[i].size[own]
+        some &= area > WHOLE_FACET * domain.surfaces[i].size[own]
     else:
         X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
         corner = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE

@@ -46,20 +46,8 @@ from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
 from hypergap_dolfinx.mortar.faces import Faces
 from hypergap_dolfinx.mortar.fields import nodal_values
+from hypergap_dolfinx.mortar.tolerances import FEWER, PASSES, SMOOTH, WEIGHT
 from hypergap_dolfinx.surface.trace import Surface, facet_pairs, tabulate
-
-WEIGHT = 250.0
-"""κ. Errors over λ's, mean and largest of 508 scenes (pressurised cylinders, spheres, inclusions,
-harmonic fields with 2 to 40 facets a wave; facets 1:8 to 8:1, degrees 1 to 3): 0.396, 0.99; with
-200 0.400, 1.02, with 300 0.406, 1.04."""
-SMOOTH = 1 / 20
-"""γ: weight of the distance from polynomials over two facets, beside the difference of both sides'
-tractions. The same with 1/60 0.413, 1.15, with 1/10 0.414, 1.24."""
-PASSES = 27
-"""Number of them, at most. The same with 9 0.494, 2.57 (fields of few facets a wave lack too much),
-with 81 0.484, 1.25 (where facets differ in size the first change is smaller than what scatters)."""
-FEWER = 3
-"""How many times fewer they are from one t to the next, down to one."""
 
 
 class Recovery(collective.Owner):

@@ -43,14 +43,9 @@ from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.mortar.multiplier_space import smooth_pieces
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.numbering import SAME_PLACE, Every, Pair, prescribed_dofs
+from hypergap_dolfinx.multipliers.numbering import Every, Pair, prescribed_dofs
 from hypergap_dolfinx.multipliers.replacements import Replacement, pieces, replacements, slopes
-
-COVERED = 0.3
-"""Part of a facet that Σ must reach for the facet's dofs to have multipliers of their own."""
-KNOWN = 1e-4
-"""Least share of a function's square that this part must have for them: see
-:mod:`~hypergap_dolfinx.gap_mesh.cells`."""
+from hypergap_dolfinx.multipliers.tolerances import COVERED_FACET, KNOWN, SAME_PLACE
 
 
 def interfaces(ties: Sequence[Interface], bodies: Sequence[Pair]) -> list[list[int]]:
@@ -199,7 +194,10 @@ def _at_cross_points(every: Every, users, label, members) -> npt.NDArray[np.bool
 def _covered(every: Every, label, members) -> npt.NDArray[np.bool_]:
     """Which multipliers have a facet that their interface covers by enough, ``(num,)``."""
     enough = np.concatenate(
-        [lists.on_any((lists.covered > COVERED) & (lists.least > KNOWN)) for lists in every.lists]
+        [
+            lists.on_any((lists.covered > COVERED_FACET) & (lists.least > KNOWN))
+            for lists in every.lists
+        ]
     )
     for same in members.values():
         if len(same) > 1 and not enough[same].any():
@@ -207,7 +205,7 @@ def _covered(every: Every, label, members) -> npt.NDArray[np.bool_]:
             for lists, local in map(every.local, same):
                 for facet in lists.facets_of(local)[0]:
                     total[tuple(np.sort(lists.surface.dofs[facet]))] += lists.covered[facet]
-            enough[same] = max(total.values()) > COVERED
+            enough[same] = max(total.values()) > COVERED_FACET
         elif len(same) > 1:
             enough[same] = True
     return enough

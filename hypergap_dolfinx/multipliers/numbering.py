@@ -19,9 +19,6 @@ from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
 
-SAME_PLACE = 1e-6
-"""Distance, in the shortest facet's lengths, below which dofs of two bodies are at one place."""
-
 Pair = tuple[int, int]
 """Two bodies, or a body and a dof (block) of it."""
 

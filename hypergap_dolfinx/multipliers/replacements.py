@@ -21,13 +21,12 @@ from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.numbering import Every, Pair, prescribed_dofs
-
-FEW = 32  # multipliers of a piece; with more, Γ1 must not be prescribed all over
-INDEPENDENT = 0.3
-"""Sine of the angle between a row and those taken before it, from which it is taken."""
-NARROW = 1e-6  # extent of a piece's places in a direction, over the largest, that is none
-CONSISTENT = 0.03
-"""The same of rows that a patch test needs: without them λ is less than it must be."""
+from hypergap_dolfinx.multipliers.tolerances import (
+    CONSISTENT,
+    FEW_MULTIPLIERS,
+    INDEPENDENT_ROWS,
+    NARROW_PIECE,
+)
 
 
 class Rows:
@@ -39,7 +38,11 @@ class Rows:
         self._basis = np.zeros((0, 0))
 
     def add(
-        self, columns: Sequence[Pair], values: npt.NDArray, size: float, sine: float = INDEPENDENT
+        self,
+        columns: Sequence[Pair],
+        values: npt.NDArray,
+        size: float,
+        sine: float = INDEPENDENT_ROWS,
     ) -> bool:
         """Add a row, unless it is small or follows from the others; whether it was added."""
         at = [self._column.setdefault(column, len(self._column)) for column in columns]
@@ -88,14 +91,14 @@ def _polynomials(x: npt.NDArray, degree: int) -> list[tuple[npt.NDArray, float]]
     """Values of λ to try at places: polynomials of degree k − 1, and linear ones."""
     x = x - x.mean(axis=0)
     _, size, axes = np.linalg.svd(x)
-    along = (x @ axes.T).T[: len(size)][size > NARROW * size.max(initial=0)]
+    along = (x @ axes.T).T[: len(size)][size > NARROW_PIECE * size.max(initial=0)]
     along = along / np.abs(along).max(axis=1, keepdims=True)
     exponents = np.indices((max(degree, 2),) * len(along)).reshape(len(along), -1)
     total = exponents.sum(axis=0) if len(along) else np.zeros(1, dtype=int)
     return [
         (
             np.prod(along ** powers[:, None], axis=0) * np.ones(len(x)),
-            CONSISTENT if p < degree else INDEPENDENT,
+            CONSISTENT if p < degree else INDEPENDENT_ROWS,
         )
         for p in range(max(degree, 2))
         for powers in exponents.T[total == p]
@@ -177,7 +180,7 @@ def _short_patches(every: Every, label, drop, prescribed) -> list[Replacement]:
             columns, free, B = _gathered(every, numbers, prescribed, component)
             units = (at.ravel() == np.arange(len(places))[:, None]).astype(float)
             values = _polynomials(every.x(numbers), degree) + [
-                (unit, INDEPENDENT) for unit in units[kept]
+                (unit, INDEPENDENT_ROWS) for unit in units[kept]
             ]
             found.append(Replacement(component, numbers, columns, free, B, units, values, wanted))
     return found
@@ -205,11 +208,11 @@ def replacements(every: Every, label, held, drop, prescribed) -> list[Replacemen
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
     _take_in_turn(patches, accepted)
     for patch in patches:
-        if held[patch.numbers, patch.component].all() and len(patch.units) <= FEW:
+        if held[patch.numbers, patch.component].all() and len(patch.units) <= FEW_MULTIPLIERS:
             # A small one that is prescribed all over takes all that don't follow from others:
             # what faces it on Γ0 must follow
             for unit in (*(value for value, _ in patch.values), *patch.units):
-                patch.add(accepted[patch.component], unit, INDEPENDENT)
+                patch.add(accepted[patch.component], unit, INDEPENDENT_ROWS)
             patch.complete = True
         else:
             rank = np.linalg.matrix_rank(patch.B * patch.free)
@@ -270,12 +273,12 @@ def _across(every: Every, t: int, component: int, drop, entries, prescribed) -> 
     values = []
     for value, sine in _polynomials(every.x(numbers), lists.surface.element.degree):
         rest = np.isin(numbers, narrow) * (value - E @ value[place])
-        if np.abs(rest).max() > NARROW:
+        if np.abs(rest).max() > NARROW_PIECE:
             values.append((rest, sine))
     for at, part in lacking:
         value = np.zeros(len(numbers))
         value[np.searchsorted(numbers, at)] = part / np.abs(part).max()
-        values.append((value, INDEPENDENT))
+        values.append((value, INDEPENDENT_ROWS))
     columns, free, B = _gathered(every, numbers, prescribed, component)
     num = len(values)
     return [Replacement(component, numbers, columns, free, B, E.T, values, num, complete=True)]

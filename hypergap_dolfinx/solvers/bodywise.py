@@ -16,6 +16,7 @@ from hypergap_dolfinx.algebra.rigid_motions import rigid_modes
 from hypergap_dolfinx.core.graph import parts
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.solvers.substructures import Substructures, order_of_bodies
+from hypergap_dolfinx.solvers.tolerances import FIRST, RESCALE
 from hypergap_dolfinx.surface.trace import is_mixed
 
 LU = {
@@ -25,12 +26,6 @@ LU = {
     "mat_mumps_icntl_14": 30,
 }
 """A factor of a part of the system."""
-FIRST = 1e-10
-"""Residual at which the iteration begins anew: a second, short run does what a step of refinement
-does for factors (the worst of the 3D patch tests: 4e-13; in one go 3e-12)."""
-RESCALE = 0.5
-"""Decades by which the stiffness may change before the ties are scaled anew: factors of 1e8 cost
-digits without."""
 
 
 class Bodies(IterativeSolver):

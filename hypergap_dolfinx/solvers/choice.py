@@ -17,11 +17,10 @@ from hypergap_dolfinx.solvers.solver import (
     System,
     names_types,
 )
+from hypergap_dolfinx.solvers.tolerances import LARGE_SYSTEM
 
 SOLVERS: dict[str, type[KSPSolver]] = {cls.name: cls for cls in (Direct, Bodies, Multigrid)}
 """What a user can name."""
-LARGE = 5000
-"""Number of displacements in 3D from which the default is ``"bodies"``."""
 
 
 def create(
@@ -64,7 +63,7 @@ def default(system: System) -> type[KSPSolver]:
     """
     size = sum(K.getSize()[0] for K in system.K)
     in_space = system.spaces[0].mesh.topology.dim == 3
-    large = system.constraints.bodies and in_space and size >= LARGE
+    large = system.constraints.bodies and in_space and size >= LARGE_SYSTEM
     return Bodies if large and Bodies.why_not(system) is None else Direct
 
 

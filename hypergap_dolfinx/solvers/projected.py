@@ -34,16 +34,7 @@ from hypergap_dolfinx.core.sparse import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import Substitute
 from hypergap_dolfinx.solvers.substructures import create_solver
-
-FEW = 0.1
-"""Forces of the ties, over the loads, for which the solver is called again. A block pulled by
-another that is 1, 1e3 or 1e6 times as stiff has 5e-2, 5e-5 and 5e-8, a softer one 1."""
-ROUND_OFF = 1e-15
-"""Forces, over those of single nodes' displacements, that can't be told from none: the round-off of
-their sums."""
-CONTRAST = 1e4
-"""Largest ratio in D of Γ1 to Γ0 beside it. Where Γ0 is coarser it can't give way to all gaps: S is
-as ill-conditioned as this, and beyond it Π gets lost in round-off."""
+from hypergap_dolfinx.solvers.tolerances import CONTRAST, FEW_COLUMNS, ROUND_OFF_PROJECTED
 
 
 class _Operator:
@@ -230,8 +221,8 @@ class ProjectedSystem(Substitute):
         self._Bt.mult(self._y, self._u)
         forces = self._u.norm()
         self._u.pointwiseMult(self._diagonal, u)
-        goal = max(ksp.rtol * forces, ROUND_OFF * self._u.norm())
-        if forces > FEW * size or self._r.norm() <= goal:
+        goal = max(ksp.rtol * forces, ROUND_OFF_PROJECTED * self._u.norm())
+        if forces > FEW_COLUMNS * size or self._r.norm() <= goal:
             return False
         self._r.copy(self.b)
         tolerances, reason = ksp.getTolerances(), ksp.getConvergedReason()

@@ -23,10 +23,8 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solvers.tolerances import UNKNOWN_TYPE
 from hypergap_dolfinx.surface.trace import is_mixed
-
-UNKNOWN_TYPE = 86
-"""PETSc's code for a type of KSP or PC that it doesn't have."""
 
 
 def prefixed(prefix: str, options: dict[str, Any]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.rigid_motions import NOTHING
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import column_sums, mean_diagonal, product
 
 

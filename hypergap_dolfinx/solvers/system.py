@@ -28,12 +28,9 @@ from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import Interface, Pieces
 from hypergap_dolfinx.solvers.solver import Solver, System
+from hypergap_dolfinx.solvers.tolerances import UNKNOWN
 from hypergap_dolfinx.surface.component import lagrange_components
 from hypergap_dolfinx.surface.trace import is_mixed
-
-UNKNOWN = 1e-3
-"""Error of constants that are to be found again, from which they are unknown: with factors of
-singular matrices 0.2 to 1.7, of others 2e-16."""
 
 
 def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:

@@ -17,16 +17,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.surface.tolerances import OFF_CARRIED, ORTHOGONAL, SAG_OUTLINE, ZERO
 from hypergap_dolfinx.surface.trace import Surface
-
-ORTHOGONAL = 1e-10
-"""Entries of RᵀR − 1 up to which R is a rotation: what is printed with 10 digits has 1e-10."""
-ZERO = 1e-15  # entry of a rotation that is none: cos(π/2) is 6e-17
-OFF = 1e-6
-"""Distance from Γ1 to where Γ0 is carried, in Γ1's size, that is none: files have 8 digits."""
-SAG = 0.25
-"""The same in lengths of facets, where both sides' extents differ, as those of polygons along a
-curve do: facets that turn by 60° lie .13 of their length off it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +152,12 @@ def surface(own: Surface, motion: Motion, other: Surface) -> Surface:
     high = other.x.max(axis=0) - there.x.max(axis=0)
     size = np.ptp(other.x, axis=0).max()
     off = (low + high) / 2
-    alike = np.abs(high - low).max() <= OFF * size
-    if alike and np.abs(off).max() > OFF * size:
+    alike = np.abs(high - low).max() <= OFF_CARRIED * size
+    if alike and np.abs(off).max() > OFF_CARRIED * size:
         hint = "" if motion.turns else f"; {spot(motion.shift + off)} would not"
         raise InterfaceError(f"{motion} carries Γ0 beside Γ1: it misses by {spot(off)}{hint}.")
     miss = max(np.abs(low).max(), np.abs(high).max())
-    if miss > SAG * max(own.size.max(), other.size.max()):
+    if miss > SAG_OUTLINE * max(own.size.max(), other.size.max()):
         raise InterfaceError(
             f"{motion} carries Γ0 from {spot(there.x.min(axis=0))} … {spot(there.x.max(axis=0))}, "
             f"but Γ1 is from {spot(other.x.min(axis=0))} … {spot(other.x.max(axis=0))}: it misses "

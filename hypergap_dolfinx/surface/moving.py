@@ -80,10 +80,6 @@ Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
 
-COVERED = 0.95
-"""Part of a facet of Γ1 that Γ0 must reach for multipliers of its own: with it a flat punch's
-corner has 2.5 to 5 times the mean. Not 1: cuts that fall before a node or behind it would cycle."""
-
 
 def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
     """Γ0 and Γ1 where displacements take them."""

@@ -21,6 +21,7 @@ import basix
 from hypergap_dolfinx.surface.projection import Curves, Triangles
 from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.surface.search import Tree
+from hypergap_dolfinx.surface.tolerances import OUTSIDE
 from hypergap_dolfinx.surface.trace import Surface, lengths, unit_normals
 from hypergap_dolfinx.surface.triangulation import loops, neighbours
 
@@ -29,8 +30,6 @@ Geometry = Callable[
 ]
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
-OUTSIDE = 1e-4
-"""Weight below zero from which a point isn't in the triangle where the way to it ended."""
 
 
 @dataclass(frozen=True)

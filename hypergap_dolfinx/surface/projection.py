@@ -14,9 +14,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.compiled import as_ints, library
 from hypergap_dolfinx.surface.polynomials import terms
-
-FURTHER = 8  # facets that a point may cross on a curved surface, once its straight facet is known
-NEWTON = 6  # steps to where a line along a surface's normals meets it
+from hypergap_dolfinx.surface.tolerances import FURTHER_WALK, NEWTON_PROJECTION
 
 
 def _as_doubles(array: npt.NDArray):
@@ -54,8 +52,8 @@ class Curves:
             "corners": _as_doubles(self.X),
             "bends": _as_doubles(bends),
             "normals": _as_doubles(self.normals),
-            "steps": NEWTON,
-            "further": FURTHER,
+            "steps": NEWTON_PROJECTION,
+            "further": FURTHER_WALK,
         }
         return library().ffi.new("Curves *", fields), fields
 

@@ -26,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.surface.trace import SAME_NODE, tabulate
+from hypergap_dolfinx.surface.tolerances import SAME_NODE
+from hypergap_dolfinx.surface.trace import tabulate
 
 CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])  # of the reference facet
 QUARTERS = (

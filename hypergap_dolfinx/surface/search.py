@@ -10,14 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FACING = -0.3
-"""Cosine between normals of surfaces that face each other, at most."""
-LEANS = 0.5
-"""Tangent of the angle by which the way to a point may lean from a triangle's normal."""
-BUNCH = 4
-"""Triangles in a tree's smallest parts, a power of two."""
-CURVE = 10
-"""Bits for each axis of the curve along which triangles are sorted."""
+from hypergap_dolfinx.surface.tolerances import BUNCH, CURVE, FACING_COSINE, LEANS_SEARCH
 
 
 def along_curve(x: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
@@ -64,12 +57,12 @@ class _Parts:
         facing = np.arccos(np.clip(-np.einsum("pi,pi->p", axis, normals), -1, 1))
         apart = points - self.middle[part]
         distance = np.linalg.norm(apart, axis=1)
-        radius = (1.01 + LEANS) * self.radius[part]  # as of the triangles in ``candidates``
+        radius = (1.01 + LEANS_SEARCH) * self.radius[part]  # as of the triangles in ``candidates``
         with np.errstate(divide="ignore", invalid="ignore"):
             way = np.arccos(np.clip(np.abs(np.einsum("pi,pi->p", apart, axis)) / distance, 0, 1))
             width = np.arcsin(np.minimum(radius / distance, 1))
-        near = (distance <= radius) | (way <= angle + width + np.arctan(LEANS) + 0.01)
-        return near & (facing <= np.arccos(-FACING) + angle + 0.01)
+        near = (distance <= radius) | (way <= angle + width + np.arctan(LEANS_SEARCH) + 0.01)
+        return near & (facing <= np.arccos(-FACING_COSINE) + angle + 0.01)
 
 
 class Tree:
@@ -113,8 +106,8 @@ class Tree:
         height = np.einsum("pi,pi->p", apart, self.normals[f])
         square = np.einsum("pi,pi->p", apart, apart) - height**2
         # Where normals lean, a point high above is seen from farther off
-        near = square <= (1.01 * self.radius[f] + LEANS * np.abs(height)) ** 2
-        near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING
+        near = square <= (1.01 * self.radius[f] + LEANS_SEARCH * np.abs(height)) ** 2
+        near &= np.einsum("pi,pi->p", normals[p], self.normals[f]) < FACING_COSINE
         return p[near], f[near]
 
     def beside(self, points, axes) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

@@ -19,26 +19,11 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.polynomials import terms
-
-STRAIGHT = 1e-12
-"""Distance of geometry nodes from where straight edges have them, in sizes of their facet or cell,
-that is taken for none: round-off makes 4e-15 near the origin, a circle of n facets 0.8 / n."""
-LAST_DIGITS = 8 * np.finfo(float).eps
-"""Error of a coordinate, in the largest coordinate. Nodes of straight edges in meshes of degree 3
-are off by up to ε, at the origin and 1e6 times the mesh's size away from it."""
-NOISE = 64 * np.finfo(float).eps
-"""Error of a difference of coordinates, in the largest coordinate: a rotated straight edge turns at
-its nodes by 0.75 ε over the facets' length; the rest is for meshes that were moved and scaled."""
-KINK = np.pi / 3
-"""A turn of a surface, from one facet to the next, that is a corner whatever is beside it."""
-STANDS_OUT = 4
-"""How many times the turns beside it a turn is from which it is a corner: on a smooth surface they
-are alike."""
-TURN = 1e-8
-"""A turn (in radians) that is none: coordinates of files have 8 digits."""
-SAME_NODE = 1e-10
-"""Distance of nodes of reference elements that are one. At degree 10 nodes are 0.03 apart,
-and round-off is 3e-16."""
+from hypergap_dolfinx.surface.tolerances import (
+    LAST_DIGITS,
+    SAME_NODE,
+    STRAIGHT,
+)
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,16 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.nearest import nearest
-from hypergap_dolfinx.surface.trace import NOISE, STANDS_OUT, TURN, Surface, around, lengths
-
-FACES = -0.5  # cosine of the outward normals of facets that face each other: 60° off at most
-SAMPLES = 64  # facets of a piece that are asked what lies opposite
-CORNER = np.radians(
-    80
-)  # a turn that is a corner whatever is beside it: five facets round a tube aren't
-CURVES = 0.5  # of the turn between straight facets, what is left between curved ones at a corner
+from hypergap_dolfinx.surface.tolerances import (
+    CORNER,
+    CURVES,
+    FACING_NEIGHBOURS,
+    NOISE,
+    SAMPLES_KINKS,
+    STANDS_OUT,
+    TURN,
+)
+from hypergap_dolfinx.surface.trace import Surface, around, lengths
 
 
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -210,7 +212,8 @@ def _opposite(surface: Surface, pieces, other: Surface):
     order = np.argsort(pieces, kind="stable")
     start = np.searchsorted(pieces[order], np.arange(pieces.max() + 2))
     picks = [
-        order[np.unique(np.linspace(a, b - 1, SAMPLES).astype(np.intp))] for a, b in pairwise(start)
+        order[np.unique(np.linspace(a, b - 1, SAMPLES_KINKS).astype(np.intp))]
+        for a, b in pairwise(start)
     ]
     samples = np.concatenate(picks)
     centres, middles = _centres(other), _centres(surface, samples)
@@ -218,17 +221,21 @@ def _opposite(surface: Surface, pieces, other: Surface):
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
-    for j in np.flatnonzero(cosine >= FACES):  # what is turned away counts as farther off
+    for j in np.flatnonzero(
+        cosine >= FACING_NEIGHBOURS
+    ):  # what is turned away counts as farther off
         distance = lengths(centres - middles[j])
         turned = other.normals @ normals[j]
-        found[j] = (distance * np.where(turned < FACES, 1, np.where(turned < 0, 4, 1e6))).argmin()
+        found[j] = (
+            distance * np.where(turned < FACING_NEIGHBOURS, 1, np.where(turned < 0, 4, 1e6))
+        ).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             f"Γ0 and Γ1 don't face each other: their outward normals agree around {spot(middles)}; "
             "is one of them the wrong side of its body, or the same surface given twice?"
         )
     cosine = np.einsum("si,si->s", normals, other.normals[found])
-    if (cosine > FACES).all():
+    if (cosine > FACING_NEIGHBOURS).all():
         angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
         raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "

@@ -17,13 +17,7 @@ from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
 from hypergap_dolfinx.trimming.outlines import differing, locate, meetings
 from hypergap_dolfinx.trimming.subdivision import Cut
-
-SNAP = 2e-9
-"""Distance, in lengths of the outlines' edges, below which nodes and edges are at one place."""
-COARSER = 10.0
-"""Times that distance with which it is tried again where there are no cells."""
-TRIES = 3
-"""Times that it is tried."""
+from hypergap_dolfinx.trimming.tolerances import SNAP
 
 
 def _kept(cut: Cut, other: Side) -> Side | None:

@@ -18,9 +18,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.surface.pieces import CORNERS, Side, bent
+from hypergap_dolfinx.trimming.tolerances import FOLDS, NEWTON_CROSSING
 
-NEWTON = 8  # steps to where two curves cross
-FOLDS = 0.2  # of a triangle's area that bent edges must leave it everywhere
 SAMPLES = basix.create_lattice(basix.CellType.triangle, 4, basix.LatticeType.equispaced, True)
 
 Edge = tuple[int, int, int]
@@ -72,7 +71,7 @@ def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, n
     """
     z = np.zeros(len(s))
     done = np.zeros(len(s), dtype=bool)
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_CROSSING):
         x, n, dx, dn = own.at(s)
         y, _, dy, _ = other.at(r)
         off = x + z[:, None] * n - y

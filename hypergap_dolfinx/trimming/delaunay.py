@@ -7,8 +7,7 @@
 
 from collections.abc import Sequence
 
-NARROW = 1e-11  # sine of the largest angle of a triangle that no flip makes
-FLIPS = 50  # times the number of points squared at which flipping is given up
+from hypergap_dolfinx.trimming.tolerances import FLIPS, NARROW_ANGLE
 
 
 class Cutting:
@@ -41,7 +40,7 @@ class Cutting:
         squares = [(bx - ax) ** 2 + (by - ay) ** 2, (cx - bx) ** 2 + (cy - by) ** 2]
         squares.append((ax - cx) ** 2 + (ay - cy) ** 2)
         _, *lengths = sorted(squares, reverse=True)  # at the largest angle
-        return self._sine(a, b, c) > NARROW * (lengths[0] * lengths[1]) ** 0.5
+        return self._sine(a, b, c) > NARROW_ANGLE * (lengths[0] * lengths[1]) ** 0.5
 
     def triangles(self) -> list[tuple[int, int, int]]:
         """All triangles, each from its lowest vertex on."""

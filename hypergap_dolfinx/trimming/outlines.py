@@ -12,30 +12,20 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.search import FACING
-
-CORNER = np.radians(80)
-"""What an outline turns by, from one edge to the next, where it has a corner."""
-OFF = 4e-10
-"""Distance of outlines, in lengths of their edges, that is none: so far off the outline is then."""
-NEARLY = 1e-5
-"""The same if each node of one has a node of the other beside it: such meshes match."""
-STEEP = np.radians(80)
-"""What a normal may be off by at most: it turns from one node to the next."""
-AWAY = 0.5
-"""Distance of outlines, in lengths of their edges, that nothing explains."""
-PAIRS = 1_000_000
-"""Pairs that are looked at in one go."""
-ROUND_OFF = 1e-12
-"""How negative the weight of a vertex may be at a point inside of its triangle."""
-FEET = 6
-"""Steps of Newton's method to where a point lies along a triangle's normals."""
-LEVEL = 0.2
-"""Cosine between such a normal and the triangle's that Newton's steps are no longer for."""
-CONVERGED = 1e-9
-"""The same of a curved triangle, where the weights come from Newton's method."""
-BESIDE = 0.5
-"""The same of a straight triangle, for points that may be inside of the curved one."""
+from hypergap_dolfinx.surface.tolerances import FACING_COSINE
+from hypergap_dolfinx.trimming.tolerances import (
+    AWAY,
+    BESIDE,
+    CONVERGED_WEIGHTS,
+    CORNER_OUTLINE,
+    FEET,
+    LEVEL,
+    NEARLY,
+    OFF_OUTLINES,
+    PAIRS,
+    ROUND_OFF_WEIGHTS,
+    STEEP,
+)
 
 
 class Rim:
@@ -51,7 +41,7 @@ class Rim:
         # turns by more than a pentagon does is a corner, where both outlines have a node
         unit = self.t / self.length[:, None]
         turn = _angle(unit, np.roll(unit, -1, axis=0))
-        turn[turn > CORNER] = 0
+        turn[turn > CORNER_OUTLINE] = 0
         self.sag = self.length * np.maximum(turn, np.roll(turn, 1)) / 8
         self.bend = np.maximum(
             _angle(self.normal, np.roll(self.normal, 1, axis=0)),
@@ -88,7 +78,7 @@ class Rim:
         if is_along(self.x, other.x, edge, s):
             return False
         paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        return bool(off.max() <= OFF) or (paired and bool(to_node.max() <= NEARLY))
+        return bool(off.max() <= OFF_OUTLINES) or (paired and bool(to_node.max() <= NEARLY))
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
@@ -179,7 +169,7 @@ def meetings(edges: Edges, others: Edges, snap: float) -> Meetings:
         height = np.einsum("eoi,ei->eo", apart, edges.normal[part])
         square = np.einsum("eoi,eoi->eo", apart, apart) - height**2
         reach = 0.6 * (length[part, None] + others_length)
-        facing = edges.normal[part] @ others.normal.T < FACING
+        facing = edges.normal[part] @ others.normal.T < FACING_COSINE
         e, o = np.nonzero((square < (reach + snap) ** 2) & facing)
         found.append(_meetings(edges, others, e + c, o, snap))
     e, s, o, r = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -248,15 +238,15 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     at, t = _feet(side, f, points[p])
     curved = bool(side.surface.curved[side.facets].any())
     least = at.min(axis=1, initial=np.inf)
-    near = least >= -(BESIDE if curved else ROUND_OFF)
+    near = least >= -(BESIDE if curved else ROUND_OFF_WEIGHTS)
     p, f, at, t, least = p[near], f[near], at[near], np.abs(t[near]), least[near]
-    order = np.lexsort((t, np.maximum(-ROUND_OFF - least, 0), p))
+    order = np.lexsort((t, np.maximum(-ROUND_OFF_WEIGHTS - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]
     p, f, at = p[first], f[first], at[first]
     if curved and len(p):
         f, xi = side.project(points[p], f)
         at = np.column_stack((1 - xi.sum(axis=1), xi))
-        inside = at.min(axis=1, initial=np.inf) >= -CONVERGED
+        inside = at.min(axis=1, initial=np.inf) >= -CONVERGED_WEIGHTS
         p, f, at = p[inside], f[inside], np.maximum(at[inside], 0)
         at /= at.sum(axis=1)[:, None]
     host[p], weights[p] = f, at

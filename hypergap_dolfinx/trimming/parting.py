@@ -20,18 +20,11 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.tolerances import CORNER, FACING_NEIGHBOURS, SAMPLES_KINKS
 from hypergap_dolfinx.surface.trace import Surface
-from hypergap_dolfinx.surface.triangulation import (
-    CORNER,
-    FACES,
-    SAMPLES,
-    facing_pieces,
-    kinks,
-    neighbours,
-)
-from hypergap_dolfinx.trimming.outlines import NEARLY, OFF, Rim
-
-BEHIND = 0.5  # depth in a body, in facet sizes, up to which what lies there may face it
+from hypergap_dolfinx.surface.triangulation import facing_pieces, kinks, neighbours
+from hypergap_dolfinx.trimming.outlines import Rim
+from hypergap_dolfinx.trimming.tolerances import BEHIND_FACET, NEARLY, OFF_OUTLINES
 
 Groups = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
 """The number of the pair of pieces that each facet belongs to, for both surfaces."""
@@ -87,13 +80,13 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
         middles, centres = (s.x[s.facets].mean(axis=1) for s in (own, other))
         for face in range(len(good[i])):
             mine = np.flatnonzero(faces[i] == face)
-            mine = mine[np.unique(np.linspace(0, len(mine) - 1, SAMPLES).astype(np.intp))]
+            mine = mine[np.unique(np.linspace(0, len(mine) - 1, SAMPLES_KINKS).astype(np.intp))]
             for j in mine:
                 away = centres - middles[j]
                 distance = np.linalg.norm(away, axis=1)
-                distance[other.normals @ own.normals[j] >= FACES] = np.inf
+                distance[other.normals @ own.normals[j] >= FACING_NEIGHBOURS] = np.inf
                 k = int(distance.argmin())
-                depth = BEHIND * max(own.size[j], other.size[k])
+                depth = BEHIND_FACET * max(own.size[j], other.size[k])
                 if np.isfinite(distance[k]) and away[k] @ own.normals[j] > -depth:
                     good[i][face] = good[1 - i][faces[1 - i][k]] = True
     if not all(each.any() for each in good):
@@ -203,7 +196,7 @@ def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]
                 inside &= (s < 1) | (after[edge] >= 0)
                 nearer = distance < off
                 off[nearer] = distance[nearer]
-                apart[nearer] = (inside & (distance > OFF) & (to_node > NEARLY))[nearer]
+                apart[nearer] = (inside & (distance > OFF_OUTLINES) & (to_node > NEARLY))[nearer]
             for j in np.flatnonzero(apart):
                 found |= {(pair, int(g)) for g in (beyond[j - 1], beyond[j]) if g not in (-1, pair)}
     return found

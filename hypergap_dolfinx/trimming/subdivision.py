@@ -19,13 +19,7 @@ from hypergap_dolfinx.trimming.curved_outlines import Arcs, Courses, Edge
 from hypergap_dolfinx.trimming.delaunay import Cutting
 from hypergap_dolfinx.trimming.insertion import Nodes
 from hypergap_dolfinx.trimming.outlines import Edges, locate
-
-CHORDS = 2
-"""Straight parts that stand for an edge of a curved outline, per degree of its geometry."""
-BLUNT = -0.98
-"""Cosine of an angle below which the edge opposite to it gets a node at its foot."""
-ROUNDS = 5
-"""Times that angles are looked at: feet make others blunt where edges are almost parallel."""
+from hypergap_dolfinx.trimming.tolerances import BLUNT, CHORDS, ROUNDS_BLUNT
 
 
 class Cut(Nodes):
@@ -221,7 +215,7 @@ class Cut(Nodes):
         """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
         t = self.side.triangles
         made: dict[int, tuple] = {}
-        for rest in range(ROUNDS, -1, -1):
+        for rest in range(ROUNDS_BLUNT, -1, -1):
             touched = set(self.inside) | set(self.segments)
             touched.update(triangle for edge in self.on for triangle in self.around(*edge))
             fresh = sorted(touched.difference(made))
