@@ -62,7 +62,7 @@ def test_one_name_one_meaning():
 
 
 def test_thresholds():
-    """Numbers stand in the rooms' ``tolerances``, each with a measurement, and in CONTRIBUTING.md."""
+    """Numbers stand in the rooms' ``tolerances`` with measurements, and in CONTRIBUTING.md."""
     for file, tree in TREES.items():
         if file.name != "tolerances.py":
             numbers = [
