@@ -127,17 +127,18 @@ test-mpi-2 test-mpi-3: test-mpi-%: env
 # On four ranks what shows whether their number matters
 test-mpi-4: env
 	$(MPIRUN) $(mpi_options) -n 4 $(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
-		tests/test_ranks.py
+		tests/doors/test_ranks.py
 
 # With complex scalars what computes with them: some files serial, fewer on two ranks. It has programs
 # and libraries of its own
-complex_tests := $(addprefix tests/test_,wave.py problem.py constraint.py adjust.py)
+complex_tests := $(addprefix tests/,solvers/test_wave.py solvers/test_problem.py \
+	mortar/test_constraint.py mortar/test_adjust.py)
 test-complex: export PATH := $(COMPLEX_BIN):$(PATH)
 test-complex: env-complex
 	$(COMPLEX_BIN)/python -m pytest -W error::numpy.exceptions.ComplexWarning $(PYTEST_ARGS) \
-		$(complex_tests) 'tests/test_demos.py::test_demo[wave]'
+		$(complex_tests) 'tests/doors/test_demos.py::test_demo[wave]'
 	$(COMPLEX_BIN)/mpirun -n 2 $(COMPLEX_BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
-		tests/test_wave.py tests/test_problem.py
+		tests/solvers/test_wave.py tests/solvers/test_problem.py
 
 clean:
 	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis

@@ -13,7 +13,7 @@ import pytest
 
 import hypergap_dolfinx
 
-FOLDER = Path(__file__).parents[1]
+FOLDER = Path(__file__).parents[2]
 PACKAGE = FOLDER / "hypergap_dolfinx"
 
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx import Tie
 
 pytestmark = pytest.mark.ranks(2)
-ANY_SURFACES = Path(__file__).parents[1] / "demos" / "any_surfaces.py"
+ANY_SURFACES = Path(__file__).parents[2] / "demos" / "any_surfaces.py"
 
 
 @pytest.fixture(scope="module")

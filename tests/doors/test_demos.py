@@ -21,7 +21,7 @@ from dolfinx import default_scalar_type
 from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 
 comm = MPI.COMM_WORLD
-FOLDER = Path(__file__).parents[1] / "demos"
+FOLDER = Path(__file__).parents[2] / "demos"
 
 
 @dataclass

@@ -19,7 +19,7 @@ import hypergap_dolfinx
 
 pytestmark = pytest.mark.serial
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 IMPORT = """

@@ -167,7 +167,7 @@ def test_real_and_complex_mixed():
 @pytest.mark.skipif(COMPLEX, reason="needs real scalars")
 def test_demo_with_real_scalars(monkeypatch):
     """It says in one line what it needs."""
-    demo = Path(__file__).parents[1] / "demos" / "wave.py"
+    demo = Path(__file__).parents[2] / "demos" / "wave.py"
     monkeypatch.setattr("sys.argv", ["wave.py"])
     with pytest.raises(SystemExit, match=r"^wave\.py needs DOLFINx with complex numbers.*\.$"):
         runpy.run_path(str(demo), run_name="__main__")

@@ -31,7 +31,7 @@ EDGES = np.array([(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)])
 def surfaces():
     """The functions of the demo with random surfaces."""
     pytest.importorskip("scipy")
-    return runpy.run_path(str(Path(__file__).parents[1] / "demos" / "any_surfaces.py"))
+    return runpy.run_path(str(Path(__file__).parents[2] / "demos" / "any_surfaces.py"))
 
 
 def field(x, m=np):

@@ -11,7 +11,7 @@ import runpy
 from collections import defaultdict
 from pathlib import Path
 
-FOLDER = Path(__file__).parents[1]
+FOLDER = Path(__file__).parents[2]
 PACKAGE = FOLDER / "hypergap_dolfinx"
 TREES = {file: ast.parse(file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")}
 
