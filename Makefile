@@ -29,7 +29,7 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 .PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
-	test-mpi-4 test-blas env-complex test-complex clean
+	test-mpi-4 test-blas env-complex test-complex test-container clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
@@ -38,6 +38,8 @@ help:
 	@echo "make test-all  the same with the slow ones, the serial ones with BLAS for other processors,"
 	@echo "               and some with complex scalars"
 	@echo "make env       set up alone: everything goes into $(VENV)"
+	@echo "make test-container  build the Dockerfile and run its tests, on one rank and on two, with docker,"
+	@echo "               podman or buildah, whichever is there"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
 	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4;"
 	@echo "of test-all: test-blas, test-complex (sets up $(COMPLEX), which holds DOLFINx's complex build)."
@@ -139,6 +141,10 @@ test-complex: env-complex
 		$(complex_tests) 'tests/doors/test_demos.py::test_demo[wave]'
 	$(COMPLEX_BIN)/mpirun -n 2 $(COMPLEX_BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
 		tests/solvers/test_wave.py tests/solvers/test_problem.py
+
+# Nothing here that builds a container: said, and no failure
+test-container:
+	@.ci/container || { status=$$?; [ $$status = 75 ] && echo "make: test-container was SKIPPED"; }
 
 clean:
 	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis
