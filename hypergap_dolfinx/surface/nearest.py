@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What of some points, or of an outline, is nearest to others (``c/surface.c``)."""
+"""Nearest points, and nearest places on a closed polygon (``c/surface.c``).
+
+TODO
+"""
 
 from dataclasses import dataclass
 
@@ -15,20 +18,20 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 
 @dataclass(frozen=True)
 class OnLoop:
-    """What of a closed loop is nearest to points."""
+    """Nearest nodes and places on a closed loop."""
 
     node: npt.NDArray[np.int32]
     """The nearest node, ``(num_points,)``."""
     edge: npt.NDArray[np.int32]
     """The nearest edge: from the node of its number to the next one, ``(num_points,)``."""
     s: npt.NDArray[np.float64]
-    """Parameter on it, from 0 to 1."""
+    """Parameter of the place on it, from 0 to 1."""
     apart: npt.NDArray[np.float64]
-    """From there to the point, ``(num_points, 3)``."""
+    """Vector from there to the point, ``(num_points, 3)``."""
 
 
 def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> OnLoop:
-    """What of a closed loop is nearest to points; of several that are as near, the first.
+    """The nearest node and place on a closed loop for each point; the first of equally near ones.
 
     Args:
         points: ``(num_points, 3)``.
@@ -44,7 +47,7 @@ def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> O
 def nearest(
     points: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.int32]:
-    """The nearest of other points to each point; of several that are as near, the first.
+    """The nearest of other points for each point; the first of equally near ones.
 
     Args:
         points: ``(num_points, 3)``.

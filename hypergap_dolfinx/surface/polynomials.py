@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What Lagrange elements of facets interpolate with, as C takes it (``c/monomials.c``)."""
+"""Monomials and coefficients of facets' Lagrange elements, for ``c/monomials.c``."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +14,15 @@ import basix
 def terms(
     element: basix.finite_element.FiniteElement, origin=(0.0, 0.0)
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """The terms of an element's polynomials, and the factors that each node's function has of them.
+    """Monomials of an element, and the coefficients of its basis functions.
 
     Args:
         element: On a triangle or a quadrilateral.
-        origin: Where coordinates are counted from, of which terms are powers.
+        origin: Origin of the coordinates in the monomials.
 
     Returns:
-        Powers of both coordinates, ``(num_terms, 2)``, and ``(num_terms, num_nodes)``.
+        Powers of both coordinates, ``(num_terms, 2)``, and the coefficients,
+        ``(num_terms, num_nodes)``.
     """
     degree = element.degree
     powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1)])

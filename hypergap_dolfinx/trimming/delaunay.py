@@ -3,7 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A triangle with points and segments in it, cut into a constrained Delaunay triangulation."""
+"""Constrained Delaunay triangulation of a triangle with points and segments.
+
+TODO
+"""
 
 from collections.abc import Sequence
 
@@ -17,7 +20,7 @@ class Cutting:
     """
 
     def __init__(self, points: Sequence[tuple[float, float]]):
-        """The triangle alone; points are put into it by their numbers."""
+        """Coordinates of all points; the triangulation starts with the triangle alone."""
         self.points = points
         self.apex: dict[tuple[int, int], int] = {}
         self.fixed: set[tuple[int, int]] = set()
@@ -30,12 +33,12 @@ class Cutting:
         del self.apex[a, b], self.apex[b, c], self.apex[c, a]
 
     def _sine(self, a: int, b: int, c: int) -> float:
-        """Of the angle at a from b to c, times both lengths; and those lengths."""
+        """Sine of the angle at a from b to c, times both lengths."""
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
     def _turns_left(self, a: int, b: int, c: int) -> bool:
-        """Whether three points are counterclockwise, and clearly so."""
+        """True if three points turn counterclockwise by more than round-off."""
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
         squares = [(bx - ax) ** 2 + (by - ay) ** 2, (cx - bx) ** 2 + (cy - by) ** 2]
         squares.append((ax - cx) ** 2 + (ay - cy) ** 2)
@@ -43,7 +46,7 @@ class Cutting:
         return self._sine(a, b, c) > NARROW_ANGLE * (lengths[0] * lengths[1]) ** 0.5
 
     def triangles(self) -> list[tuple[int, int, int]]:
-        """All triangles, each from its lowest vertex on."""
+        """All triangles, starting with their lowest vertices."""
         return [(a, b, c) for (a, b), c in self.apex.items() if a < b and a < c]
 
     def split_edge(self, a: int, b: int, point: int):
@@ -56,7 +59,7 @@ class Cutting:
                 self._add(point, v, w)
 
     def insert(self, point: int):
-        """Put a point into the triangle that it lies in, or onto the edge that it lies on."""
+        """Insert a point into the triangle or the edge that contains it."""
         best, where = -float("inf"), (0, 1, 2)
         for a, b, c in self.triangles():
             inside = min(self._sine(a, b, point), self._sine(b, c, point), self._sine(c, a, point))
@@ -79,18 +82,14 @@ class Cutting:
         self._add(d, b, c)
 
     def _is_convex(self, a: int, b: int) -> bool:
-        """Whether the edge may be flipped."""
+        """True if an edge may be flipped."""
         c, d = self.apex[a, b], self.apex[b, a]
-        if (c, d) in self.apex or (d, c) in self.apex:  # as round-off has it in narrow triangles
+        if (c, d) in self.apex or (d, c) in self.apex:  # possible by round-off in narrow triangles
             return False
         return self._turns_left(a, d, c) and self._turns_left(d, b, c)
 
     def fix(self, u: int, v: int) -> bool:
-        """Make a segment an edge, and keep it one.
-
-        Returns:
-            Whether it could be made.
-        """
+        """Make a segment a permanent edge; True if that succeeded."""
         crossing = [
             (a, b)
             for a, b in self.apex
@@ -111,7 +110,7 @@ class Cutting:
         return (u, v) in self.apex or (v, u) in self.apex
 
     def _cross(self, a: int, b: int, u: int, v: int) -> bool:
-        """Whether two segments cross between their ends."""
+        """True if two segments cross between their ends."""
         if len({a, b, u, v}) < 4:
             return False
         sine = self._sine
@@ -134,8 +133,7 @@ class Cutting:
                 todo += [(a, d), (d, b), (b, c), (c, a)]
 
     def _is_seen_wide(self, a: int, b: int) -> bool:
-        """Whether the angles opposite to an edge are more than 180° together."""
-        total = 0.0
+        """True if the angles opposite to an edge are more than 180° together."""
         (ax, ay), (bx, by) = self.points[a], self.points[b]
         parts = []
         for p in (self.apex[a, b], self.apex[b, a]):
@@ -144,5 +142,4 @@ class Cutting:
             size = ((ux * ux + uy * uy) * (vx * vx + vy * vy)) ** 0.5 or 1.0
             parts.append(((ux * vx + uy * vy) / size, abs(ux * vy - uy * vx) / size))
         (cos0, sin0), (cos1, sin1) = parts
-        total = sin0 * cos1 + cos0 * sin1
-        return total < -1e-9
+        return sin0 * cos1 + cos0 * sin1 < -1e-9

@@ -38,7 +38,7 @@ ROUND_OFF_WEIGHTS = 1e-12
 
 Measured: –"""
 
-CONVERGED_WEIGHTS = 1e-9
+INSIDE_WEIGHT = 1e-9
 """The same in a curved triangle.
 
 Measured: Newton's method ends at 1e-10."""
@@ -49,7 +49,7 @@ AWAY = 0.5
 Measured: flush tubes of five facets 0.16; a bolt of six facets that ends 0.8 of one behind its
 hole."""
 
-FEET = 6
+NEWTON_OUTLINES = 6
 """Steps of Newton's method to where a point lies along a triangle's normals.
 
 Measured: round-off after 5; bush in a hole, 5 to 12 straight facets around, staggered,
