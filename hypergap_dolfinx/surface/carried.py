@@ -138,15 +138,10 @@ def _about(angle: float, n: int, axis: npt.ArrayLike) -> npt.NDArray[np.float64]
 
 
 def surface(own: Surface, motion: Motion, other: Surface) -> Surface:
-    """The image of Γ0 under a motion.
-
-    Args:
-        own: Γ0.
-        motion: The motion.
-        other: Γ1, which it should coincide with.
+    """The image of Γ0 (``own``) under a motion.
 
     Raises:
-        InterfaceError: It does not; the message says by how much it misses.
+        InterfaceError: It does not coincide with Γ1 (``other``); the message says by how much.
     """
     there = replace(own, x=motion(own.x), nodes=motion(own.nodes))
     low = other.x.min(axis=0) - there.x.min(axis=0)

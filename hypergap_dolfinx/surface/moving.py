@@ -64,11 +64,7 @@ class MovingSurface:
         return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
 
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
-        """The displaced surface.
-
-        Args:
-            u: Displacement at :attr:`dofs`, ``(num_dofs, n)``.
-        """
+        """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
         rest = self.rest
         nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
         x = np.empty_like(rest.x)

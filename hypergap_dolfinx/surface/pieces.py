@@ -214,14 +214,9 @@ class Side:
         return self._walks.on_curved(triangle, points, xi, self._curves)
 
     def geometry(self, triangle: npt.NDArray[np.integer]) -> Geometry:
-        """Map from triangles' reference coordinates to the (curved) surface.
+        """Map of reference coordinates in triangles, ``(num_points, 2)``, to the curved surface.
 
-        Args:
-            triangle: ``(num_points,)``.
-
-        Returns:
-            Function of reference coordinates, ``(num_points, 2)``, that returns places,
-            ``(num_points, 3)``, and derivatives by both coordinates, ``(num_points, 2, 3)``.
+        It returns places, ``(num_points, 3)``, and derivatives, ``(num_points, 2, 3)``.
         """
         nodes, tabulate = self.surface.nodes[self.facets[triangle]], self.surface.geometry.tabulate
 
@@ -234,15 +229,7 @@ class Side:
         return geometry
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
-        """Reference coordinates in the host facet of points of triangles.
-
-        Args:
-            triangle: ``(num_points,)``.
-            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
-
-        Returns:
-            ``(num_points, 2)``.
-        """
+        """Coordinates in the host facets of points xi of triangles, ``(num_points, 2)``."""
         if self.is_whole:
             return np.array(xi)
         X = self.X[triangle]
@@ -261,14 +248,11 @@ class Side:
 
 
 def bent(bends, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Offset of points in triangles with bent edges, and its derivatives by xi.
+    """Offset of points in triangles with bent edges, ``(num_points, 2)``, and its slopes by xi.
 
     Args:
         bends: As of :class:`Side`, ``(num_points, 3, num_terms, 2)``.
         xi: Reference coordinates, ``(num_points, 2)``.
-
-    Returns:
-        ``(num_points, 2)`` and ``(num_points, 2, 2)``.
     """
     off, slopes = np.zeros((len(xi), 2)), np.zeros((len(xi), 2, 2))
     some = np.flatnonzero(bends.any(axis=(1, 2, 3)))

@@ -14,15 +14,10 @@ import basix
 def terms(
     element: basix.finite_element.FiniteElement, origin=(0.0, 0.0)
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Monomials of an element, and the coefficients of its basis functions.
-
-    Args:
-        element: On a triangle or a quadrilateral.
-        origin: Origin of the coordinates in the monomials.
+    """Monomials of an element around an origin, and coefficients of its basis functions.
 
     Returns:
-        Powers of both coordinates, ``(num_terms, 2)``, and the coefficients,
-        ``(num_terms, num_nodes)``.
+        Powers of both coordinates, ``(num_terms, 2)``, and ``(num_terms, num_nodes)``.
     """
     degree = element.degree
     powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1)])

@@ -69,17 +69,16 @@ class Triangles:
     def project(self, points, seed, curves: Curves | None = None):
         """Walk from a triangle to the one that each point projects into.
 
-        Beyond a boundary the last triangle is extrapolated.
+        Beyond a boundary the last triangle is extrapolated. A second walk over curved triangles
+        starts where the one over straight triangles ends.
 
         Args:
             points: Points, ``(num_points, 3)``.
             seed: Triangle where the walk starts, ``(num_points,)``.
-            curves: Geometry of curved triangles. A second walk over them starts where the one over
-                straight triangles ends.
+            curves: Geometry of curved triangles.
 
         Returns:
-            Triangle and reference coordinates in it of each point, ``(num_points,)`` and
-            ``(num_points, 2)``.
+            Triangle and reference coordinates in it, ``(num_points,)`` and ``(num_points, 2)``.
         """
         ffi, lib = library().ffi, library().lib
         found, X = np.array(seed, dtype=np.int32), np.zeros((len(points), 2))
@@ -98,13 +97,8 @@ class Triangles:
     def on_curved(self, triangle, points, X, curves: Curves) -> npt.NDArray[np.float64]:
         """Projection on curved triangles along interpolated vertex normals, by Newton's method.
 
-        Unlike the facets' normals these are continuous, and so is the projection.
-
-        Args:
-            triangle: ``(num_points,)``.
-            points: ``(num_points, 3)``.
-            X: Initial coordinates, kept where it doesn't converge, ``(num_points, 2)``.
-            curves: Geometry of the triangles.
+        Unlike the facets' normals these are continuous, and so is the projection. Starting values
+        X, ``(num_points, 2)``, are kept where it doesn't converge.
         """
         ffi, X = library().ffi, np.array(X, dtype=float)
         library().lib.project_on_curved(

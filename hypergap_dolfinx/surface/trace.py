@@ -140,15 +140,7 @@ class Surface:
         }
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
-        """Coordinates of points given by reference coordinates.
-
-        Args:
-            facet: Facet of each point, ``(num_points,)``.
-            X: Reference coordinates, ``(num_points, n - 1)``.
-
-        Returns:
-            Coordinates, ``(num_points, n)``.
-        """
+        """Coordinates of points at reference coordinates X in facets, ``(num_points, n)``."""
         nodes = self.nodes[facet]
         # Sums of steps from the first node keep a coordinate that all nodes share to its last digit
         steps = nodes[:, 1:] - nodes[:, :1]
@@ -356,11 +348,9 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
 
 
 def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
-    """Median ratio of the height of cells behind facets to the facets' length. Collective.
+    """Median ratio of the height of cells behind facets of V's mesh to the facets' length.
 
-    Args:
-        V: Space on a mesh, used with :func:`create_surface` before.
-        facets: Facets on this rank.
+    Collective; :func:`create_surface` has been called for V.
     """
     mesh, n = V.mesh, V.mesh.geometry.dim
     facets = np.asarray(facets, dtype=np.int32)

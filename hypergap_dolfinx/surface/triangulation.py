@@ -30,10 +30,9 @@ from hypergap_dolfinx.surface.trace import Surface, around, lengths
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
     """The facet behind each edge of each facet, −1 behind a boundary edge.
 
-    Edge k of a facet goes from its vertex k to vertex k + 1.
-
     Args:
-        facets: Vertices of each facet, one after the other, ``(num_facets, 3)`` or ``(…, 4)``.
+        facets: Vertices of each facet in cyclic order, ``(num_facets, 3)`` or ``(num_facets, 4)``;
+            edge k goes from vertex k to vertex k + 1.
         name: Name of the surface for messages.
         x: Vertex coordinates.
 
@@ -78,11 +77,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     """Edges at which a surface has a kink: it turns there, and hardly beside it.
 
     Facets that approximate a smooth surface turn about as much at the next parallel edges. Curved
-    ones turn inside, not where they meet.
-
-    Args:
-        surface: The surface.
-        behind: Its facets' neighbours.
+    ones turn inside, not where they meet. ``behind`` are the facets' neighbours.
 
     Returns:
         One of the two facets of each such edge, and the edge's local number there.
@@ -157,10 +152,6 @@ def facing_pieces(surfaces: tuple[Surface, Surface], behind):
     """Smooth pieces of both surfaces that lie opposite to each other.
 
     A piece ends at its surface's boundary and where both surfaces have a kink.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        behind: The facets' neighbours, for both.
 
     Returns:
         Number of each facet's pair of pieces, for both surfaces.
@@ -241,29 +232,18 @@ def _opposite(surface: Surface, pieces, other: Surface):
     off = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
     if off > reach:
+        x = {side.name: side.x for side in (surface, other)}
         raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
-            f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
-            "check the tags."
+            f"{spot(x['Γ0'])}, Γ1 around {spot(x['Γ1'])}; check the tags."
         )
     return pieces[samples], found
-
-
-def _middle(surface: Surface, other: Surface, name: str) -> str:
-    return spot((surface if surface.name == name else other).x)
 
 
 def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
     """Boundary loops: vertices in the direction of the facets' edges.
 
-    Args:
-        facets: Vertices of each facet.
-        behind: The facets' neighbours.
-        name: Name of the surface for messages.
-        x: Vertex coordinates.
-
-    Returns:
-        The vertices of each loop.
+    Arguments are as of :func:`neighbours`, and its result ``behind``.
 
     Raises:
         InterfaceError: Two parts of the surface touch in one vertex only.

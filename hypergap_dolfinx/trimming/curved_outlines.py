@@ -138,11 +138,7 @@ class OutlineCurves:
         return found
 
     def close(self, nodes: set[int]):
-        """End the drawing.
-
-        Args:
-            nodes: Nodes that lie on the curved outline.
-        """
+        """End the drawing, given the nodes that lie on the curved outline."""
         for edge, along, r in self._tracks:
             for k in range(len(along) - 1):
                 u, v = along[k : k + 2]
@@ -150,17 +146,11 @@ class OutlineCurves:
                     self._ends[u, v] = edge, r[k], r[k + 1]
 
     def foot(self, u: int, v: int, s: float, triangle: int, weights):
-        """Place on the outline between two nodes in a triangle.
-
-        Args:
-            u: A node.
-            v: Another.
-            s: Parameter of the place between them, from 0 to 1.
-            triangle: The triangle.
-            weights: Barycentric coordinates on the straight segment.
+        """Place on the outline at s from 0 to 1 between nodes u and v in a triangle.
 
         Returns:
-            Barycentric coordinates, and the parameter on the other's edge (NaN if off the outline).
+            Barycentric coordinates, and the parameter on the other's edge; ``weights``, those on
+            the straight segment, and NaN if it is off the outline.
         """
         if (v, u) in self._ends:
             u, v, s = v, u, 1 - s
@@ -217,14 +207,9 @@ class OutlineCurves:
 
 
 def upright(X, bends) -> npt.NDArray[np.float64] | None:
-    """Bends of triangles, zero for triangles that they would fold.
+    """Bends of triangles with corners X, ``(num_triangles, 3, 2)``, but zero where they would fold.
 
-    Args:
-        X: Corners in the host facets, ``(num_triangles, 3, 2)``.
-        bends: As of :class:`Side`.
-
-    Returns:
-        As ``bends``; None if none is left.
+    None if none is left.
     """
     some = np.flatnonzero(bends.any(axis=(1, 2, 3)))
     straight = X[some, 1:] - X[some, :1]

@@ -136,15 +136,7 @@ class Nodes:
         return [a, *(node for _, node in self.on.get((a, b), [])), b]
 
     def slide(self, edge: tuple[int, int], new: dict[int, float]) -> bool:
-        """Move nodes on an edge, unless their order would change.
-
-        Args:
-            edge: Its vertices.
-            new: Parameters of nodes, some of which are on it.
-
-        Returns:
-            True if they were moved.
-        """
+        """Move nodes on an edge to new parameters; False if their order would change."""
         on = [(new.get(node, s), node) for s, node in self.on[edge]]
         near = self.snap / float(np.linalg.norm(self.side.x[edge[1]] - self.side.x[edge[0]]))
         if np.diff([0.0, *(s for s, _ in on), 1.0]).min() <= near:

@@ -15,7 +15,6 @@ from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
 from hypergap_dolfinx.trimming.tolerances import (
     AWAY,
-    BESIDE,
     INSIDE_WEIGHT,
     LEVEL,
     NEARLY,
@@ -78,11 +77,11 @@ class Rim:
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
-    """True if two loops run in the same direction.
+    """True if two loops of nodes x and y, ``(num_nodes, 3)``, run in the same direction.
 
     Args:
-        x: Nodes of the first one, ``(num_nodes, 3)``.
-        y: Nodes of the second one.
+        x: The first one.
+        y: The second one.
         edge: Edge of the second one that is nearest to nodes of the first one.
         s: Parameter on it, from 0 to 1.
         some: These nodes of the first one.
@@ -147,12 +146,9 @@ class Meetings:
 
 
 def meetings(edges: Edges, others: Edges, snap: float) -> Meetings:
-    """All places where two outlines meet, along the first one's normals.
+    """All places where two outlines with opposite normals meet, along the first one's normals.
 
-    Args:
-        edges: The first outline.
-        others: The second one, with opposite normals.
-        snap: Distance treated as zero.
+    Distances up to ``snap`` are treated as zero.
     """
     found = []
     length = np.linalg.norm(edges.b - edges.a, axis=1)
@@ -218,12 +214,9 @@ def _dot(a, b) -> npt.NDArray[np.float64]:
 
 
 def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-    """The triangles that points lie above or below, along the surface's normals.
+    """The triangles of a piece that points lie above or below, along the piece's normals.
 
-    Args:
-        side: A piece.
-        points: ``(num_points, 3)``.
-        normals: Normals of their own surface, which faces the piece, ``(num_points, 3)``.
+    Points have normals of their own surface, which faces the piece, ``(num_points, 3)``.
 
     Returns:
         The nearest such triangle, or −1, and the weights of its vertices,
@@ -234,7 +227,7 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     at, t = _feet(side, f, points[p])
     curved = bool(side.surface.curved[side.facets].any())
     least = at.min(axis=1, initial=np.inf)
-    near = least >= -(BESIDE if curved else INSIDE_WEIGHT)
+    near = curved | (least >= -INSIDE_WEIGHT)  # a curved triangle may contain points beside it
     p, f, at, t, least = p[near], f[near], at[near], np.abs(t[near]), least[near]
     order = np.lexsort((t, np.maximum(-INSIDE_WEIGHT - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]

@@ -238,8 +238,8 @@ class Cut(Nodes):
     def _widen(self, triangle: int, nodes, weights, cells) -> set[int]:
         """Put nodes into edges opposite to blunt angles of a cut triangle's parts.
 
-        In a triangle with an angle near 180° functions of degree 2 have unbounded gradients, as the
-        node in the middle of an edge is near a vertex.
+        In a triangle with an angle near 180° functions of degree 2 have gradients of any size: a
+        node in the middle may differ from the mean of two beside it, on nearly the same line.
 
         Returns:
             The triangles that have to be cut again.
@@ -258,17 +258,9 @@ class Cut(Nodes):
         return changed
 
     def _put(self, triangle: int, u: int, v: int, s: float, weights) -> set[int]:
-        """Put a node between two others of a triangle.
+        """Put a node between nodes u and v of a triangle, at s from 0 to 1.
 
-        Args:
-            triangle: The triangle.
-            u: A node of it.
-            v: Another.
-            s: Parameter of the new one between them, from 0 to 1.
-            weights: Its barycentric coordinates in the triangle.
-
-        Returns:
-            The changed triangles.
+        Arguments include its barycentric coordinates there. Returns the changed triangles.
         """
         if edge := self.edge_of((u, v)):
             self.on_edge(*edge, (1 - s) * self.parameter(u, edge) + s * self.parameter(v, edge))
