@@ -27,7 +27,7 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     SAMPLES_CHAINS,
     TIE,
 )
-from hypergap_dolfinx.surface.tolerances import KINK, NOISE, STANDS_OUT, TURN
+from hypergap_dolfinx.surface.tolerances import CORNER, NOISE, STANDS_OUT, TURN
 from hypergap_dolfinx.surface.trace import Surface
 
 DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
@@ -189,7 +189,7 @@ def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.boo
     beside[inner] = np.maximum(turn[start[before[inner]]], turn[end[after[inner]]])
     noise = NOISE * np.abs(surface.x).max() / surface.size.min()
     turn[turn <= TURN + noise] = 0
-    return turn, (turn > KINK) | (turn > STANDS_OUT * beside)
+    return turn, (turn > CORNER) | (turn > STANDS_OUT * beside)
 
 
 def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:

@@ -31,11 +31,10 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     WITHIN,
 )
 from hypergap_dolfinx.surface.nearest import on_loop
-from hypergap_dolfinx.surface.pieces import CORNERS, Side
-from hypergap_dolfinx.surface.tolerances import NOISE
+from hypergap_dolfinx.surface.pieces import TRIANGLE_CORNERS, Side
+from hypergap_dolfinx.surface.tolerances import CORNER, NOISE
 from hypergap_dolfinx.surface.trace import lengths
 from hypergap_dolfinx.trimming.outlines import is_along
-from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE
 
 
 @dataclass(frozen=True)
@@ -244,9 +243,7 @@ def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
         s[rim.nodes[0]], s[n0 + rim.nodes[1]] = rim.s[0][:-1], rim.s[1][:-1]
         t = np.roll(x[rim.nodes[0]], -1, axis=0) - x[rim.nodes[0]]
         t /= np.maximum(lengths(t), 1e-300)[:, None]
-        corners = rim.s[0][:-1][
-            np.einsum("ei,ei->e", t, np.roll(t, 1, axis=0)) < np.cos(CORNER_OUTLINE)
-        ]
+        corners = rim.s[0][:-1][np.einsum("ei,ei->e", t, np.roll(t, 1, axis=0)) < np.cos(CORNER)]
         middle, half = s[edges].mean(axis=1), np.ptp(s[edges], axis=1) / 2
         far = half > 0.25  # the other way round
         middle, half = (np.where(far, 0.5 + y, z) for y, z in ((middle, middle), (-half, half)))
@@ -330,13 +327,16 @@ class Outline:
         return edge, s
 
     def _places(self, edge, s) -> npt.NDArray[np.float64]:
-        start, end = CORNERS[self.corner[edge]], CORNERS[(self.corner[edge] + 1) % 3]
+        start, end = (
+            TRIANGLE_CORNERS[self.corner[edge]],
+            TRIANGLE_CORNERS[(self.corner[edge] + 1) % 3],
+        )
         return start + s[:, None] * (end - start)
 
     def _nearest(self, edge, points) -> npt.NDArray[np.float64]:
         """Parameters on edges at which these are nearest to points, by Gauss-Newton steps."""
-        start = CORNERS[self.corner[edge]]
-        along = CORNERS[(self.corner[edge] + 1) % 3] - start
+        start = TRIANGLE_CORNERS[self.corner[edge]]
+        along = TRIANGLE_CORNERS[(self.corner[edge] + 1) % 3] - start
         geometry = self.side.geometry(self.triangle[edge])
         s = np.full(len(edge), 0.5)
         for _ in range(NEWTON_RIM):

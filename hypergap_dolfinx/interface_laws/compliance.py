@@ -29,7 +29,7 @@ from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
 from hypergap_dolfinx.mortar.quadrature import Samples
-from hypergap_dolfinx.surface.tolerances import LAST_DIGITS
+from hypergap_dolfinx.surface.tolerances import NOISE
 from hypergap_dolfinx.surface.trace import Surface, create_surface, lagrange_element
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
@@ -237,7 +237,7 @@ class Compliance(Weighting):
         none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
         for part, values in zip(none, self.values(), strict=True):
             most = comm.allreduce(values.max(initial=0), MPI.MAX)
-            part[multiplier[values[point] <= LAST_DIGITS * most]] = True
+            part[multiplier[values[point] <= NOISE * most]] = True
         return ~comm.allreduce(none)  # of truth values the sum is "or"
 
 

@@ -28,7 +28,7 @@ from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT
 from hypergap_dolfinx.surface.quadrilaterals import middle_rows
-from hypergap_dolfinx.surface.tolerances import LAST_DIGITS, SAME_NODE, STRAIGHT
+from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface, tabulate
 
 
@@ -252,7 +252,7 @@ def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
     weights = np.column_stack((1 - points.sum(axis=1), points))
     deviation = np.abs(weights @ x[:, : n + 1] - x).max(axis=(1, 2))
     size = np.ptp(x, axis=1).max(axis=1)
-    return deviation > STRAIGHT * size + LAST_DIGITS * magnitude
+    return deviation > STRAIGHT * size + NOISE * magnitude
 
 
 def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int64]:

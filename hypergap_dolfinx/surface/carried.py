@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A surface carried to where another one is: ties across a distance, periodic and cyclic.
+"""A surface carried to another one by a rigid motion: periodic and cyclic ties.
 
-Σ lies between Γ0 as a motion x ↦ R (x − c) + c + t carries it and Γ1: what makes Σ sees surfaces
-that touch. Components of a vector turn with the motion, so that R u₀ is what u₁ is compared with.
+Σ lies between Γ1 and the image of Γ0 under x ↦ R (x − c) + c + t, two surfaces that touch.
+Components of a vector rotate with it: u₁ is compared with R u₀.
 """
 
 from collections.abc import Hashable
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.surface.tolerances import OFF_CARRIED, ORTHOGONAL, SAG_OUTLINE, ZERO
+from hypergap_dolfinx.surface.tolerances import OFF_CARRIED, ORTHOGONAL, SAG_OUTLINE
 from hypergap_dolfinx.surface.trace import Surface
 
 
@@ -34,22 +34,22 @@ class Motion:
 
     @property
     def key(self) -> Hashable:
-        """Equal for motions that are the same."""
+        """Key that is equal for equal motions."""
         return tuple(np.concatenate((self.turn.ravel(), self.centre, self.shift)).tolist())
 
     @property
     def turns(self) -> bool:
-        """Whether it is more than a translation."""
+        """True if it is more than a translation."""
         return bool((self.turn != np.eye(len(self.turn))).any())
 
     def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where it carries points, ``(..., n)``."""
+        """Images of points, ``(..., n)``."""
         if not self.turns:
             return x + self.shift
         return (x - self.centre) @ self.turn.T + self.centre + self.shift
 
     def of_components(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
-        """R as it acts on the components of a field, None where they stay.
+        """R as it acts on the components of a field; None if they stay the same.
 
         Args:
             shape: The field's value shape.
@@ -67,7 +67,7 @@ class Motion:
         return self.turn
 
     def __str__(self) -> str:
-        """What messages call it."""
+        """Name for messages."""
         return "the rotation" if self.turns else f"the translation {spot(self.shift)}"
 
 
@@ -89,7 +89,7 @@ def motion(
         axis: Direction of an angle's axis in space, of any length; z if not given.
 
     Raises:
-        ValueError: Both or none, or what is no translation or rotation in n dimensions.
+        ValueError: Both or none are given, or no valid translation or rotation in n dimensions.
     """
     if (translation is None) == (rotation is None):
         raise ValueError("a periodic tie takes a translation or a rotation, one of them.")
@@ -119,11 +119,12 @@ def _rotation(turn: npt.ArrayLike, n: int, centre, axis) -> Motion:
         )
     if np.linalg.det(R) < 0:
         raise ValueError("the matrix is a reflection (det R = −1), not a rotation.")
-    return Motion(np.where(np.abs(R) < ZERO, 0, R), c, np.zeros(n))
+    R = np.where(np.abs(R) < 4 * np.finfo(float).eps, 0, R)  # cos(π / 2) is 6e-17
+    return Motion(R, c, np.zeros(n))
 
 
 def _about(angle: float, n: int, axis: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """R for an angle, about an axis if n is 3."""
+    """R of an angle, about an axis if n is 3."""
     if not abs(angle) <= 2 * np.pi:
         raise ValueError(f"the angle of a rotation is in radians, up to 2π; {angle:g} is not.")
     c, s = np.cos(angle), np.sin(angle)
@@ -137,15 +138,10 @@ def _about(angle: float, n: int, axis: npt.ArrayLike) -> npt.NDArray[np.float64]
 
 
 def surface(own: Surface, motion: Motion, other: Surface) -> Surface:
-    """Γ0 where a motion carries it.
-
-    Args:
-        own: Γ0.
-        motion: The motion.
-        other: Γ1, which is to be there.
+    """The image of Γ0 (``own``) under a motion.
 
     Raises:
-        InterfaceError: It isn't there; with how far it is off.
+        InterfaceError: It does not coincide with Γ1 (``other``); the message says by how much.
     """
     there = replace(own, x=motion(own.x), nodes=motion(own.nodes))
     low = other.x.min(axis=0) - there.x.min(axis=0)

@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""One field among a body's: a component of a mixed space as a Lagrange space of its own.
+"""A component of a body's mixed space as a Lagrange space of its own.
 
-All of ``gap/`` and most of ``solve/`` work on that space, with its own numbering of dofs. Here is
-where the body's numbering comes in.
+Geometry, multipliers and most of the solvers work on that space, with its own numbering of dofs;
+this module maps it to the body's.
 """
 
 from collections.abc import Iterable
@@ -26,23 +26,21 @@ from hypergap_dolfinx.surface.trace import is_mixed, lagrange_element
 
 @dataclass(frozen=True)
 class Component:
-    """A space that a tie's side may be on: a whole one, or a component such as ``W.sub(0)``."""
+    """Space of one side of a tie: a whole one, or a component such as ``W.sub(0)``."""
 
     given: fem.FunctionSpace
-    """What a user knows it as."""
+    """The space as given by the user."""
     space: fem.FunctionSpace
-    """The same field without the others: ``given`` itself, or what it collapses to. DOLFINx numbers
-    the dofs alike each time."""
+    """``given`` itself, or its collapsed space; DOLFINx numbers the dofs alike each time."""
     dofs: npt.NDArray[np.int32] | None
-    """Among the body's owned dofs (unrolled) those of the space, ``(num_dofs,)``; None if they are
-    the same."""
+    """Owned dofs of the space in the body's (unrolled), ``(num_dofs,)``; None if the same."""
 
     @classmethod
     def of(cls, V: fem.FunctionSpace) -> "Component":
-        """That of a space or a subspace. Collective.
+        """The component for a space or a subspace. Collective.
 
         Raises:
-            InterfaceError: A subspace that DOLFINx doesn't collapse right.
+            InterfaceError: DOLFINx collapses the subspace wrongly.
         """
         if not V.component():
             return cls(V, V, None)
@@ -58,29 +56,29 @@ class Component:
         return cls(V, space, np.ravel(dofs)[:owned].astype(np.int32))
 
     def same(self, other: "Component") -> bool:
-        """Whether another one has the same dofs of the same body."""
+        """True if another one has the same dofs of the same body."""
         return self.given.contains(other.given) and other.given.contains(self.given)
 
     def overlaps(self, other: "Component") -> bool:
-        """Whether one is a part of the other, or the same."""
+        """True if one contains the other."""
         return self.given.contains(other.given) or other.given.contains(self.given)
 
     def among(self, spaces: Iterable[fem.FunctionSpace]) -> int | None:
-        """Number of the body whose space has it, None if none has."""
+        """Index of the body's space that contains it, or None."""
         return next((i for i, V in enumerate(spaces) if V.contains(self.given)), None)
 
     @property
     def of_vector(self) -> bool:
-        """Whether it is one component of a vector."""
+        """True if it is one component of a vector."""
         of_blocks = self.given.dofmap.index_map_bs > self.space.dofmap.index_map_bs
         return of_blocks or (len(self.given.component()) > 1 and self.given.value_shape == ())
 
     def of_body(self, values: npt.NDArray) -> npt.NDArray:
-        """The field's among a body's owned values, ``(num_dofs_of_body, ...)``."""
+        """Values of the field, taken from a body's owned ones, ``(num_dofs_of_body, ...)``."""
         return values if self.dofs is None else values[self.dofs]
 
     def into_body(self, values: npt.NDArray) -> npt.NDArray:
-        """A body's owned values with the field's ``(num_dofs, ...)``, and 0 of other fields."""
+        """A body's owned values from the field's, ``(num_dofs, ...)``, with 0 for other fields."""
         if self.dofs is None:
             return values
         index_map, block_size = self.given.dofmap.index_map, self.given.dofmap.index_map_bs
@@ -89,17 +87,17 @@ class Component:
         return result
 
     def own_function(self, u: fem.Function) -> fem.Function | None:
-        """The field on its own space, of a function that has it. Collective.
+        """The field of a function, on its own space. Collective.
 
         Args:
-            u: On this space, or on one that has it as a component: the whole, or ``u.sub(0)``.
+            u: Function on this space, or on one that contains it: the whole, or ``u.sub(0)``.
 
         Returns:
-            The function itself if it is on this space; None if it doesn't have the field.
+            The function itself if it is on this space; None if it doesn't contain the field.
         """
         V = u.function_space
         if V == self.space or (
-            self.dofs is not None  # what a user has collapsed
+            self.dofs is not None  # collapsed by a user
             and V.mesh is self.space.mesh
             and V.ufl_element() == self.space.ufl_element()
             and not V.component()
@@ -115,20 +113,18 @@ class Component:
         return f
 
     def _numbered_as(self, V: fem.FunctionSpace) -> bool:
-        """Whether a space of the same kind has the same dofs: a new one has not. Collective."""
+        """True if a space with the same element has the same dofs. Collective."""
         alike = np.array_equal(V.dofmap.list, self.space.dofmap.list)
         return self.space.mesh.comm.allreduce(alike, MPI.LAND)
 
     def global_dofs(self) -> npt.NDArray[np.int64]:
-        """Global dofs (unrolled) in the body of this rank's owned ones, ``(num_dofs,)``."""
-        dofmap = self.given.dofmap
-        index_map, block_size = dofmap.index_map, dofmap.index_map_bs
-        start, end = index_map.local_range
-        every = np.arange(start * block_size, end * block_size)
-        return self.of_body(every)
+        """Global dofs (unrolled) of this rank's owned dofs in the body, ``(num_dofs,)``."""
+        start, end = self.given.dofmap.index_map.local_range
+        block_size = self.given.dofmap.index_map_bs
+        return self.of_body(np.arange(start * block_size, end * block_size))
 
     def columns_of_body(self, B: PETSc.Mat) -> PETSc.Mat:
-        """A matrix on the field's dofs as one on the body's, in its place. Collective."""
+        """A matrix on the body's dofs, from one on the field's, which is destroyed. Collective."""
         if self.dofs is None:
             return B
         dofmap, comm = self.given.dofmap, self.space.mesh.comm
@@ -144,17 +140,14 @@ class Component:
 
 
 def unrolled(V: fem.FunctionSpace) -> npt.NDArray[np.intp]:
-    """The dofs of each cell, one by one."""
+    """Dofs of each cell, without blocks, ``(num_cells, num_cell_dofs)``."""
     dofs, block_size = V.dofmap.list, V.dofmap.bs
-    every = dofs[:, :, None].astype(np.intp) * block_size + np.arange(block_size)
-    return every.reshape(len(dofs), -1)
+    unblocked = dofs[:, :, None].astype(np.intp) * block_size + np.arange(block_size)
+    return unblocked.reshape(len(dofs), -1)
 
 
 def lagrange_components(V: fem.FunctionSpace) -> list[Component]:
-    """A body's fields that motions are known of: V, or of a mixed one what is Lagrange. Collective.
-
-    Of other components nothing is known.
-    """
+    """Fields of a body with known rigid motions: V, or the Lagrange components. Collective."""
     if not is_mixed(V):
         return [Component.of(V)]
     found = []

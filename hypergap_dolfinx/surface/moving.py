@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A surface that moves with its body: displaced facets, and how they hang on the body's dofs."""
+"""A surface that moves with its body: displaced facets as functions of the body's dofs."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,19 +19,19 @@ from hypergap_dolfinx.surface.trace import Surface, tabulate
 
 @dataclass(frozen=True)
 class MovingSurface:
-    """Γ_i with a displacement; the same on every rank."""
+    """Γ_i under a displacement; the same on every rank."""
 
     reference: Surface
-    """Where it was when the mesh was made."""
+    """The undeformed surface, as in the mesh."""
 
     @cached_property
     def dofs(self) -> npt.NDArray[np.int64]:
-        """Global dofs (blocks) of the body that the surface has, sorted, ``(num_dofs,)``."""
+        """Global dofs (blocks) on the surface, sorted, ``(num_dofs,)``."""
         return np.unique(self.reference.dofs)
 
     @cached_property
     def at_facets(self) -> npt.NDArray[np.intp]:
-        """Number of each facet's dofs among them, ``(num_facets, num_facet_dofs)``."""
+        """Index in ``dofs`` of each facet's dofs, ``(num_facets, num_facet_dofs)``."""
         return np.searchsorted(self.dofs, self.reference.dofs)
 
     @cached_property
@@ -44,7 +44,7 @@ class MovingSurface:
 
     @cached_property
     def rest(self) -> Surface:
-        """The reference with geometry nodes that can follow any displacement."""
+        """The reference with geometry of the displacement's degree, if that is higher."""
         surface = self.reference
         if surface.element.degree < surface.geometry.degree:
             return surface
@@ -60,15 +60,11 @@ class MovingSurface:
 
     @cached_property
     def _corners(self) -> list[int]:
-        """Geometry nodes of a facet that are its vertices: Basix takes its time to tell."""
+        """Geometry nodes of a facet that are its vertices; cached, as Basix is slow here."""
         return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
 
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
-        """The surface where a displacement takes it.
-
-        Args:
-            u: Displacement at :attr:`dofs`, ``(num_dofs, n)``.
-        """
+        """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
         rest = self.rest
         nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
         x = np.empty_like(rest.x)
@@ -78,11 +74,11 @@ class MovingSurface:
 
 Sides = tuple[MovingSurface, MovingSurface]
 Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-"""At the dofs of Γ0 and of Γ1, ``(num_dofs_i, n)`` each."""
+"""Values at the dofs of Γ0 and Γ1, ``(num_dofs_i, n)`` each."""
 
 
 def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
-    """Γ0 and Γ1 where displacements take them."""
+    """The displaced Γ0 and Γ1."""
     return sides[0].displaced(u[0]), sides[1].displaced(u[1])
 
 
@@ -96,13 +92,13 @@ class Sparse:
 
     @classmethod
     def empty(cls) -> "Sparse":
-        """Without entries."""
+        """A matrix without entries."""
         none = np.empty(0, dtype=np.int64)
         return cls(none, none, np.empty(0))
 
     @classmethod
     def of(cls, matrix: PETSc.Mat) -> "Sparse":
-        """The entries of a matrix on one rank, which is destroyed."""
+        """Entries of a matrix on one rank, which is destroyed."""
         found = cls(*(np.array(part) for part in triplets(matrix)))
         matrix.destroy()
         return found

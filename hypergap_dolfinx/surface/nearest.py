@@ -3,7 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What of some points, or of an outline, is nearest to others (``c/surface.c``)."""
+"""Nearest points, and nearest places on a closed polygon (``c/surface.c``).
+
+SciPy's ``cKDTree`` has no edges, and breaks ties as it happens: of 4964 nearest points in the tests
+6 were others, in 4.6 times the time.
+"""
 
 from dataclasses import dataclass
 
@@ -15,24 +19,22 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 
 @dataclass(frozen=True)
 class OnLoop:
-    """What of a closed loop is nearest to points."""
+    """Nearest nodes and places on a closed loop."""
 
     node: npt.NDArray[np.int32]
     """The nearest node, ``(num_points,)``."""
     edge: npt.NDArray[np.int32]
     """The nearest edge: from the node of its number to the next one, ``(num_points,)``."""
     s: npt.NDArray[np.float64]
-    """Parameter on it, from 0 to 1."""
+    """Parameter of the place on it, from 0 to 1."""
     apart: npt.NDArray[np.float64]
-    """From there to the point, ``(num_points, 3)``."""
+    """Vector from there to the point, ``(num_points, 3)``."""
 
 
 def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> OnLoop:
-    """What of a closed loop is nearest to points; of several that are as near, the first.
+    """The nearest node and place on a closed loop for each point; the first of equally near ones.
 
-    Args:
-        points: ``(num_points, 3)``.
-        loop: Its nodes, ``(num_nodes, 3)``.
+    Points are ``(num_points, 3)``, the loop's nodes ``(num_nodes, 3)``.
     """
     node, edge = np.empty((2, len(points)), dtype=np.int32)
     s = np.empty(len(points))
@@ -44,14 +46,9 @@ def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> O
 def nearest(
     points: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.int32]:
-    """The nearest of other points to each point; of several that are as near, the first.
+    """The nearest of other points, ``(num_others, 3)``, for each point, ``(num_points, 3)``.
 
-    Args:
-        points: ``(num_points, 3)``.
-        others: ``(num_others, 3)``.
-
-    Returns:
-        ``(num_points,)``.
+    The first of equally near ones, ``(num_points,)``.
     """
     node = np.empty(len(points), dtype=np.int32)
     ffi = library().ffi

@@ -5,9 +5,9 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet.
 
-A triangular facet is its own piece. A quadrilateral has four that meet at its middle, on which
-functions of the trace's degree do (``quadrilaterals``), or is cut into two halves, which need twice
-the degree to have all that the facet has, but may be cut up further.
+A triangular facet is one triangle. A quadrilateral becomes four triangles that meet at its middle,
+with functions of the trace's degree (``quadrilaterals``), or two halves, which need twice the
+degree to represent the facet's functions, but may be cut further.
 """
 
 from collections.abc import Callable
@@ -28,13 +28,13 @@ from hypergap_dolfinx.surface.triangulation import loops, neighbours
 Geometry = Callable[
     [npt.NDArray[np.float64]], tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 ]
-CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
+TRIANGLE_CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
 
 
 @dataclass(frozen=True)
 class Side:
-    """A piece of Γ_i in the slab: triangles that lie in facets."""
+    """A piece of Γ_i: triangles that lie in facets."""
 
     surface: Surface
     x: npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ class Side:
     X: npt.NDArray[np.float64]
     """Reference coordinates of the triangles' corners in it, ``(num_triangles, 3, 2)``."""
     bends: npt.NDArray[np.float64] | None = None
-    """By what edges leave the straight line between their ends in it; None if none does.
+    """Deviation of edges from straight lines in it; None if all are straight.
 
     ``(num_triangles, 3, num_terms, 2)``: edge k from corner k to the next one m is off by
     λ_k λ_m Σ_j b_kj (λ_m − λ_k)^j, with the weights λ of the corners."""
@@ -55,13 +55,13 @@ class Side:
     def of(
         cls, surface: Surface, facets: npt.NDArray[np.intp], halves: bool = False, behind=None
     ) -> "Side":
-        """The piece of a surface that some whole facets make up.
+        """The piece made of some whole facets of a surface.
 
         Args:
             surface: Γ_i.
             facets: Numbers of the facets, ``(num_facets,)``.
-            halves: Whether quadrilaterals are cut into two triangles, to be cut up further, and
-                not into four.
+            halves: True if quadrilaterals are cut into two triangles, to be cut further, instead of
+                four.
             behind: Neighbours of all facets of the surface, if they are known.
         """
         used = np.zeros(len(surface.x), dtype=bool)
@@ -69,14 +69,14 @@ class Side:
         number = np.cumsum(used, dtype=np.intp) - 1
         x, corners = surface.x[used], number[surface.facets[facets]].astype(np.intp)
         if corners.shape[1] == 3:
-            X = np.broadcast_to(CORNERS, (len(facets), 3, 2))
+            X = np.broadcast_to(TRIANGLE_CORNERS, (len(facets), 3, 2))
             side = cls(surface, x, corners, facets, X)
             known = {"is_whole": True, "normals": surface.normals[facets]}
             if behind is not None:
                 own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
                 own[facets] = np.arange(len(facets))
                 known["behind"] = own[behind[facets]]
-            side.__dict__.update(known)  # as its properties would find them
+            side.__dict__.update(known)  # values of cached properties
             return side
         places, pieces = HALVES if halves else QUARTERS
         if not halves:
@@ -92,14 +92,14 @@ class Side:
         )
 
     def in_halves(self) -> "Side":
-        """The same whole facets, to be cut up; vertices of facets keep their numbers."""
+        """The same whole facets as halves, to be cut; vertices of facets keep their numbers."""
         if self.surface.facets.shape[1] == 3:
             return self
         return Side.of(self.surface, np.unique(self.facets), halves=True)
 
     @property
     def degree(self) -> int:
-        """Degree of functions on the triangles that have what the facets' have."""
+        """Degree of functions on the triangles that represent those of the facets."""
         degree = self.surface.element.degree
         if self.surface.facets.shape[1] == 3:
             return degree
@@ -109,12 +109,12 @@ class Side:
 
     @property
     def arrays(self) -> tuple[npt.NDArray | None, ...]:
-        """All but the surface."""
+        """All attributes but the surface."""
         return self.x, self.triangles, self.facets, self.X, self.bends
 
     @property
     def shares(self) -> npt.NDArray[np.float64]:
-        """Part of its facet that each triangle is, edges taken straight, ``(num_triangles,)``."""
+        """Area of each triangle over its facet's, with straight edges, ``(num_triangles,)``."""
         e, f = self.X[:, 1] - self.X[:, 0], self.X[:, 2] - self.X[:, 0]
         facet = self.surface.geometry.cell_type
         whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
@@ -122,9 +122,9 @@ class Side:
 
     @cached_property
     def is_whole(self) -> bool:
-        """Whether each triangle is a facet with the same coordinates."""
+        """True if each triangle is a facet with the same reference coordinates."""
         whole = self.surface.facets.shape[1] == 3 and self.bends is None
-        return whole and bool((self.X == CORNERS).all())
+        return whole and bool((self.X == TRIANGLE_CORNERS).all())
 
     @cached_property
     def behind(self) -> npt.NDArray[np.intp]:
@@ -138,7 +138,7 @@ class Side:
 
     @cached_property
     def vertex_normals(self) -> npt.NDArray[np.float64]:
-        """Mean of the triangles' unit normals at the vertices, of length one."""
+        """Mean of the triangles' unit normals at the vertices, normalised."""
         corner = self.triangles.ravel()
         total = np.empty_like(self.x)
         for i in range(3):
@@ -148,7 +148,7 @@ class Side:
 
     @cached_property
     def inner_edges(self) -> npt.NDArray[np.intp]:
-        """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``."""
+        """Inner edges: ends q, r, the vertex p on the left, s on the right, ``(num_edges, 4)``."""
         f, k = np.nonzero(self.behind > np.arange(len(self.behind))[:, None])
         t, total = self.triangles, self.triangles.sum(axis=1)
         q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
@@ -156,7 +156,7 @@ class Side:
 
     @cached_property
     def tree(self) -> Tree:
-        """Its triangles, to be searched."""
+        """Search tree of the triangles."""
         return Tree(self.x[self.triangles], self.normals)
 
     @cached_property
@@ -177,7 +177,7 @@ class Side:
         return loops(self.triangles, self.behind, self.surface.name, self.x)
 
     def project(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-        """The triangles that points project into, and their reference coordinates in these.
+        """Triangles that points project into, and the reference coordinates there.
 
         Args:
             points: ``(num_points, 3)``.
@@ -186,7 +186,7 @@ class Side:
         curves = self._curves if self.surface.curved[self.facets].any() else None
         triangle, xi = self._walks.project(points, seed, curves)
         out = np.flatnonzero(np.minimum(xi.min(axis=1), 1 - xi.sum(axis=1)) < -OUTSIDE)
-        if len(out):  # the way may have ended where the outline has a notch
+        if len(out):  # the walk may have ended at a notch of the outline
             below = self._below(points[out], triangle[out], xi[out])
             other = below != triangle[out]
             out, below = out[other], below[other]
@@ -194,7 +194,7 @@ class Side:
         return triangle, xi
 
     def _below(self, points, triangle, xi) -> npt.NDArray[np.intp]:
-        """The triangles that points lie above where those are nearer than the given ones."""
+        """Triangles below points if nearer than the given ones, else the given ones."""
         found = triangle.copy()
         weights = np.maximum(np.column_stack((1 - xi.sum(axis=1), xi)), 0)
         weights /= weights.sum(axis=1, keepdims=True)
@@ -203,25 +203,20 @@ class Side:
         v, n = self.x[self.triangles[f]] - points[p, None], self.normals[f]
         height = np.abs(np.einsum("pi,pi->p", v[:, 0], n))
         sides = [np.einsum("pi,pi->p", np.cross(v[:, k], v[:, k - 2]), n) for k in range(3)]
-        size = np.sum(sides, axis=0)  # twice the area, of parts at each edge
+        size = np.sum(sides, axis=0)  # twice the area
         use = (np.min(sides, axis=0) >= -1e-9 * size) & (height < away[p])
         order = np.flatnonzero(use)[np.argsort(-height[use], kind="stable")]
         found[p[order]] = f[order]  # the nearest comes last
         return found
 
     def on_curved(self, triangle, points, xi) -> npt.NDArray[np.float64]:
-        """Where points project on the curved facets, not to jump from one to the next."""
+        """Projection of points on the curved facets, continuous from one facet to the next."""
         return self._walks.on_curved(triangle, points, xi, self._curves)
 
     def geometry(self, triangle: npt.NDArray[np.integer]) -> Geometry:
-        """Places on the (curved) surface and their derivatives, of points of some triangles.
+        """Map of reference coordinates in triangles, ``(num_points, 2)``, to the curved surface.
 
-        Args:
-            triangle: ``(num_points,)``.
-
-        Returns:
-            Takes reference coordinates in the triangles, ``(num_points, 2)``, to places,
-            ``(num_points, 3)``, and derivatives by both, ``(num_points, 2, 3)``.
+        It returns places, ``(num_points, 3)``, and derivatives, ``(num_points, 2, 3)``.
         """
         nodes, tabulate = self.surface.nodes[self.facets[triangle]], self.surface.geometry.tabulate
 
@@ -234,15 +229,7 @@ class Side:
         return geometry
 
     def in_facets(self, triangle, xi) -> npt.NDArray[np.float64]:
-        """Reference coordinates in the host facet of points of triangles.
-
-        Args:
-            triangle: ``(num_points,)``.
-            xi: Reference coordinates in the triangle, ``(num_points, 2)``.
-
-        Returns:
-            ``(num_points, 2)``.
-        """
+        """Coordinates in the host facets of points xi of triangles, ``(num_points, 2)``."""
         if self.is_whole:
             return np.array(xi)
         X = self.X[triangle]
@@ -261,14 +248,11 @@ class Side:
 
 
 def bent(bends, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """By what points of triangles move where edges are bent, and its derivatives by xi.
+    """Offset of points in triangles with bent edges, ``(num_points, 2)``, and its slopes by xi.
 
     Args:
         bends: As of :class:`Side`, ``(num_points, 3, num_terms, 2)``.
         xi: Reference coordinates, ``(num_points, 2)``.
-
-    Returns:
-        ``(num_points, 2)`` and ``(num_points, 2, 2)``.
     """
     off, slopes = np.zeros((len(xi), 2)), np.zeros((len(xi), 2, 2))
     some = np.flatnonzero(bends.any(axis=(1, 2, 3)))

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What Lagrange elements of facets interpolate with, as C takes it (``c/monomials.c``)."""
+"""Monomials and coefficients of facets' Lagrange elements, for ``c/monomials.c``."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,7 @@ import basix
 def terms(
     element: basix.finite_element.FiniteElement, origin=(0.0, 0.0)
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """The terms of an element's polynomials, and the factors that each node's function has of them.
-
-    Args:
-        element: On a triangle or a quadrilateral.
-        origin: Where coordinates are counted from, of which terms are powers.
+    """Monomials of an element around an origin, and coefficients of its basis functions.
 
     Returns:
         Powers of both coordinates, ``(num_terms, 2)``, and ``(num_terms, num_nodes)``.

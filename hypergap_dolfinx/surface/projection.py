@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Where points project to on triangulated surfaces in space, straight or curved."""
+"""Projection of points on triangulated surfaces in space, straight or curved."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,7 +39,7 @@ class Curves:
 
     @cached_property
     def pointer(self):
-        """For C, with all that it points to."""
+        """The struct for C, and the arrays that it points to."""
         powers, to_terms = terms(self.element)
         first = self.nodes[:, :1]
         factors = to_terms @ (self.nodes - first)
@@ -59,27 +59,26 @@ class Curves:
 
 
 class Triangles:
-    """Triangles of a surface that know their neighbours, to find points in them."""
+    """Triangles of a surface with their neighbours, to find points in them."""
 
     def __init__(self, x: npt.NDArray, triangles: npt.NDArray, behind: npt.NDArray):
-        """By vertex coordinates, vertices of each triangle, and its neighbours."""
+        """From vertex coordinates, and the vertices and neighbours of each triangle."""
         self._x, self._triangles = _as_doubles(x), as_ints(triangles)
         self._behind = as_ints(behind)
 
     def project(self, points, seed, curves: Curves | None = None):
         """Walk from a triangle to the one that each point projects into.
 
-        Beyond a boundary the last one is extrapolated.
+        Beyond a boundary the last triangle is extrapolated. A second walk over curved triangles
+        starts where the one over straight triangles ends.
 
         Args:
             points: Points, ``(num_points, 3)``.
-            seed: Where the walk starts, ``(num_points,)``.
-            curves: What triangles are bent like. Then a second walk over them starts where the one
-                over straight triangles ends.
+            seed: Triangle where the walk starts, ``(num_points,)``.
+            curves: Geometry of curved triangles.
 
         Returns:
-            Triangle and reference coordinates in it of each point, ``(num_points,)`` and
-            ``(num_points, 2)``.
+            Triangle and reference coordinates in it, ``(num_points,)`` and ``(num_points, 2)``.
         """
         ffi, lib = library().ffi, library().lib
         found, X = np.array(seed, dtype=np.int32), np.zeros((len(points), 2))
@@ -96,16 +95,10 @@ class Triangles:
         return found.astype(np.intp), X
 
     def on_curved(self, triangle, points, X, curves: Curves) -> npt.NDArray[np.float64]:
-        """Where lines along the normals between a triangle's vertices meet it, by Newton's method.
+        """Projection on curved triangles along interpolated vertex normals, by Newton's method.
 
-        Other than the facets' normals these don't jump from one facet to the next, so points near
-        each other get to places near each other.
-
-        Args:
-            triangle: ``(num_points,)``.
-            points: ``(num_points, 3)``.
-            X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
-            curves: What triangles are bent like.
+        Unlike the facets' normals these are continuous, and so is the projection. Starting values
+        X, ``(num_points, 2)``, are kept where it doesn't converge.
         """
         ffi, X = library().ffi, np.array(X, dtype=float)
         library().lib.project_on_curved(

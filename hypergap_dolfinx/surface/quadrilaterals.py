@@ -3,21 +3,20 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""What functions of quadrilateral facets become on triangles.
+r"""Functions of quadrilateral facets on triangles.
 
-A quadrilateral's functions of degree k have terms up to :math:`s^k t^k`. On its two halves these
-are polynomials of degree 2k, on which Σ's cells are costly. Four triangles that meet at its middle
-do with degree m ≥ k, if not all of a function is kept but what a tie needs of it: polynomials up to
-degree m, continuity with the next facet, and the moments
+A quadrilateral's functions of degree k have terms up to :math:`s^k t^k`, polynomials of degree 2k
+on its two halves, which make Σ's cells costly. On four triangles that meet at its middle, degree
+m ≥ k is enough to keep all that a tie needs: polynomials up to degree m, continuity with the next
+facet, and the moments
 
 .. math:: \int_{\square} (I v) \, p \, ds \, dt = \int_{\square} v \, p \, ds \, dt
    \qquad\text{for all } p \in P_{\max(1, k - 1)},
 
-by which tractions of degree k − 1 give the loads that they give on the facet (constant ones also
-where dΓ is linear, in distorted planar quadrilaterals). Nodes on the facet's edges and at its own
-dofs take the value there. All others inside take it too, and add the smallest change that makes up
-for the defect of the moments. Interpolation alone fails the linear patch test: with degree 2 the
-stress is 3 % off.
+so that loads of tractions of degree k − 1 are those on the facet (of constant ones also where dΓ is
+linear, in distorted planar quadrilaterals). Nodes on the facet's edges and at its own dofs
+interpolate. The other inner nodes interpolate up to the smallest change that restores the moments.
+Interpolation alone fails the linear patch test: with degree 2 the stress is 3 % off.
 """
 
 from functools import lru_cache
@@ -29,21 +28,21 @@ import basix
 from hypergap_dolfinx.surface.tolerances import SAME_NODE
 from hypergap_dolfinx.surface.trace import tabulate
 
-CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])  # of the reference facet
+SQUARE_CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 QUARTERS = (
-    np.vstack((CORNERS, (0.5, 0.5))),
+    np.vstack((SQUARE_CORNERS, (0.5, 0.5))),
     np.array([(0, 1, 4), (1, 3, 4), (3, 2, 4), (2, 0, 4)]),
 )
-"""Places in the reference facet, and the triangles between them; those of whole facets."""
-HALVES = CORNERS, np.array([(0, 1, 3), (0, 3, 2)])
-"""The same of facets that are cut."""
+"""Points of the reference facet, and the four triangles of a whole facet between them."""
+HALVES = SQUARE_CORNERS, np.array([(0, 1, 3), (0, 3, 2)])
+"""The same with two triangles, for facets that are cut."""
 
 
 @lru_cache(maxsize=64)
 def middle_rows(
     element: basix.finite_element.FiniteElement, nodes: basix.finite_element.FiniteElement
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Values at nodes of the four triangles that aren't just those of a function there.
+    """Values at nodes of the four triangles that differ from interpolation.
 
     Args:
         element: The facet's Lagrange element, of degree k.

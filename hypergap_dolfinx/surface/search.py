@@ -3,23 +3,29 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which triangles of a surface a point may lie above or below, and which a line may meet."""
+"""Search for triangles that a point may lie above or below, or that a line may meet.
+
+Queries of balls or boxes (SciPy's ``cKDTree``, DOLFINx's bounding-box trees) need a radius, but
+the gap isn't known: with half the diameter of a surface of 12 800 triangles ``cKDTree`` takes 93 s,
+this tree 6.5 s (of 3200: 3.4 s, 1.0 s).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.surface.tolerances import BUNCH, CURVE, FACING_COSINE, LEANS_SEARCH
+from hypergap_dolfinx.surface.tolerances import FACING_COSINE, LEANS_SEARCH
 
 
 def along_curve(x: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
-    """Points, ``(num, 3)``, in the order in which a curve passes that fills space."""
+    """Order of points, ``(num, 3)``, along a space-filling (Morton) curve."""
+    bits = 10  # of each coordinate
     low = x.min(axis=0)
-    scale = (2**CURVE - 1) / max(float(np.ptp(x, axis=0).max()), 1e-300)
+    scale = (2**bits - 1) / max(float(np.ptp(x, axis=0).max()), 1e-300)
     grid = ((x - low) * scale).astype(np.int64)
     code = np.zeros(len(x), dtype=np.int64)
-    for bit in range(CURVE):
+    for bit in range(bits):
         for axis in range(3):
             code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
     return np.argsort(code, kind="stable")
@@ -27,18 +33,18 @@ def along_curve(x: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Parts of a surface: balls around them, and cones around their normals."""
+    """Parts of a surface: bounding balls, and bounding cones of their normals."""
 
     middle: npt.NDArray[np.float64]
     """``(num_parts, 3)``."""
     radius: npt.NDArray[np.float64]
     axis: npt.NDArray[np.float64]
-    """Of the cone, ``(num_parts, 3)``."""
+    """Axis of the cone, ``(num_parts, 3)``."""
     angle: npt.NDArray[np.float64]
-    """Between its axis and the normals at most."""
+    """Largest angle between it and the normals."""
 
     def halved(self) -> "_Parts":
-        """Two parts after each other made one."""
+        """The next level: each two consecutive parts as one."""
         even, odd = slice(None, None, 2), slice(1, None, 2)
         middle = (self.middle[even] + self.middle[odd]) / 2
         axis = self.axis[even] + self.axis[odd]
@@ -52,7 +58,7 @@ class _Parts:
         return _Parts(middle, radius, axis, angle)
 
     def may_face(self, part, points, normals) -> npt.NDArray[np.bool_]:
-        """Which parts may have triangles that face points, each its own: none is missed."""
+        """Mask of parts with possible candidates for points, each its own; none is missed."""
         axis, angle = self.axis[part], self.angle[part]
         facing = np.arccos(np.clip(-np.einsum("pi,pi->p", axis, normals), -1, 1))
         apart = points - self.middle[part]
@@ -66,17 +72,18 @@ class _Parts:
 
 
 class Tree:
-    """Triangles, halved and halved again along a curve that fills space."""
+    """A binary tree of triangles along a space-filling curve."""
 
     def __init__(self, x: npt.NDArray[np.float64], normals: npt.NDArray[np.float64]):
         """Triangles by their corners, ``(num_triangles, 3, 3)``, and their unit normals."""
         middle = x.mean(axis=1)
         radius = np.linalg.norm(x - middle[:, None], axis=2).max(axis=1)
         order = along_curve(middle)
-        num = 1 << int(np.ceil(np.log2(max(len(x), BUNCH))))
+        bunch = 4  # triangles in a leaf
+        num = 1 << int(np.ceil(np.log2(max(len(x), bunch))))
         order = order[np.minimum(np.arange(num), len(x) - 1)]
-        self.triangles = order.reshape(-1, BUNCH).copy()
-        self.triangles.ravel()[len(x) :] = -1  # the last one again: it counts once
+        self.triangles = order.reshape(-1, bunch).copy()
+        self.triangles.ravel()[len(x) :] = -1  # copies of the last one
         self.middle, self.radius, self.normals = middle, radius, normals
         parts = _Parts(middle[order], radius[order], normals[order], np.zeros(num))
         self.levels: list[_Parts] = []
@@ -86,14 +93,9 @@ class Tree:
                 self.levels.append(parts)
 
     def candidates(self, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Points and triangles that they may lie above or below.
+        """Pairs of points and triangles that they may lie above or below, ``(num_pairs,)`` each.
 
-        Args:
-            points: ``(num_points, 3)``.
-            normals: Of the surface that they are on, which faces the triangles'.
-
-        Returns:
-            The pairs' points and triangles, ``(num_pairs,)``.
+        Points have normals of their own surface, which faces the triangles, ``(num_points, 3)``.
         """
         size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         normals = normals / size
@@ -111,14 +113,9 @@ class Tree:
         return p[near], f[near]
 
     def beside(self, points, axes) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Lines and triangles of which they meet the balls around them, however far along.
+        """Pairs of lines and triangles whose bounding balls they meet, ``(num_pairs,)`` each.
 
-        Args:
-            points: On the lines, ``(num_lines, 3)``.
-            axes: Along them, unit vectors, ``(num_lines, 3)``.
-
-        Returns:
-            The pairs' lines, in their order, and triangles, ``(num_pairs,)``.
+        Lines, in their order, are points and unit vectors, ``(num_lines, 3)``.
         """
 
         def near(of, part, p):
@@ -132,12 +129,12 @@ class Tree:
         return p[keep], f[keep]
 
     def _down(self, num: int, keeps) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Pairs of things, numbered, and triangles in the smallest parts that are kept for them."""
+        """Pairs of queries 0 … num − 1 and triangles of the leaves that ``keeps`` reaches."""
         p, part = np.arange(num), np.zeros(num, dtype=np.intp)
         for level in self.levels[::-1]:
             keep = keeps(level, part, p)
             p, part = p[keep], part[keep]
             if level is not self.levels[0]:
                 p, part = np.repeat(p, 2), (2 * part[:, None] + (0, 1)).ravel()
-        p, f = np.repeat(p, BUNCH), self.triangles[part].ravel()
+        p, f = np.repeat(p, self.triangles.shape[1]), self.triangles[part].ravel()
         return p[f >= 0], f[f >= 0]

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The trace of a function space on its interface facets, gathered over the ranks."""
+"""Trace of a function space on the facets of an interface, gathered over the ranks."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,11 +19,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.polynomials import terms
-from hypergap_dolfinx.surface.tolerances import (
-    LAST_DIGITS,
-    SAME_NODE,
-    STRAIGHT,
-)
+from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
 
 
 @dataclass(frozen=True)
@@ -31,13 +27,12 @@ class Surface:
     """One side Γ_i of an interface: the same arrays on every rank.
 
     The vertices of a facet are ordered such that its normal points out of the body: in 2D the
-    body is on the left, in 3D triangles turn counterclockwise seen from outside. Those of a
-    quadrilateral are in the order of its reference coordinates, (0, 0), (1, 0), (0, 1), (1, 1),
-    which turn so too.
+    body is on the left, in 3D triangles turn counterclockwise seen from outside, and so do the
+    reference coordinates (0, 0), (1, 0), (0, 1), (1, 1) of quadrilaterals, in this order.
     """
 
     name: str
-    """What messages call it, Γ0 or Γ1."""
+    """Name for messages, Γ0 or Γ1."""
     x: npt.NDArray[np.float64]
     """Vertex coordinates, ``(num_vertices, n)``."""
     facets: npt.NDArray[np.int32]
@@ -45,9 +40,9 @@ class Surface:
     nodes: npt.NDArray[np.float64]
     """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
     dofs: npt.NDArray[np.int64]
-    """Global dofs (blocks) of each facet, as ``element`` has them, ``(num_facets, num_dofs)``."""
+    """Global dofs (blocks) of each facet, ordered as ``element``'s, ``(num_facets, num_dofs)``."""
     owner: npt.NDArray[np.int32]
-    """Rank that owns the body's cell at the facet, ``(num_facets,)``."""
+    """Rank that owns the body's cell behind each facet, ``(num_facets,)``."""
     geometry: basix.finite_element.FiniteElement
     """Lagrange element of the facets' geometry."""
     element: basix.finite_element.FiniteElement
@@ -62,7 +57,7 @@ class Surface:
 
     @property
     def polygons(self) -> npt.NDArray[np.int32]:
-        """Vertices of each facet, one after the other around it: edge k goes from k to k + 1."""
+        """Vertices of each facet in cyclic order: edge k goes from k to k + 1."""
         return around(self.facets)
 
     @cached_property
@@ -79,7 +74,7 @@ class Surface:
 
     @cached_property
     def straight_nodes(self) -> npt.NDArray[np.float64]:
-        """Where the geometry nodes are that the vertices alone would give, as ``nodes``."""
+        """Geometry nodes interpolated from the vertices, shaped as ``nodes``."""
         if len(self.geometry.points) == self.facets.shape[1]:
             return self.nodes
         linear = basix.create_element(basix.ElementFamily.P, self.geometry.cell_type, 1)
@@ -87,9 +82,9 @@ class Surface:
 
     @cached_property
     def curved(self) -> npt.NDArray[np.bool_]:
-        """Which facets' geometry nodes are elsewhere than their vertices say, ``(num_facets,)``.
+        """Mask of facets with geometry nodes off ``straight_nodes``, ``(num_facets,)``.
 
-        A quadrilateral with nothing but vertices isn't curved, though it may be warped.
+        A bilinear quadrilateral isn't curved, though it may be warped.
         """
         if self.straight_nodes is self.nodes:
             return np.zeros(len(self.facets), dtype=bool)
@@ -97,7 +92,7 @@ class Surface:
 
     @cached_property
     def affine(self) -> npt.NDArray[np.bool_]:
-        """Which facets are affine images of the reference facet, ``(num_facets,)``."""
+        """Mask of facets that are affine images of the reference facet, ``(num_facets,)``."""
         v = self.x[self.facets]
         if v.shape[1] < 4:
             return ~self.curved
@@ -105,16 +100,13 @@ class Surface:
         return ~(self.curved | self._is_off(twist))
 
     def _is_off(self, deviation) -> npt.NDArray[np.bool_]:
-        """Whether a distance at each facet is more than round-off."""
+        """Mask of facets where a distance is more than round-off."""
         # Coordinates carry a rounding error of their own, which grows away from the origin
-        return deviation > STRAIGHT * self.size + LAST_DIGITS * np.abs(self.x).max()
+        return deviation > STRAIGHT * self.size + NOISE * np.abs(self.x).max()
 
     @cached_property
     def edge_numbers(self) -> npt.NDArray[np.intp]:
-        """A number for each edge of facets (2D: each vertex), one for all that share it.
-
-        From 0, without gaps, ``(num_facets, num_edges)``.
-        """
+        """Number from 0 of each facet's edges (2D: vertices), ``(num_facets, num_edges)``."""
         key = start = self.polygons.astype(np.int64)
         if self.gdim == 3:
             end = np.roll(start, -1, axis=1)
@@ -124,12 +116,12 @@ class Surface:
 
     @cached_property
     def is_outline(self) -> npt.NDArray[np.bool_]:
-        """Which edges of facets (2D: vertices) no other facet has, ``(num_facets, num_edges)``."""
+        """Mask of edges (2D: vertices) of one facet only, ``(num_facets, num_edges)``."""
         return np.bincount(self.edge_numbers.ravel())[self.edge_numbers] == 1
 
     @cached_property
     def polynomials(self) -> dict[str, Any]:
-        """Facets in space and their dofs' functions as C sees them: ``Facets`` in ``c/space.h``."""
+        """Fields of ``Facets`` in ``c/space.h``: facets in space and their basis functions."""
         corners = basix.geometry(self.geometry.cell_type)
         middle, origins = corners.mean(axis=0), self.nodes[:, :1]
         powers, to_terms = terms(self.geometry, middle)
@@ -148,15 +140,7 @@ class Surface:
         }
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
-        """Coordinates of reference points.
-
-        Args:
-            facet: Facet of each point, ``(num_points,)``.
-            X: Reference coordinates, ``(num_points, n - 1)``.
-
-        Returns:
-            Coordinates, ``(num_points, n)``.
-        """
+        """Coordinates of points at reference coordinates X in facets, ``(num_points, n)``."""
         nodes = self.nodes[facet]
         # Sums of steps from the first node keep a coordinate that all nodes share to its last digit
         steps = nodes[:, 1:] - nodes[:, :1]
@@ -172,12 +156,12 @@ def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.f
 
 
 def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Weights of the first dim + 1 vertices of an affine facet, ``(num_points, dim + 1)``."""
+    """Weights of the vertices of a simplex, ``(num_points, dim + 1)``."""
     return np.column_stack((1 - X.sum(axis=1), X))
 
 
 def lengths(vectors) -> npt.NDArray[np.float64]:
-    """Lengths of vectors, ``(num, n)``: sums over a short axis are slow in NumPy's own norm."""
+    """Lengths of vectors, ``(num, n)``; NumPy's norm is slow over a short axis."""
     return np.sqrt(np.einsum("vi,vi->v", vectors, vectors))
 
 
@@ -202,7 +186,7 @@ def normals_by_area(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def around(facets: npt.NDArray) -> npt.NDArray:
-    """Vertices of facets, ``(num_facets, num_vertices)``, one after the other around each."""
+    """Vertices of facets, ``(num_facets, num_vertices)``, in cyclic order."""
     return facets[:, [0, 1, 3, 2]] if facets.shape[1] == 4 else facets
 
 
@@ -214,11 +198,7 @@ def _match(points, reference) -> npt.NDArray[np.intp] | None:
 
 
 def _facet_tables(cell_type, element, facet_element):
-    """Cell node under each facet node, for each local facet and both turns of its vertices.
-
-    Returns:
-        ``(num_local_facets, 2, num_facet_nodes)``.
-    """
+    """Cell nodes at facet nodes for both orientations, ``(num_local_facets, 2, num_nodes)``."""
     fdim = len(basix.topology(cell_type)) - 2
     vertices = basix.geometry(cell_type)
     tables = []
@@ -231,16 +211,12 @@ def _facet_tables(cell_type, element, facet_element):
 
 
 def is_mixed(V: fem.FunctionSpace) -> bool:
-    """Whether a space has components of different elements."""
+    """True if a space has components of different elements."""
     return V.num_sub_spaces > 0 and V.num_sub_spaces > V.ufl_element().block_size
 
 
 def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteElement, str | None]:
-    """The scalar Lagrange element under a space, or the reason why there is none.
-
-    Returns:
-        The element, and None or a message.
-    """
+    """The scalar Lagrange element of a space and None, or None and the reason as a message."""
     if V.component():
         return None, "is a subspace, which only ties take"
     if is_mixed(V):
@@ -267,7 +243,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
         V: Lagrange space of degree k ≥ 1, scalar or blocked.
         facets: Exterior facets (indices local to this rank); a facet that several ranks know may
             be given on any of them.
-        name: What messages call the surface.
+        name: Name of the surface for messages.
 
     Returns:
         The surface, the same on every rank.
@@ -323,7 +299,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     tables = _facet_tables(cell_type, cell_geometry, geometry)[local]  # (facet, turn, node)
     nodes = np.take_along_axis(cell_nodes[:, None, :], tables, axis=2)
     vertex_nodes = [dofs[0] for dofs in geometry.entity_dofs[0]]
-    # Of the vertices: in a thin cell, nodes of curved edges may lie beyond the facet's plane
+    # Mean of the vertices: in a thin cell, nodes of curved edges may lie beyond the facet's plane
     corners = [dofs[0] for dofs in cell_geometry.entity_dofs[0]]
     centre = x[cell_nodes[:, corners]].mean(axis=1)
     v = x[nodes[:, 0][:, vertex_nodes]]
@@ -333,7 +309,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     tables = _facet_tables(cell_type, element, trace)[local, turn]
     dofs = np.take_along_axis(V.dofmap.list[cells], tables, axis=1)
 
-    # Gather: facets are told apart by their global number, vertices by their global node
+    # Gather: facets are identified by their global number, vertices by their global node
     def gather(a):
         return np.concatenate(comm.allgather(np.ascontiguousarray(a)))
 
@@ -372,11 +348,9 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
 
 
 def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
-    """How far the cells behind facets reach, over the facets' length; the median. Collective.
+    """Median ratio of the height of cells behind facets of V's mesh to the facets' length.
 
-    Args:
-        V: Space on a mesh, of which :func:`create_surface` made a surface.
-        facets: Its facets on this rank.
+    Collective; :func:`create_surface` has been called for V.
     """
     mesh, n = V.mesh, V.mesh.geometry.dim
     facets = np.asarray(facets, dtype=np.int32)
@@ -394,7 +368,7 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
 
 
 def _cell_error(topology, name: str) -> str | None:
-    """Whether a mesh's cells have facets that this module knows, or what is wrong."""
+    """Message if a mesh's cells are of an unsupported type, or None."""
     cells = topology.cell_name()
     if cells in ("triangle", "quadrilateral", "tetrahedron", "hexahedron"):
         return None
@@ -402,7 +376,7 @@ def _cell_error(topology, name: str) -> str | None:
 
 
 def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
-    """What is wrong with this rank's facets, or None."""
+    """Message if this rank's facets are invalid, or None."""
     fdim = mesh.topology.dim - 1
     if facets.ndim != 1 or (len(facets) and not np.issubdtype(facets.dtype, np.integer)):
         return f"the facets of {name} must be a flat array of local facet indices (ft.find(tag))."
@@ -428,7 +402,7 @@ def _facet_error(mesh, facets: npt.NDArray, name: str) -> str | None:
 
 
 def facet_pairs(surface: Surface) -> npt.NDArray[np.intp]:
-    """Facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
+    """Pairs of facets that share an edge (2D: a vertex), ``(num_pairs, 2)``."""
     key = surface.edge_numbers
     facet = np.repeat(np.arange(len(key)), key.shape[1])
     key = key.ravel()

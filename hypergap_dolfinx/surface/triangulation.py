@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Surfaces in three dimensions: neighbours, kinks and smooth pieces."""
+"""Surfaces in space: neighbours, kinks, smooth pieces and boundary loops."""
 
 from itertools import pairwise
 
@@ -19,9 +19,8 @@ from hypergap_dolfinx.surface.nearest import nearest
 from hypergap_dolfinx.surface.tolerances import (
     CORNER,
     CURVES,
-    FACING_NEIGHBOURS,
+    FACING_COSINE,
     NOISE,
-    SAMPLES_KINKS,
     STANDS_OUT,
     TURN,
 )
@@ -31,18 +30,17 @@ from hypergap_dolfinx.surface.trace import Surface, around, lengths
 def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
     """The facet behind each edge of each facet, −1 behind a boundary edge.
 
-    Edge k of a facet goes from its vertex k to vertex k + 1.
-
     Args:
-        facets: Vertices of each facet, one after the other, ``(num_facets, 3)`` or ``(…, 4)``.
-        name: What messages call the surface.
+        facets: Vertices of each facet in cyclic order, ``(num_facets, 3)`` or ``(num_facets, 4)``;
+            edge k goes from vertex k to vertex k + 1.
+        name: Name of the surface for messages.
         x: Vertex coordinates.
 
     Returns:
-        As ``facets``.
+        Facet numbers, shaped as ``facets``.
 
     Raises:
-        InterfaceError: More than two facets meet in an edge, or two that are turned over.
+        InterfaceError: More than two facets meet in an edge, or two of opposite orientation.
     """
     behind = np.empty(facets.shape, dtype=np.int32)
     status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
@@ -69,24 +67,20 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
 
 
 def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Where edges of facets start and end; their numbers count on around the facet."""
+    """Vertices where edges k (modulo their number) of facets start and end."""
     polygons = surface.polygons
     num = polygons.shape[1]
     return polygons[facet, k % num], polygons[facet, (k + 1) % num]
 
 
 def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
-    """Edges at which a surface has a corner: it turns there, and hardly beside it.
+    """Edges at which a surface has a kink: it turns there, and hardly beside it.
 
-    Facets that stand for a smooth surface turn about as much at the next parallel edges. Curved
-    ones turn inside of them and not where they meet.
-
-    Args:
-        surface: The surface.
-        behind: Its facets' neighbours.
+    Facets that approximate a smooth surface turn about as much at the next parallel edges. Curved
+    ones turn inside, not where they meet. ``behind`` are the facets' neighbours.
 
     Returns:
-        Facet and local number of each such edge (one of its two facets).
+        One of the two facets of each such edge, and the edge's local number there.
     """
     kink = np.empty(behind.shape, dtype=np.int32)
     status = library().lib.find_kinks(
@@ -116,7 +110,7 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
 
 
 def _angles(n0, n1) -> npt.NDArray[np.float64]:
-    """Between normals, ``(num,)``."""
+    """Angles between normals, ``(num,)``."""
     return np.arctan2(lengths(np.cross(n0, n1)), np.einsum("ei,ei->e", n0, n1))
 
 
@@ -131,9 +125,9 @@ def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:
-    """Which edges of a surface are on lines that run along edges of the other one.
+    """Mask of kinks on lines that run along kinks of the other surface somewhere.
 
-    Such a line parts what is beside it where the other surface has ended, too.
+    Such a line also separates pieces beyond the other surface's boundary.
     """
     (f, k), (g, m) = edges, other_edges
     first, last = edge_ends(surface, f, k)
@@ -157,20 +151,16 @@ def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArr
 def facing_pieces(surfaces: tuple[Surface, Surface], behind):
     """Smooth pieces of both surfaces that lie opposite to each other.
 
-    A piece ends at its surface's boundary, and where both surfaces have a kink.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        behind: The facets' neighbours, for both.
+    A piece ends at its surface's boundary and where both surfaces have a kink.
 
     Returns:
-        The number of the pair of pieces that each facet belongs to, for both surfaces.
+        Number of each facet's pair of pieces, for both surfaces.
 
     Raises:
         InterfaceError: The surfaces don't face each other.
     """
     lines = [kinks(surfaces[0], behind[0])]
-    if len(lines[0][0]):  # else it doesn't matter where the other one has some
+    if len(lines[0][0]):  # else kinks of the other one don't matter
         lines.append(kinks(surfaces[1], behind[1]))
     pieces = []
     for i, surface in enumerate(surfaces):
@@ -184,7 +174,7 @@ def facing_pieces(surfaces: tuple[Surface, Surface], behind):
             joined[g, np.argmax(behind[i][g] == e[:, None], axis=1)] = False
         keep = joined[f, k]
         pieces.append(components(len(surface.facets), f[keep], behind[i][f, k][keep]))
-    # Each piece belongs to the one that most of it lies opposite to
+    # Each piece is paired with the one that most of it lies opposite to
     num = [int(p.max()) + 1 for p in pieces]
     pairs = []
     for i in (0, 1):
@@ -197,6 +187,11 @@ def facing_pieces(surfaces: tuple[Surface, Surface], behind):
     return group[: num[0]][pieces[0]], group[num[0] :][pieces[1]]
 
 
+def spread(facets: npt.NDArray[np.intp], num: int = 64) -> npt.NDArray[np.intp]:
+    """At most ``num`` of some facets, evenly spread over their numbers."""
+    return facets[np.unique(np.linspace(0, len(facets) - 1, num).astype(np.intp))]
+
+
 def _centres(surface: Surface, facets=slice(None)) -> npt.NDArray[np.float64]:
     """Means of the vertices of facets, ``(num_facets, 3)``."""
     v = surface.facets[facets]
@@ -204,38 +199,30 @@ def _centres(surface: Surface, facets=slice(None)) -> npt.NDArray[np.float64]:
 
 
 def _opposite(surface: Surface, pieces, other: Surface):
-    """Samples of each piece of a surface: their piece, and the other's facet they lie opposite.
+    """Sampled facets of each piece: their piece, and the other surface's facet opposite to them.
 
     Raises:
         InterfaceError: The outward normals agree, or the surfaces are far apart.
     """
     order = np.argsort(pieces, kind="stable")
     start = np.searchsorted(pieces[order], np.arange(pieces.max() + 2))
-    picks = [
-        order[np.unique(np.linspace(a, b - 1, SAMPLES_KINKS).astype(np.intp))]
-        for a, b in pairwise(start)
-    ]
-    samples = np.concatenate(picks)
+    samples = np.concatenate([spread(order[a:b]) for a, b in pairwise(start)])
     centres, middles = _centres(other), _centres(surface, samples)
     found = nearest(middles, centres)
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
-    for j in np.flatnonzero(
-        cosine >= FACING_NEIGHBOURS
-    ):  # what is turned away counts as farther off
-        distance = lengths(centres - middles[j])
+    for j in np.flatnonzero(cosine >= FACING_COSINE):  # prefer facets that face it
         turned = other.normals @ normals[j]
-        found[j] = (
-            distance * np.where(turned < FACING_NEIGHBOURS, 1, np.where(turned < 0, 4, 1e6))
-        ).argmin()
+        penalty = np.where(turned < FACING_COSINE, 1, np.where(turned < 0, 4, 1e6))
+        found[j] = (lengths(centres - middles[j]) * penalty).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
             f"Γ0 and Γ1 don't face each other: their outward normals agree around {spot(middles)}; "
             "is one of them the wrong side of its body, or the same surface given twice?"
         )
     cosine = np.einsum("si,si->s", normals, other.normals[found])
-    if (cosine > FACING_NEIGHBOURS).all():
+    if (cosine > FACING_COSINE).all():
         angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
         raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "
@@ -245,29 +232,18 @@ def _opposite(surface: Surface, pieces, other: Surface):
     off = lengths(apart).min()
     reach = np.linalg.norm(np.ptp(np.vstack((surface.x, other.x)), axis=0)) / 2
     if off > reach:
+        x = {side.name: side.x for side in (surface, other)}
         raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: they are {off:.3g} apart, Γ0 around "
-            f"{_middle(surface, other, 'Γ0')}, Γ1 around {_middle(surface, other, 'Γ1')}; "
-            "check the tags."
+            f"{spot(x['Γ0'])}, Γ1 around {spot(x['Γ1'])}; check the tags."
         )
     return pieces[samples], found
 
 
-def _middle(surface: Surface, other: Surface, name: str) -> str:
-    return spot((surface if surface.name == name else other).x)
-
-
 def loops(facets: npt.NDArray, behind: npt.NDArray, name: str, x: npt.NDArray):
-    """Boundary loops: vertices in the facets' direction of travel.
+    """Boundary loops: vertices in the direction of the facets' edges.
 
-    Args:
-        facets: Vertices of each facet.
-        behind: The facets' neighbours.
-        name: What messages call the surface.
-        x: Vertex coordinates.
-
-    Returns:
-        A list of arrays.
+    Arguments are as of :func:`neighbours`, and its result ``behind``.
 
     Raises:
         InterfaceError: Two parts of the surface touch in one vertex only.

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Facing pieces that overlap in part, cut to what both have in common."""
+"""Facing pieces that overlap in part, cut to their common part."""
 
 from dataclasses import replace
 
@@ -13,6 +13,7 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
 from hypergap_dolfinx.trimming.outlines import differing, locate, meetings
@@ -21,7 +22,7 @@ from hypergap_dolfinx.trimming.tolerances import SNAP
 
 
 def _kept(cut: Cut, other: Side) -> Side | None:
-    """The part that lies opposite to the other piece."""
+    """The part of a piece that lies opposite to the other one, or None."""
     side = cut.side
     cells, origin, weights = cut.triangulation()
     x = np.vstack((side.x, cut.places(range(cut.num_vertices, cut.num_vertices + len(cut.at)))[0]))
@@ -37,11 +38,10 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     votes = np.bincount(part[np.nonzero(left)[0]], minlength=num)
     votes -= np.bincount(part[np.nonzero(right)[0]], minlength=num)
     keep = votes > 0
-    asked = np.flatnonzero(votes == 0)
-    sample = np.searchsorted(part[np.argsort(part, kind="stable")], asked)
-    sample = np.argsort(part, kind="stable")[sample]
+    undecided = np.flatnonzero(votes == 0)
+    sample = np.unique(part, return_index=True)[1][undecided]
     middle = x[cells[sample]].mean(axis=1)
-    keep[asked] = locate(other, middle, side.normals[origin[sample]])[0] >= 0
+    keep[undecided] = locate(other, middle, side.normals[origin[sample]])[0] >= 0
     mine = keep[part]
     if not mine.any():
         return None
@@ -50,18 +50,18 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     number[mine] = np.arange(len(cells))
     behind = np.where(behind >= 0, number[behind], -1)
     kept = sorted_out(side, x, cells, behind, origin, weights)
-    if cut.courses:
+    if cut.curves:
         f, k = np.nonzero(left[mine])
-        bends = np.zeros((len(cells), 3, cut.courses.degree - 1, 2))
+        bends = np.zeros((len(cells), 3, cut.curves.degree - 1, 2))
         ends = weights[f[:, None], np.column_stack((k, (k + 1) % 3)), 1:]
         pairs = np.column_stack((cells[f, k], cells[f, (k + 1) % 3]))
-        bends[f, k] = cut.courses.bends(pairs, origin[f], ends)
+        bends[f, k] = cut.curves.bends(pairs, origin[f], ends)
         kept = replace(kept, bends=upright(kept.X, bends))
     return kept
 
 
 def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
-    """A piece of cut triangles; parts that touch in a vertex only get one each."""
+    """A piece of cut triangles; a vertex at which parts touch is duplicated."""
     f, k = np.nonzero(behind >= 0)
     g = behind[f, k]
     m = (behind[g] == f[:, None]).argmax(axis=1)
@@ -80,11 +80,7 @@ def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
 
 
 def _meet(cuts: tuple[Cut, Cut], snap: float) -> tuple[dict[int, int], dict[int, int]]:
-    """Nodes where the outlines meet, on both, and which are at one place.
-
-    Returns:
-        For each side its nodes at the other's nodes.
-    """
+    """Make nodes where the outlines meet; for each side, its node at each node of the other."""
     (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
     twins: tuple[dict[int, int], dict[int, int]] = {}, {}
     if not places0 or not places1:
@@ -126,30 +122,30 @@ def parts(side: Side) -> list[Side]:
 
 
 def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]]:
-    """What two facing pieces have in common: pairs with the same outlines.
+    """The common part of two facing pieces: pairs with the same outlines.
 
     Args:
         side0: A piece of Γ0.
-        side1: The one of Γ1 that faces it.
-        snap: Distance, in lengths of the outlines' edges, that is none.
+        side1: The piece of Γ1 that faces it.
+        snap: Distance treated as zero, in lengths of the outlines' edges.
 
     Returns:
         Pairs of connected pieces; the two themselves if their outlines match.
 
     Raises:
         NotFacingError: They have nothing in common.
-        InterfaceError: Other parts are left of one than of the other.
+        InterfaceError: The parts that are left of both don't correspond.
     """
     alone = differing(side0, side1)
     if not any(alone):
         return [(side0, side1)]
     sides = side0, side1 = side0.in_halves(), side1.in_halves()
-    lengths = [
+    edges = [
         np.linalg.norm(side.x[loop] - np.roll(side.x[loop], 1, axis=0), axis=1).mean()
         for side, loops in zip(sides, alone, strict=True)
         for loop in loops
     ]
-    snap *= float(min(lengths))
+    snap *= float(min(edges))
     cuts = Cut(side0, alone[0], snap), Cut(side1, alone[1], snap)
     twins = _meet(cuts, snap)
     outlines = [cut.outline() for cut in cuts]
@@ -165,20 +161,13 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
 
 
 def _matched(parts0: list[Side], parts1: list[Side]) -> list[tuple[Side, Side]]:
-    """Parts of both sides that lie opposite to each other."""
+    """Pairs of parts that lie opposite to each other."""
     if len(parts0) == len(parts1) == 1:  # tubes of five facets: a place on one may miss the other
         return [(parts0[0], parts1[0])]
     pairs = []
     left = list(range(len(parts1)))
     for part in parts0:
-        area = np.linalg.norm(
-            np.cross(
-                part.x[part.triangles[:, 1]] - part.x[part.triangles[:, 0]],
-                part.x[part.triangles[:, 2]] - part.x[part.triangles[:, 0]],
-            ),
-            axis=1,
-        )
-        largest = area.argmax()
+        largest = lengths(normals_by_area(part.x[part.triangles])).argmax()
         middle = part.x[part.triangles[largest]].mean(axis=0)[None]
         normal = part.normals[[largest]]
         found = [j for j in left if locate(parts1[j], middle, normal)[0][0] >= 0]

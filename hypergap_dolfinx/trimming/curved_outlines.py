@@ -3,11 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""How a piece that is cut follows the other one's curved outline.
+"""Cuts of a piece along the other one's curved outline.
 
-The outline is drawn as straight segments on the piece's straight triangles. Where these cross edges
-is then moved to where the outline itself does, and what is cut gets edges that are bent: in its
-facet's reference coordinates, polynomials through places to which points of the outline project.
+The outline is drawn as straight segments on the piece's straight triangles. Their crossings with
+edges are then moved to those of the outline itself, and cut triangles get bent edges: polynomials
+in the facet's reference coordinates through projected points of the outline.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.surface.pieces import CORNERS, Side, bent
-from hypergap_dolfinx.trimming.tolerances import FOLDS, NEWTON_CROSSING
+from hypergap_dolfinx.surface.pieces import TRIANGLE_CORNERS, Side, bent
+from hypergap_dolfinx.trimming.tolerances import FOLDS, NEWTON_OUTLINES
 
 SAMPLES = basix.create_lattice(basix.CellType.triangle, 4, basix.LatticeType.equispaced, True)
 
@@ -34,23 +34,23 @@ class Arcs:
     triangle: npt.NDArray[np.intp]
     """``(num_arcs,)``."""
     corners: npt.NDArray[np.intp]
-    """Where they start and end in it, ``(num_arcs, 2)``."""
+    """Local corners at their start and end, ``(num_arcs, 2)``."""
 
     @classmethod
     def between(cls, side: Side, triangle, vertices) -> "Arcs":
-        """Edges of triangles by their vertices, ``(num_arcs,)`` and ``(num_arcs, 2)``."""
+        """Arcs from triangles, ``(num_arcs,)``, and their edges' vertices, ``(num_arcs, 2)``."""
         triangle = np.asarray(triangle, dtype=np.intp)
         vertices = np.asarray(vertices, dtype=np.intp).reshape(-1, 2)
         match = side.triangles[triangle][:, None] == vertices[:, :, None]
         return cls(side, triangle, match.argmax(axis=2))
 
     def __getitem__(self, some) -> "Arcs":
-        """Some of them."""
+        """A selection of arcs."""
         return Arcs(self.side, self.triangle[some], self.corners[some])
 
     def at(self, s) -> tuple[npt.NDArray[np.float64], ...]:
         """Places at parameters from 0 to 1, the piece's normals there, and derivatives of both."""
-        start, end = CORNERS[self.corners[:, 0]], CORNERS[self.corners[:, 1]]
+        start, end = TRIANGLE_CORNERS[self.corners[:, 0]], TRIANGLE_CORNERS[self.corners[:, 1]]
         x, dx = self.side.geometry(self.triangle)(start + s[:, None] * (end - start))
         n = self.side.vertex_normals[self.side.triangles[self.triangle[:, None], self.corners].T]
         normal = n[0] + s[:, None] * (n[1] - n[0])
@@ -58,27 +58,27 @@ class Arcs:
 
 
 def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Where curved edges of two pieces cross, seen along the first one's normals.
+    """Crossings of curved edges of two pieces, along the first one's normals.
 
     Args:
         own: Edges of one piece.
         other: As many of the other one.
-        s: Parameters to start from, ``(num_arcs,)``.
+        s: Initial parameters on them, ``(num_arcs,)``.
         r: The same on the other edges.
 
     Returns:
-        Both, and whether they were found.
+        Both parameters, and the mask of crossings that were found.
     """
     z = np.zeros(len(s))
     done = np.zeros(len(s), dtype=bool)
-    for _ in range(NEWTON_CROSSING):
+    for _ in range(NEWTON_OUTLINES):
         x, n, dx, dn = own.at(s)
         y, _, dy, _ = other.at(r)
         off = x + z[:, None] * n - y
         square = np.einsum("pi,pi->p", dx, dx)
         J = np.stack((dx + z[:, None] * dn, n, -dy), axis=2)
         size = np.sqrt(square * np.einsum("pi,pi->p", dy, dy))
-        J[np.abs(np.linalg.det(J)) < 1e-6 * size] = np.eye(3)  # they run along each other
+        J[np.abs(np.linalg.det(J)) < 1e-6 * size] = np.eye(3)  # parallel
         step = np.where(done[:, None], 0, np.linalg.solve(J, off[:, :, None])[:, :, 0])
         s, z, r = np.clip(s - step[:, 0], -1, 2), z - step[:, 1], np.clip(r - step[:, 2], -1, 2)
         done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square
@@ -87,35 +87,34 @@ def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, n
     return s, r, done & (s > 0) & (s < 1) & (r > 0) & (r < 1)
 
 
-@dataclass
-class Courses:
+class OutlineCurves:
     """Parts of the other piece's outline that are drawn on a piece."""
 
     def __init__(self, side: Side, other: Side):
-        """None is drawn yet."""
+        """A piece without any, and the other one."""
         self.side, self.other = side, other
         self.degree = max(one.surface.geometry.degree for one in (side, other))
         self._tracks: list[tuple[Edge, list[int], list[float]]] = []
         self._ends: dict[tuple[int, int], tuple[Edge, float, float]] = {}
 
     def add(self, edge: Edge, nodes: list[int], r: list[float]):
-        """A part that is drawn: nodes along it, and what parameters they should have."""
+        """Add a part by its edge, the nodes along it, and their parameters on the edge."""
         self._tracks.append((edge, nodes, r))
 
     def between_ends(self) -> list[int]:
-        """All nodes along the parts but at their ends."""
+        """Nodes along the parts except at their ends."""
         return list(dict.fromkeys(node for _, nodes, _ in self._tracks for node in nodes[1:-1]))
 
     def settled(self, nodes: list[int], arcs: Arcs, s) -> dict[int, float]:
-        """Where the outline crosses the piece's edges.
+        """Crossings of the outline with the piece's edges.
 
         Args:
-            nodes: Nodes that were made where straight segments cross them.
+            nodes: Nodes at crossings of the straight segments.
             arcs: The edges.
             s: The nodes' parameters, ``(num_nodes,)``.
 
         Returns:
-            New parameters of the nodes at which it does.
+            New parameters of the nodes for which a crossing was found.
         """
         if not nodes:
             return {}
@@ -139,7 +138,7 @@ class Courses:
         return found
 
     def close(self, nodes: set[int]):
-        """No more is drawn; some nodes are where the outline is."""
+        """End the drawing, given the nodes that lie on the curved outline."""
         for edge, along, r in self._tracks:
             for k in range(len(along) - 1):
                 u, v = along[k : k + 2]
@@ -147,17 +146,11 @@ class Courses:
                     self._ends[u, v] = edge, r[k], r[k + 1]
 
     def foot(self, u: int, v: int, s: float, triangle: int, weights):
-        """Where the outline has a node between two others in a triangle.
-
-        Args:
-            u: A node.
-            v: Another.
-            s: Where the new one is between them, from 0 to 1.
-            triangle: The triangle.
-            weights: Of its corners, where the new one is on the straight segment.
+        """Place on the outline at s from 0 to 1 between nodes u and v in a triangle.
 
         Returns:
-            The weights, and its parameter on the other's edge.
+            Barycentric coordinates, and the parameter on the other's edge; ``weights``, those on
+            the straight segment, and NaN if it is off the outline.
         """
         if (v, u) in self._ends:
             u, v, s = v, u, 1 - s
@@ -171,7 +164,7 @@ class Courses:
         return (found, r) if found.min() > 0 else (weights, np.nan)
 
     def split(self, u: int, v: int, node: int, r: float):
-        """Put a node between two others; NaN if it isn't where the outline is."""
+        """Put a node between two others, with its parameter; NaN if it is off the outline."""
         if (v, u) in self._ends:
             u, v = v, u
         if (u, v) in self._ends:
@@ -180,10 +173,10 @@ class Courses:
                 self._ends[u, node], self._ends[node, v] = (edge, r0, r), (edge, r, r1)
 
     def bends(self, pairs, triangle, ends) -> npt.NDArray[np.float64]:
-        """By what straight edges of cut triangles are off the outline.
+        """Deviation of the outline from straight edges of cut triangles.
 
         Args:
-            pairs: Their nodes, ``(num_edges, 2)``.
+            pairs: The edges' nodes, ``(num_edges, 2)``.
             triangle: The piece's triangle that each lies in, ``(num_edges,)``.
             ends: Reference coordinates of the nodes in it, ``(num_edges, 2, 2)``.
 
@@ -214,14 +207,9 @@ class Courses:
 
 
 def upright(X, bends) -> npt.NDArray[np.float64] | None:
-    """Bends of triangles, without those that fold them.
+    """Bends of triangles with corners X, ``(num_triangles, 3, 2)``, but zero where they would fold.
 
-    Args:
-        X: Corners in the host facets, ``(num_triangles, 3, 2)``.
-        bends: As of :class:`Side`.
-
-    Returns:
-        As ``bends``; None if none is left.
+    None if none is left.
     """
     some = np.flatnonzero(bends.any(axis=(1, 2, 3)))
     straight = X[some, 1:] - X[some, :1]

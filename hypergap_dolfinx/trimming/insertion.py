@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Nodes that are put into a piece of a surface, and where they lie."""
+"""Nodes that are inserted into a piece of a surface, and their places."""
 
 from collections import defaultdict
 
@@ -14,18 +14,17 @@ from hypergap_dolfinx.surface.pieces import Side
 
 
 class Nodes:
-    """A piece's vertices, and new nodes on its edges or in its triangles.
+    """Vertices of a piece, and new nodes on its edges or in its triangles.
 
-    Where they lie is told by weights of vertices, in the triangulation of straight triangles.
+    Places are given by weights of vertices, in the triangulation of straight triangles.
     """
 
     def __init__(self, side: Side, snap: float):
         """A piece, and the distance below which two nodes are one."""
         self.side, self.snap = side, snap
         self.num_vertices = len(side.x)
-        self.at: list[
-            tuple
-        ] = []  # of each new node: an edge and a parameter, or a triangle's weights
+        # For each new node: the edge's vertices and a parameter, or a triangle and weights
+        self.at: list[tuple] = []
         self.on: dict[tuple[int, int], list[tuple[float, int]]] = {}  # nodes on each edge
         self.inside: dict[int, list[int]] = defaultdict(list)  # nodes in each triangle
         corner = side.triangles.ravel()
@@ -40,7 +39,7 @@ class Nodes:
         return fan.tolist()
 
     def on_edge(self, a: int, b: int, s: float) -> int:
-        """The node at a parameter on an edge: a new one unless there is one beside it."""
+        """The node at a parameter on an edge: a new one unless one is within ``snap``."""
         if a > b:
             a, b, s = b, a, 1 - s
         near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
@@ -56,7 +55,7 @@ class Nodes:
         return node
 
     def in_triangle(self, triangle: int, weights) -> int:
-        """The node at a place in a triangle; on its edge or its vertex if it is beside it."""
+        """The node at a place in a triangle; on its edge or vertex if within ``snap`` of it."""
         v = self.side.triangles[triangle].tolist()
         x = self.side.x[v]
         twice = float(np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])))
@@ -87,7 +86,7 @@ class Nodes:
         return triangle, weights
 
     def places(self, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Where nodes are on the (curved) surface, and its normals there."""
+        """Places of nodes on the (curved) surface, and its normals there."""
         hosts = [self.host(node) for node in nodes]
         triangle = np.array([t for t, _ in hosts], dtype=np.intp)
         weights = np.array([w for _, w in hosts]).reshape(-1, 3)
@@ -96,7 +95,7 @@ class Nodes:
         return x, np.einsum("pv,pvi->pi", weights, n)
 
     def flat(self, node: int) -> npt.NDArray[np.float64]:
-        """Where a node is in the triangulation of straight triangles."""
+        """Place of a node in the triangulation of straight triangles."""
         if node < self.num_vertices:
             return self.side.x[node]
         triangle, weights = self.host(node)
@@ -125,9 +124,10 @@ class Nodes:
         a, b = sorted(edge)
         return (a, b) if self.around(a, b) else None
 
-    def parameter(self, node: int) -> float:
-        """Where a new node is on its edge."""
-        return self.at[node - self.num_vertices][2]
+    def parameter(self, node: int, edge: tuple[int, int]) -> float:
+        """Parameter of a node on an edge that it lies on or ends."""
+        new = node >= self.num_vertices
+        return self.at[node - self.num_vertices][2] if new else float(node == edge[1])
 
     def between(self, a: int, b: int) -> list[int]:
         """The nodes on an edge from one of its vertices to the other, both included."""
@@ -136,15 +136,7 @@ class Nodes:
         return [a, *(node for _, node in self.on.get((a, b), [])), b]
 
     def slide(self, edge: tuple[int, int], new: dict[int, float]) -> bool:
-        """Move nodes on an edge, unless their order would change.
-
-        Args:
-            edge: Its vertices.
-            new: Parameters of nodes, some of which are on it.
-
-        Returns:
-            Whether they were moved.
-        """
+        """Move nodes on an edge to new parameters; False if their order would change."""
         on = [(new.get(node, s), node) for s, node in self.on[edge]]
         near = self.snap / float(np.linalg.norm(self.side.x[edge[1]] - self.side.x[edge[0]]))
         if np.diff([0.0, *(s for s, _ in on), 1.0]).min() <= near:

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Where two surfaces in space end: which outlines differ, and where they cross or touch."""
+"""Outlines of two surfaces in space: which differ, and where they cross or touch."""
 
 from dataclasses import dataclass
 
@@ -12,36 +12,31 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.tolerances import FACING_COSINE
+from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
 from hypergap_dolfinx.trimming.tolerances import (
     AWAY,
-    BESIDE,
-    CONVERGED_WEIGHTS,
-    CORNER_OUTLINE,
-    FEET,
+    INSIDE_WEIGHT,
     LEVEL,
     NEARLY,
+    NEWTON_OUTLINES,
     OFF_OUTLINES,
-    PAIRS,
-    ROUND_OFF_WEIGHTS,
-    STEEP,
 )
 
 
 class Rim:
-    """A loop of edges at which a piece ends."""
+    """A boundary loop of a piece."""
 
     def __init__(self, side: Side, loop: npt.NDArray[np.intp]):
-        """The loop's nodes, in any direction."""
+        """A piece, and the nodes of a loop in either direction."""
         self.x = side.x[loop]  # (edge, 3)
         self.t = np.roll(self.x, -1, axis=0) - self.x
         self.length = np.linalg.norm(self.t, axis=1)
         self.normal = side.vertex_normals[loop]
-        # An arc's distance from its chord is its length times an eighth of what it turns by; what
-        # turns by more than a pentagon does is a corner, where both outlines have a node
+        # The sagitta of an arc is an eighth of its length times its turn; larger turns than in a
+        # pentagon are corners, where both outlines have a node
         unit = self.t / self.length[:, None]
         turn = _angle(unit, np.roll(unit, -1, axis=0))
-        turn[turn > CORNER_OUTLINE] = 0
+        turn[turn > CORNER] = 0
         self.sag = self.length * np.maximum(turn, np.roll(turn, 1)) / 8
         self.bend = np.maximum(
             _angle(self.normal, np.roll(self.normal, 1, axis=0)),
@@ -49,18 +44,18 @@ class Rim:
         )
 
     def off(self, other: "Rim"):
-        """How far its nodes are off another one, as far as straight edges can tell.
+        """Distances of its nodes from another one, less what the bend of the surfaces explains.
 
         Returns:
-            The nearest edge and the parameter on it, from 0 to 1; how far off it is; the nearest
-            node and how far off that is; all ``(num_nodes,)``, distances in lengths of edges.
+            The nearest edge, the parameter on it, from 0 to 1, and the distance; the nearest node
+            and its distance; all ``(num_nodes,)``, distances in lengths of edges.
         """
         there = on_loop(self.x, other.x)
         edge = there.edge
         height, distance = _along(there.apart, other.normal[edge])
-        # A gap is fine; a facet's normal knows its direction as well as facets bend
+        # A gap is allowed; its direction is known up to the angle between neighbouring normals
         explained = 2 * np.maximum(self.sag, other.sag[edge])
-        bend = np.minimum(other.bend[edge] + self.bend, STEEP)
+        bend = np.minimum(other.bend[edge] + self.bend, CORNER)
         explained += height * np.tan(bend)
         length = np.maximum(self.length, other.length[edge])
         explained = np.minimum(explained, AWAY * length)
@@ -69,10 +64,10 @@ class Rim:
         return edge, there.s, (distance - explained) / length, there.node, to_node
 
     def is_on(self, other: "Rim") -> bool:
-        """Whether its nodes lie on another one's edges, as far as straight edges can tell.
+        """True if its nodes lie on another one's edges, up to the bend of the surfaces.
 
-        It goes the other way round, as outlines of surfaces do that face each other: else these lie
-        beside each other.
+        Outlines of facing surfaces run in opposite directions; equal directions mean that the
+        surfaces lie beside each other.
         """
         edge, s, off, nearest, to_node = self.off(other)
         if is_along(self.x, other.x, edge, s):
@@ -82,14 +77,14 @@ class Rim:
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
-    """Whether two loops go the same way round.
+    """True if two loops of nodes x and y, ``(num_nodes, 3)``, run in the same direction.
 
     Args:
-        x: Nodes of the one, ``(num_nodes, 3)``.
-        y: Nodes of the other one.
-        edge: Its edge that is nearest to each of the first one's nodes.
-        s: The parameter on it, from 0 to 1.
-        some: The nodes of the first one that these are of.
+        x: The first one.
+        y: The second one.
+        edge: Edge of the second one that is nearest to nodes of the first one.
+        s: Parameter on it, from 0 to 1.
+        some: These nodes of the first one.
     """
     # Chords of two edges: at a node the nearest edge may be the one before or the one behind it
     ways = [np.roll(z, -1, axis=0) - np.roll(z, 1, axis=0) for z in (x, y)]
@@ -102,13 +97,13 @@ def _angle(a, b) -> npt.NDArray[np.float64]:
 
 
 def _along(apart, normal):
-    """Parts of vectors along normals and across them."""
+    """Lengths of vectors' parts along normals and across them."""
     height = np.einsum("pi,pi->p", apart, normal)
     return np.abs(height), np.linalg.norm(apart - height[:, None] * normal, axis=1)
 
 
 def differing(side0: Side, side1: Side) -> tuple[list[npt.NDArray[np.intp]], ...]:
-    """Loops of each side that have no counterpart on the other one."""
+    """Loops of each side without a counterpart on the other one."""
     loops = [side.loops() for side in (side0, side1)]
     rims = [
         [Rim(side, loop) for loop in own] for side, own in zip((side0, side1), loops, strict=True)
@@ -129,16 +124,16 @@ class Edges:
     """Straight edges of an outline."""
 
     a: npt.NDArray[np.float64]
-    """Where they start, ``(num_edges, 3)``."""
+    """Starting points, ``(num_edges, 3)``."""
     b: npt.NDArray[np.float64]
-    """Where they end."""
+    """End points."""
     normal: npt.NDArray[np.float64]
     """Normals of the surface, ``(num_edges, 3)``."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """Where nodes of one outline lie on edges of the other, and where edges cross."""
+    """Nodes of one outline on edges of the other, and crossings of edges."""
 
     edge: npt.NDArray[np.intp]
     """Edge of the first outline, ``(num,)``."""
@@ -151,18 +146,15 @@ class Meetings:
 
 
 def meetings(edges: Edges, others: Edges, snap: float) -> Meetings:
-    """All places where two outlines meet, seen along the first one's normals.
+    """All places where two outlines with opposite normals meet, along the first one's normals.
 
-    Args:
-        edges: The first outline.
-        others: The second one; normals point the other way.
-        snap: Distance that is none.
+    Distances up to ``snap`` are treated as zero.
     """
     found = []
     length = np.linalg.norm(edges.b - edges.a, axis=1)
     others_length = np.linalg.norm(others.b - others.a, axis=1)
     middle, others_middle = (edges.a + edges.b) / 2, (others.a + others.b) / 2
-    chunk = max(1, PAIRS // max(len(others.a), 1))
+    chunk = max(1, 1_000_000 // max(len(others.a), 1))  # pairs at a time, to bound memory
     for c in range(0, len(length), chunk):
         part = slice(c, c + chunk)
         apart = others_middle - middle[part, None]
@@ -194,7 +186,7 @@ def _meetings(edges: Edges, others: Edges, e, o, snap: float) -> tuple[npt.NDArr
         return (np.abs(y[:, 1]) <= snap) & (y[:, 0] >= -snap) & (y[:, 0] <= length + snap)
 
     def on_other(y0):
-        """Parameter of the point (y0, 0) on the other edge, and whether it lies on it."""
+        """Parameter of the point (y0, 0) on the other edge, and True if it lies on it."""
         along = ((y0 - p[:, 0]) * d[:, 0] - p[:, 1] * d[:, 1]) / size
         across = np.abs(-p[:, 1] * d[:, 0] - (y0 - p[:, 0]) * d[:, 1]) / size
         return along, (across <= snap) & (along >= -snap) & (along <= size + snap)
@@ -222,15 +214,12 @@ def _dot(a, b) -> npt.NDArray[np.float64]:
 
 
 def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-    """The triangles that points lie above or below, along the surface's normals.
+    """The triangles of a piece that points lie above or below, along the piece's normals.
 
-    Args:
-        side: A piece.
-        points: ``(num_points, 3)``.
-        normals: Of the surface that they are on, which faces the piece, ``(num_points, 3)``.
+    Points have normals of their own surface, which faces the piece, ``(num_points, 3)``.
 
     Returns:
-        The nearest such triangle, −1 where there is none, and the weights of its vertices,
+        The nearest such triangle, or −1, and the weights of its vertices,
         ``(num_points,)`` and ``(num_points, 3)``.
     """
     host, weights = np.full(len(points), -1), np.zeros((len(points), 3))
@@ -238,15 +227,15 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     at, t = _feet(side, f, points[p])
     curved = bool(side.surface.curved[side.facets].any())
     least = at.min(axis=1, initial=np.inf)
-    near = least >= -(BESIDE if curved else ROUND_OFF_WEIGHTS)
+    near = curved | (least >= -INSIDE_WEIGHT)  # a curved triangle may contain points beside it
     p, f, at, t, least = p[near], f[near], at[near], np.abs(t[near]), least[near]
-    order = np.lexsort((t, np.maximum(-ROUND_OFF_WEIGHTS - least, 0), p))
+    order = np.lexsort((t, np.maximum(-INSIDE_WEIGHT - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]
     p, f, at = p[first], f[first], at[first]
     if curved and len(p):
         f, xi = side.project(points[p], f)
         at = np.column_stack((1 - xi.sum(axis=1), xi))
-        inside = at.min(axis=1, initial=np.inf) >= -CONVERGED_WEIGHTS
+        inside = at.min(axis=1, initial=np.inf) >= -INSIDE_WEIGHT
         p, f, at = p[inside], f[inside], np.maximum(at[inside], 0)
         at /= at.sum(axis=1)[:, None]
     host[p], weights[p] = f, at
@@ -254,10 +243,10 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
 
 
 def _feet(side: Side, triangle, points):
-    """Weights of the vertices, and heights, at which points lie along the vertices' normals."""
+    """Weights of the vertices and height of points along interpolated vertex normals."""
     x, n = side.x[side.triangles[triangle]], side.vertex_normals[side.triangles[triangle]]
     height = np.zeros(len(points))
-    for _ in range(FEET):
+    for _ in range(NEWTON_OUTLINES):
         y = x + height[:, None, None] * n
         e, f, d = y[:, 1] - y[:, 0], y[:, 2] - y[:, 0], points - y[:, 0]
         N = np.cross(e, f)

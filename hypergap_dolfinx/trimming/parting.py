@@ -3,12 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which pieces of two surfaces face each other, and where they part.
+"""Pairs of pieces of two surfaces that face each other.
 
-Faces of a body that turn away from the other one are left out, if it has more than one: whole
-boundaries can be tied. And pieces part at a kink only if both sides have it at one place: coarse
-facets of a wavy surface look kinked here and there, on each side elsewhere. What would be parted
-there has outlines that differ inside of the surfaces, and room between them that no piece has.
+Faces of a body that turn away from the other one are left out, so whole boundaries can be tied.
+Pieces are separated at a kink only if both sides have it at the same place: coarse facets of a wavy
+surface have apparent kinks, at different places on each side. Separating there would give pieces
+with different outlines inside of the surfaces, and gaps between them.
 """
 
 from dataclasses import replace
@@ -20,23 +20,23 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.tolerances import CORNER, FACING_NEIGHBOURS, SAMPLES_KINKS
+from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
 from hypergap_dolfinx.surface.trace import Surface
-from hypergap_dolfinx.surface.triangulation import facing_pieces, kinks, neighbours
+from hypergap_dolfinx.surface.triangulation import facing_pieces, kinks, neighbours, spread
 from hypergap_dolfinx.trimming.outlines import Rim
 from hypergap_dolfinx.trimming.tolerances import BEHIND_FACET, NEARLY, OFF_OUTLINES
 
 Groups = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
-"""The number of the pair of pieces that each facet belongs to, for both surfaces."""
+"""Number of each facet's pair of pieces, for both surfaces."""
 
 
 def pairs_of_pieces(surface0: Surface, surface1: Surface):
     """Smooth pieces of both surfaces that lie opposite to each other.
 
     Returns:
-        The number of the pair of pieces that each facet belongs to, for both surfaces: facets that
-        turn away from the other side have the highest one, which isn't counted; the number of
-        pairs; and the facets' neighbours, for both.
+        Number of each facet's pair of pieces, for both surfaces, where facets that turn away from
+        the other side have the number of pairs; the number of pairs; and the facets' neighbours,
+        for both.
 
     Raises:
         InterfaceError: The surfaces branch, touch themselves in a vertex or don't face each other.
@@ -56,7 +56,7 @@ def pairs_of_pieces(surface0: Surface, surface1: Surface):
 
 
 def _restricted(surface: Surface, behind, keep):
-    """Some facets of a surface and their neighbours among these."""
+    """The surface of some facets, and their neighbours among these."""
     if keep.all():
         return surface, behind
     number = np.full(len(keep) + 1, -1)  # and −1 of −1
@@ -66,9 +66,9 @@ def _restricted(surface: Surface, behind, keep):
 
 
 def _facing(surfaces: tuple[Surface, Surface], behind):
-    """Which facets of both surfaces are on a face of the body that faces the other one.
+    """Masks of both surfaces' facets on faces of the body that face the other one.
 
-    All are, if a surface has no corners, or if no face does.
+    All are taken if neither surface has corners, or if no face is found.
     """
     faces = [_faces(*pair) for pair in zip(surfaces, behind, strict=True)]
     good = [np.zeros(face.max() + 1, dtype=bool) for face in faces]
@@ -79,12 +79,10 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
         own, other = surfaces[i], surfaces[1 - i]
         middles, centres = (s.x[s.facets].mean(axis=1) for s in (own, other))
         for face in range(len(good[i])):
-            mine = np.flatnonzero(faces[i] == face)
-            mine = mine[np.unique(np.linspace(0, len(mine) - 1, SAMPLES_KINKS).astype(np.intp))]
-            for j in mine:
+            for j in spread(np.flatnonzero(faces[i] == face)):
                 away = centres - middles[j]
                 distance = np.linalg.norm(away, axis=1)
-                distance[other.normals @ own.normals[j] >= FACING_NEIGHBOURS] = np.inf
+                distance[other.normals @ own.normals[j] >= FACING_COSINE] = np.inf
                 k = int(distance.argmin())
                 depth = BEHIND_FACET * max(own.size[j], other.size[k])
                 if np.isfinite(distance[k]) and away[k] @ own.normals[j] > -depth:
@@ -95,7 +93,7 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
 
 
 def _faces(surface: Surface, behind) -> npt.NDArray[np.int32]:
-    """The face between corners that each facet is on."""
+    """Number of each facet's face between corners."""
     data = *behind.shape, as_ints(behind), as_doubles(surface.normals), np.cos(CORNER)
     if not library().lib.has_corner(*data):
         return np.zeros(len(behind), dtype=np.int32)
@@ -111,17 +109,9 @@ def _faces(surface: Surface, behind) -> npt.NDArray[np.int32]:
 def _join_unmatched(
     surfaces: tuple[Surface, Surface], groups: Groups, behind: tuple[npt.NDArray, npt.NDArray]
 ) -> Groups:
-    """Join pairs of pieces at kinks of one side that lie beside those of the other one.
+    """Join pairs of pieces at kinks that the other side hasn't at the same place.
 
-    Corners that are sharper than ``triangulation.CORNER`` part pieces in any case.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        groups: As of ``triangulation.facing_pieces``.
-        behind: The facets' neighbours.
-
-    Returns:
-        The pairs of pieces that are left.
+    Corners sharper than ``CORNER`` always separate pieces.
     """
     while (num := int(groups[1].max()) + 1) > 1:
         pairs = [
@@ -144,17 +134,7 @@ def _join_unmatched(
 
 
 def _beyond(side: Side, group, behind, loop) -> npt.NDArray[np.intp]:
-    """The pair of pieces beyond each edge of a loop: −1 at the surface's boundary and at corners.
-
-    Args:
-        side: A piece of whole facets.
-        group: Of each facet of the surface.
-        behind: The facets' neighbours.
-        loop: Vertices of the piece.
-
-    Returns:
-        ``(num_edges,)``.
-    """
+    """Pair of pieces beyond each edge of a piece's loop, −1 at boundaries and corners."""
     surface, mine = side.surface, np.unique(side.facets)
     vertex = np.unique(surface.facets[mine])[loop].astype(np.int64)
     polygons = surface.polygons[mine].astype(np.int64)
@@ -168,7 +148,7 @@ def _beyond(side: Side, group, behind, loop) -> npt.NDArray[np.intp]:
 
 
 def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]]:
-    """Pairs of pieces to be joined with one, which lie beyond edges that the other side hasn't."""
+    """Pairs of pieces to be joined: those beyond edges that the other side hasn't."""
     pair = int(groups[0][sides[0].facets[0]])
     rims: list[list[tuple[Rim, npt.NDArray]]] = []
     for side, group, own in zip(sides, groups, behind, strict=True):

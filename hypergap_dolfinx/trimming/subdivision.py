@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A piece of a surface with the other one's outline in it, and what it is cut into."""
+"""A piece of a surface with the other one's outline drawn on it, and its cut triangles."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.trimming.curved_outlines import Arcs, Courses, Edge
+from hypergap_dolfinx.trimming.curved_outlines import Arcs, Edge, OutlineCurves
 from hypergap_dolfinx.trimming.delaunay import Cutting
 from hypergap_dolfinx.trimming.insertion import Nodes
 from hypergap_dolfinx.trimming.outlines import Edges, locate
@@ -23,23 +23,23 @@ from hypergap_dolfinx.trimming.tolerances import BLUNT, CHORDS, ROUNDS_BLUNT
 
 
 class Cut(Nodes):
-    """A piece with nodes and edges put into it; its own triangles stay until the end."""
+    """A piece with inserted nodes and edges; its own triangles stay until the end."""
 
     def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
-        """A piece whose outline (loops of vertices) has nodes where it is curved."""
+        """A piece, with nodes on curved edges of its outline (loops of vertices)."""
         super().__init__(side, snap)
         self.loops = [loop.tolist() for loop in outline]
-        self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # across each triangle
-        self.runs: list[tuple[int, int]] = []  # parts of edges that the other's outline runs along
-        self.path: list[tuple[int, int]] = []  # the other's outline, what it has inside on the left
-        self.courses: Courses | None = None  # of it, if it is curved
+        self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # in each triangle
+        self.runs: list[tuple[int, int]] = []  # edges along the other's outline
+        self.path: list[tuple[int, int]] = []  # the other's outline, its inside on the left
+        self.curves: OutlineCurves | None = None  # of it, if it is curved
         degree = side.surface.geometry.degree
         for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
             if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
                 for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
                     self.on_edge(a, b, s)
 
-    # Its own outline
+    # The piece's own outline
 
     def outline(self) -> list[list[int]]:
         """Loops of nodes."""
@@ -49,7 +49,7 @@ class Cut(Nodes):
         ]
 
     def edges(self) -> tuple[list[tuple], Edges]:
-        """The outline's edges: their places on the vertices' edges, and where they are in space."""
+        """The outline's edges: their parameters on the vertices' edges, and places in space."""
         places: list[tuple] = []
         ends: list[tuple[int, int]] = []
         for loop in self.loops:
@@ -65,13 +65,13 @@ class Cut(Nodes):
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         return places, Edges(start, end, normal)
 
-    # The other's outline
+    # The other piece's outline
 
     def draw(self, u: int, v: int) -> list[tuple[int, float]]:
         """Put a segment between two nodes into the triangles that it crosses.
 
         Returns:
-            The nodes along it, and where they are on it, from 0 to 1.
+            The nodes along it, and their parameters on it, from 0 to 1.
         """
         passed = [(u, 0.0)]
         start, target = self.flat(u), self.flat(v)
@@ -106,10 +106,7 @@ class Cut(Nodes):
         )
 
     def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
-        """Where a plane leaves a triangle, seen from a node in it: how far, and the place.
-
-        A place is a vertex, or an edge and a parameter on it.
-        """
+        """Exits of a plane from a triangle: progress, and a vertex or an edge with a parameter."""
         v = self.side.triangles[triangle].tolist()
         x = self.side.x[v] - start
         d = [0.0 if abs(s) <= self.snap else s for s in (x @ across).tolist()]
@@ -132,7 +129,7 @@ class Cut(Nodes):
             self.path.append((u, v))
 
     def follow(self, other: "Cut", outline: list[list[int]], twins: dict[int, int]):
-        """Draw the other piece's outline, where it lies inside.
+        """Draw the part of the other piece's outline that lies inside.
 
         Args:
             other: The other piece.
@@ -171,48 +168,47 @@ class Cut(Nodes):
             if nodes[u] != nodes[v]
         ]
         if any(cut.side.surface.curved.any() for cut in (self, other)):
-            self._settle(Courses(self.side, other.side), drawn, set(nodes.values()))
+            self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
 
     def part(self, u: int, v: int) -> tuple[Edge, float, float]:
-        """The edge that two nodes of the own outline lie on, and their parameters."""
+        """The edge that two nodes of the own outline lie on, and their parameters on it."""
         edge = self.edge_of((u, v))
         assert edge
-        s = [float(n == edge[1]) if n < self.num_vertices else self.parameter(n) for n in (u, v)]
-        return (self.around(*edge)[0], *edge), s[0], s[1]
+        return (self.around(*edge)[0], *edge), self.parameter(u, edge), self.parameter(v, edge)
 
     def arcs(self, edges: list[tuple[int, int]]) -> Arcs:
         """Edges by their vertices."""
         return Arcs.between(self.side, [self.around(*edge)[0] for edge in edges], edges)
 
-    def _settle(self, courses: Courses, drawn, located: set[int]):
-        """Move nodes to where the other's outline crosses edges; where it doesn't, they stay.
+    def _settle(self, curves: OutlineCurves, drawn, located: set[int]):
+        """Move nodes to crossings of the other's curved outline with edges, if there are any.
 
         Args:
-            courses: Of the outline.
+            curves: The outline.
             drawn: Its parts, and the nodes along each.
             located: Nodes at ends of parts.
         """
         for (edge, r0, r1), passed in drawn:
-            courses.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
+            curves.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
         at = {
             node: self.at[node - self.num_vertices]
-            for node in courses.between_ends()
+            for node in curves.between_ends()
             if node >= self.num_vertices and node not in located
         }
         at = {node: place for node, place in at.items() if len(place) == 3}  # on edges
         arcs = self.arcs([place[:2] for place in at.values()])
-        new = courses.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
+        new = curves.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
         settled = set(located)
         for edge in dict.fromkeys(at[node][:2] for node in new):
             if self.slide(edge, new):
                 settled.update(node for _, node in self.on[edge] if node in new)
-        courses.close(settled)
-        self.courses = courses
+        curves.close(settled)
+        self.curves = curves
 
     # The triangles
 
     def triangulation(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """All of the piece: nodes of the triangles, the triangle each is cut from, and weights."""
+        """Nodes of all triangles of the cut piece, the triangle each is cut from, and weights."""
         t = self.side.triangles
         made: dict[int, tuple] = {}
         for rest in range(ROUNDS_BLUNT, -1, -1):
@@ -240,17 +236,17 @@ class Cut(Nodes):
         return cells, hosts, np.vstack((unit, np.array(weights).reshape(-1, 3, 3)))
 
     def _widen(self, triangle: int, nodes, weights, cells) -> set[int]:
-        """Put nodes into edges that are opposite to a blunt angle of what a triangle is cut into.
+        """Put nodes into edges opposite to blunt angles of a cut triangle's parts.
 
-        Functions of degree 2 on a triangle that is flat but not narrow at any of its edges have
-        gradients of any size: a middle node may differ from the mean of two beside it.
+        In a triangle with an angle near 180° functions of degree 2 have gradients of any size: a
+        node in the middle may differ from the mean of two beside it, on nearly the same line.
 
         Returns:
-            The triangles that have to be cut anew.
+            The triangles that have to be cut again.
         """
         x = weights @ self._plane(triangle)
         changed: set[int] = set()
-        feet: set[tuple[int, int]] = set()  # edges that have one
+        feet: set[tuple[int, int]] = set()  # edges with a new node
         for a, b, c in ((*cell[k:], *cell[:k]) for cell in cells for k in range(3)):
             d, e, along = x[b] - x[a], x[c] - x[a], x[c] - x[b]
             lengths = float(np.sqrt((d @ d) * (e @ e)))
@@ -262,31 +258,19 @@ class Cut(Nodes):
         return changed
 
     def _put(self, triangle: int, u: int, v: int, s: float, weights) -> set[int]:
-        """Put a node between two others of a triangle.
+        """Put a node between nodes u and v of a triangle, at s from 0 to 1.
 
-        Args:
-            triangle: The triangle.
-            u: A node at it.
-            v: Another.
-            s: Where the new one is between them, from 0 to 1.
-            weights: Where it is in the triangle.
-
-        Returns:
-            The triangles that it changes.
+        Arguments include its barycentric coordinates there. Returns the changed triangles.
         """
         if edge := self.edge_of((u, v)):
-            ends = [float(n == edge[1]) for n in (u, v)]
-            for i, n in enumerate((u, v)):
-                if n >= self.num_vertices:
-                    ends[i] = self.parameter(n)
-            self.on_edge(*edge, (1 - s) * ends[0] + s * ends[1])
+            self.on_edge(*edge, (1 - s) * self.parameter(u, edge) + s * self.parameter(v, edge))
             return set(self.around(*edge))
         r = np.nan
-        if self.courses:
-            weights, r = self.courses.foot(u, v, s, triangle, weights)
+        if self.curves:
+            weights, r = self.curves.foot(u, v, s, triangle, weights)
         node = self.in_triangle(triangle, weights)
-        if self.courses:
-            self.courses.split(u, v, node, r)
+        if self.curves:
+            self.curves.split(u, v, node, r)
         for segments in (self.segments[triangle], self.path):
             for i, pair in enumerate(segments):
                 if set(pair) == {u, v}:
@@ -295,7 +279,7 @@ class Cut(Nodes):
         return {triangle}
 
     def _plane(self, triangle: int) -> npt.NDArray[np.float64]:
-        """A triangle's corners in its plane, the first edge of length one, ``(3, 2)``."""
+        """Corners of a triangle in its plane, scaled to a first edge of length one, ``(3, 2)``."""
         x = self.side.x[self.side.triangles[triangle]]
         e, f = x[1] - x[0], x[2] - x[0]
         length = np.linalg.norm(e)
@@ -304,7 +288,7 @@ class Cut(Nodes):
         )
 
     def _cut(self, triangle: int):
-        """A triangle's nodes, their weights, and the triangles between them."""
+        """Nodes of a cut triangle, their weights, and the triangles between them."""
         corners = self.side.triangles[triangle].tolist()
         nodes: list[int] = list(corners)
         edges: list[range] = []
@@ -341,7 +325,7 @@ class Cut(Nodes):
         return nodes, w, cutting.triangles()
 
     def drawn(self) -> list[tuple[int, int]]:
-        """The edges along the other's outline, from node to node."""
+        """Edges along the other's outline, from node to node."""
         found = list(self.path)
         for u, v in self.runs:
             a, b = self.edge_of((u, v)) or (u, v)
