@@ -42,7 +42,11 @@ inlined in others."""
 FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden"]
 MORE_FLAGS = "HYPERGAP_CFLAGS"
 """Environment variable with more flags, which compiler and linker get."""
-DTYPES = {"int": np.dtype(np.int32), "int64_t": np.dtype(np.int64), "double": np.dtype(np.float64)}
+DTYPES: dict[str, np.dtype] = {
+    "int": np.dtype(np.int32),
+    "int64_t": np.dtype(np.int64),
+    "double": np.dtype(np.float64),
+}
 
 _kept: weakref.WeakKeyDictionary[Any, list] = weakref.WeakKeyDictionary()  # arrays by struct
 
@@ -102,7 +106,8 @@ class _Slot(NamedTuple):
 
     name: str  # for messages
     ctype: Any
-    item: Any  # what it points to, None if it is no pointer
+    kind: str  # of that
+    array: Any  # type of what a pointer points to, if there are some in a row; else None
     dtype: np.dtype | None  # of arrays that it may point to
     written: bool  # whether C may write there
 
@@ -151,7 +156,7 @@ class Library:
         ctype = self.ffi.typeof(cname)
         if ctype.kind == "array":
             item = self.dtype(ctype.item.cname)
-            return item and np.dtype((item, (ctype.length,)))
+            return None if item is None else np.dtype((item, ctype.length))
         if ctype.kind != "struct":
             return None
         formats = [self.dtype(field.type.cname) for _, field in ctype.fields]
@@ -170,30 +175,32 @@ class Library:
             value: It.
             kept: Pointers to arrays, which must live long enough, are added.
         """
-        ctype = slot.ctype
-        if ctype.kind == "array":
-            slot = slot._replace(ctype=ctype.item)
-            return [self._given(slot, each, kept) for each in value]
-        if ctype.kind == "struct":
-            return self._fields(ctype.cname, value, kept)
-        if ctype.kind != "pointer":
+        name, ctype, kind, array, dtype, written = slot
+        if kind == "primitive":
             if isinstance(value, np.ndarray):
-                raise TypeError(f"{slot.name} is an array; it must be {ctype.cname}.")
+                raise TypeError(f"{name} is an array; it must be {ctype.cname}.")
             return value
+        if kind == "array":
+            slot = slot._replace(ctype=ctype.item, kind=ctype.item.kind)
+            return [self._given(slot, each, kept) for each in value]
+        if kind == "struct":
+            return self._fields(ctype.cname, value, kept)
         if value is None:
             return self.ffi.NULL
-        if isinstance(value, self.ffi.CData) and self.ffi.typeof(value).item is slot.item:
-            return value
-        if slot.dtype is None or not isinstance(value, np.ndarray):
-            wanted = ctype.cname if slot.dtype is None else f"an array of {slot.dtype}"
-            raise TypeError(f"{slot.name} is of {type(value)}; it must be {wanted}.")
-        if value.dtype != slot.dtype:
-            raise TypeError(f"{slot.name} is of {value.dtype}; it must be of {slot.dtype}.")
-        if not value.flags.c_contiguous or (slot.written and not value.flags.writeable):
-            wanted = "writeable" if value.flags.c_contiguous else "C-contiguous"
-            raise TypeError(f"{slot.name} isn't {wanted}.")
-        kept.append(self.ffi.from_buffer(f"{slot.item.cname}[]", value))
-        return kept[-1]
+        if dtype is None or not isinstance(value, np.ndarray):
+            if isinstance(value, self.ffi.CData) and self.ffi.typeof(value).item is array.item:
+                return value
+            wanted = ctype.cname if dtype is None else f"an array of {dtype}"
+            raise TypeError(f"{name} is of {type(value)}; it must be {wanted}.")
+        if value.dtype != dtype:
+            raise TypeError(f"{name} is of {value.dtype}; it must be of {dtype}.")
+        flags = value.flags
+        if not flags.c_contiguous or (written and not flags.writeable):
+            wanted = "writeable" if flags.c_contiguous else "C-contiguous"
+            raise TypeError(f"{name} isn't {wanted}.")
+        pointer = self.ffi.from_buffer(array, value)
+        kept.append(pointer)
+        return pointer
 
     def _fields(self, name: str, fields: dict[str, Any], kept: list) -> dict[str, Any]:
         """The fields of a struct for cffi, likewise."""
@@ -217,9 +224,11 @@ class Library:
         slots = self._slots[name] = {}
         for own, ctype, const in zip(names, ctypes, constant, strict=True):
             pointer = ctype.item if ctype.kind == "array" else ctype
-            item = pointer.item if pointer.kind == "pointer" else None
-            dtype = None if item is None else self.dtype(item.cname)
-            slots[own] = _Slot(f"{name}'s {own}", ctype, item, dtype, not const)
+            array = dtype = None
+            if pointer.kind == "pointer":
+                array = self.ffi.typeof(f"{pointer.item.cname}[]")
+                dtype = self.dtype(pointer.item.cname)
+            slots[own] = _Slot(f"{name}'s {own}", ctype, ctype.kind, array, dtype, not const)
         return slots
 
 
