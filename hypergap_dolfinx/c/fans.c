@@ -179,7 +179,7 @@ void volume_hessian(const Shape *c, int n, double H[n][n])
       H[v][w] = H[w][v] = H[v][w] + H[w][v];
 }
 
-// What a cell makes of motions Δu of its dofs,
+// Slip of a cell by motions Δu of its dofs,
 //
 //   ½ ∫ x' · (Δu(q) − Δu(s) − τ Δu'(s)) ds,   τ = (q − x) · x' / x' · x',
 //
@@ -246,7 +246,7 @@ void slip(const Shape *c, int n, double *T, double (*S)[n])
     }
 }
 
-// Where a ray crosses: Φ = (x₀(s₀) − x₁(s₁)) · c = 0, with the chord c of Γ1's edge.
+// Crossing of a ray: Φ = (x₀(s₀) − x₁(s₁)) · c = 0, with the chord c of Γ1's edge.
 typedef struct {
   int side;     // of what moves
   Jet on[2];    // on both sides
@@ -273,7 +273,7 @@ static Meeting meeting_at(const Sigma *sigma, const Crossing *crossing)
   return m;
 }
 
-// Of a dof of Γ1 in c.
+// Derivative of c by a dof of Γ1.
 static double in_chord(int dof)
 {
   return dof == 0 ? -1 : dof == 1;

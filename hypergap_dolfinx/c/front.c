@@ -29,13 +29,13 @@ int opposite(const Edges *edges, int a, int b)
   return -1;
 }
 
-// Whether the end has an edge, in one direction or the other.
+// True if the end has an edge, in one direction or the other.
 static int is_edge(const Front *f, int a, int b)
 {
   return opposite(&f->end, a, b) >= 0 || opposite(&f->end, b, a) >= 0;
 }
 
-// Whether a triangle may be in the front: one of three vertices of the end must be its facet.
+// True if a triangle may be in the front: one of three vertices of the end must be its facet.
 static int allowed(const Front *f, int a, int b, int c)
 {
   return a < f->points.n0 || b < f->points.n0 || c < f->points.n0 || opposite(&f->end, a, b) == c;
@@ -191,7 +191,7 @@ static void add_cell(Front *f, int a, int b, int c, int d)
   cell[0] = a, cell[1] = b, cell[2] = c, cell[3] = d;
 }
 
-// Whether the front has an edge between p, a vertex of t, and s: looks at all triangles around p.
+// True if the front has an edge between p, a vertex of t, and s: searches all triangles around p.
 static int in_front(const Front *f, int t, int p, int s)
 {
   for (int turn = 0; turn < 2; ++turn)
@@ -257,7 +257,7 @@ int walk(const Front *f, int t, int w, int steps)
   return best;
 }
 
-// Whether w is inside of t, and may be inserted there at time t.
+// True if w may be inserted into a triangle; sets the time.
 static int insertable(const Front *f, int triangle, int w, double *t)
 {
   const int *v = f->triangle[triangle].v;
@@ -311,7 +311,7 @@ void offer_points(Front *f, int triangle)
 // ---------------------------------------------------------------------------------------------
 // Moves
 
-// What the edge from q to r of a triangle can do: p is opposite to it, s is beyond.
+// Move that the edge from q to r of a triangle allows: p is opposite to it, s is beyond.
 // Returns 0: nothing; 1: flip; 2: remove q; 3: remove r.
 static int move_of(const Front *f, int triangle, int k, int *v)
 {

@@ -4,7 +4,7 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Where rays along Γ1's normals meet Γ0, the gap there, and its derivatives (contact_geometry/heights.py).
+// Intersections of rays along Γ1's normals with Γ0, the gap there, and its derivatives (contact_geometry/heights.py).
 
 #include "heights.h"
 
@@ -29,7 +29,7 @@ static void find_dual(const double *q, int u, int v, const Normals *n, double du
   cross(n->m, q + 3 * u, dual[1]);
 }
 
-// How the ray's end moves on Γ0, ∂ξ/∂q.
+// Motion of the ray's end on Γ0, ∂ξ/∂q.
 void find_feet(const double *q, const Normals *n, double feet[2][SIZE])
 {
   double dual[2][3];
@@ -151,7 +151,7 @@ void column_heights(const Rays *rays, double *heights, double *areas, double *by
   }
 }
 
-// How those edges of pieces that are Γ0's move on Γ1, at the rays from there.
+// Motion on Γ1 of edges of pieces that belong to Γ0, at the rays from there.
 //
 // normal   out of the piece, of any length, in Γ1's reference facet, (num, 2)
 // motion   along the normal, by q, (num, VECTORS, 3)

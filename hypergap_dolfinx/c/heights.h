@@ -16,7 +16,7 @@
 enum { R, Z1, Z2, T1, T2, C1, C2, VECTORS };
 #define SIZE (3 * VECTORS)
 
-// Where q_u × q_v is multiplied with w: derivatives by both.
+// Add derivatives of (q_u × q_v) · w by both vectors.
 static inline void add_normal(const double *q, int u, int v, const double *w, double *by)
 {
   double c[3];

@@ -4,7 +4,7 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Predicates: what four vertices of Σ make, seen along the mean of their normals.
+// Predicates of Σ's cells, seen along the mean of their vertices' normals.
 
 #ifndef HYPERGAP_PREDICATES_H
 #define HYPERGAP_PREDICATES_H
@@ -98,7 +98,7 @@ static inline int ccw(const Points *p, int a, int b, int c)
   return area > COLLINEAR * scale;
 }
 
-// Time t = H/D at which a cell is due; whether it is a valid one.
+// Time t = H/D at which a cell is due; returns 0 if it isn't valid.
 static inline int due(const Points *p, int a, int b, int c, int d, double *t)
 {
   const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};

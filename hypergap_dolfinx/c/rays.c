@@ -18,7 +18,7 @@ typedef struct {
   int edge, parameter;
 } Place;
 
-// What Γ0 has opposite of an edge of Γ1.
+// Places on Γ0 opposite of an edge of Γ1.
 typedef struct {
   // Of the start, of the end (of what is covered) and of the middle, if both vertices have a weight
   Place places[3];
@@ -56,15 +56,15 @@ void kinks_of(const Side *side, double kink, int *kinks)
   }
 }
 
-// Whether an edge of Γ0 is the first or last one (k = 0, 1) of a chain that is no loop.
+// True if an edge of Γ0 is the first or last one (k = 0, 1) of a chain that is no loop.
 static int is_end(const Chains *chains, int edge, int k)
 {
   int c = chains->chain[edge];
   return !chains->closed[c] && chains->position[edge] == (k ? chains->count[c] - 1 : 0);
 }
 
-// Where both ends of an edge of Γ0 are along one of Γ1, in lengths of it; whether they face each
-// other. Γ0 runs against Γ1.
+// Positions of both ends of an edge of Γ0 along one of Γ1, in lengths of it; true if the edges face
+// each other. Γ0 runs against Γ1.
 static int along(const Cast *cast, int f, int g, double *s)
 {
   const double *a = node(cast->above, f, 0);
@@ -208,7 +208,7 @@ static void emit(const Cast *cast, Cell cell)
   ++sigma->num_cells;
 }
 
-// Whether a vertex beyond Γ0's end has a share: not if it is opposite of something else.
+// True if a vertex beyond Γ0's end has a share: not if it is opposite of something else.
 static int has_share(const Cast *cast, int f)
 {
   const Opposite *own = cast->opposite + f;

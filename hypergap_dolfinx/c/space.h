@@ -36,7 +36,7 @@ typedef struct {
   const double *middle; // slopes of Γ1's functions in the middle, (2, num_dofs1)
 } Rays;
 
-// What of Γ1 lies opposite Γ0 (contact_geometry/opposite.py). If there is no room for all, num is what they need.
+// Pieces of Γ1 opposite Γ0 (contact_geometry/opposite.py). num counts those without room, too.
 typedef struct {
   int max, num;
   int *facets[2];

@@ -42,7 +42,7 @@ typedef struct {
 // Vertices of the face opposite to vertex k, such that they and one beyond it are a cell.
 static const int opposite_face[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
 
-// D over the largest A of a face: what ∂λ/∂α is at most, to the power −1. Not positive if it is flat.
+// D over the largest A of a face: the inverse of the largest ∂λ/∂α. Not positive if it is flat.
 static double quality(const Points *p, int a, int b, int c, int d)
 {
   const int v[4] = {a, b, c, d};
