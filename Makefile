@@ -29,7 +29,7 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 .PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
-	test-mpi-4 test-blas env-complex test-complex test-container clean
+	test-mpi-4 test-blas env-complex test-complex test-container sanitize clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
@@ -40,6 +40,8 @@ help:
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make test-container  build the Dockerfile and run its tests, on one rank and on two, with docker,"
 	@echo "               podman or buildah, whichever is there"
+	@echo "make sanitize  run the tests that reach the C with gcc's checks of addresses and undefined"
+	@echo "               behaviour compiled in"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
 	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4;"
 	@echo "of test-all: test-blas, test-complex (sets up $(COMPLEX), which holds DOLFINx's complex build)."
@@ -145,6 +147,17 @@ test-complex: env-complex
 # Nothing here that builds a container: said, and no failure
 test-container:
 	@.ci/container || { status=$$?; [ $$status = 75 ] && echo "make: test-container was SKIPPED"; }
+
+# The libraries have another name with these flags: the cache keeps both
+SANITIZE := -g1 -fsanitize=address,undefined -fno-sanitize-recover=undefined
+sanitized_tests := tests/core/test_compiled.py tests/surface/test_surface.py \
+	$(addprefix tests/gap_mesh/test_,front.py slab.py) tests/contact_geometry
+sanitize: export OMP_NUM_THREADS := 1
+sanitize: export HYPERGAP_CFLAGS := $(SANITIZE)
+sanitize: export ASAN_OPTIONS := detect_leaks=0
+sanitize: env
+	LD_PRELOAD=$$($${CC:-cc} -print-file-name=libasan.so) \
+		$(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) $(sanitized_tests)
 
 clean:
 	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis

@@ -4,23 +4,18 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Which facets cells and edges belong to.
+// Facets that cells and edges belong to.
+
+#include <stdlib.h>
+
+#include "adjacency.h"
+#include "gap_mesh.h"
+#include "vectors.h"
 
 // The facets around each vertex: those of v are facet[offset[v]] to facet[offset[v + 1] − 1].
 typedef struct {
   int *offset, *facet;
 } Around;
-
-// Of things with some vertices each; offset is 0 at first.
-static void sort_at_vertices(int n, int size, int num, const int *vertices, int *offset, int *at)
-{
-  for (int i = 0; i < size * num; ++i)
-    ++offset[vertices[i] + 2];
-  for (int i = 2; i < n + 2; ++i)
-    offset[i] += offset[i - 1];
-  for (int i = 0; i < size * num; ++i)
-    at[offset[vertices[i] + 1]++] = i / size;
-}
 
 static int gather(Around *around, int n, int num, const int *facets)
 {
@@ -153,14 +148,14 @@ void cell_normals(int num, const int *cells, const double *at_vertices, const in
   }
 }
 
-// Where some of the cells' points lie on a side: those that are vertices.
+// Fill in hosts on a side of those points of some cells that are vertices.
 //
-// num, which  some cells, and which
+// num, which  number of these cells, their numbers
 // points      of each cell, of which some are vertices of it: num_local of them,
-// local, at   which, and which of the points that is
+// local, at   their local numbers, and those of the points
 // on, X       (n): facet at each vertex, −1 of the other side's, (n, 2): place in it
 // beside      (num_cells): a facet at each cell
-// facets, places (num, points), (num, points, 2): what is filled in
+// facets, places (num, points), (num, points, 2): filled in at these points
 void vertex_hosts(int num, const int64_t *which, const int *cells, int points, int num_local,
                   const int *local, const int *at, const int *on, const double *X,
                   const int *beside, int64_t *facets, double *places)

@@ -6,12 +6,18 @@
 
 // Quadrature on polygons (contact_geometry/moments.py).
 
+#include <math.h>
+#include <string.h>
+
+#include "monomials.h"
+#include "space.h"
+
 // Area, middle from the first corner, and the lower square root of the matrix of second moments.
 typedef struct {
   double area, middle[2], c, d, e;
 } Moments;
 
-// Of triangles with the first corner: steps to both others, and the area.
+// Area of a triangle with the first corner, and the steps to both others.
 static double triangle(const double *X, int t, double *a, double *b)
 {
   for (int i = 0; i < 2; ++i)
@@ -24,7 +30,7 @@ static double triangle(const double *X, int t, double *a, double *b)
 
 // Moments of a polygon.
 //
-// least    standard deviation over that along it, squared, that is none
+// least    squared ratio of standard deviations across and along it, treated as zero below
 // flat     whether there may be less across it
 static Moments moments_of(int num_corners, const double *X, double least, int flat)
 {
@@ -57,7 +63,7 @@ static Moments moments_of(int num_corners, const double *X, double least, int fl
 //
 // X          corners, of which the last one may be repeated, (num, num_corners, 2)
 // points     where the mean and the standard deviations are 0 and 1, (num_points, 2)
-// least      standard deviation over that along a polygon, squared, that is none
+// least      squared ratio of standard deviations across and along it, treated as zero below
 // num_terms  of the polynomials; 0: all weights are the same
 // powers     of both coordinates, (num_terms, 2)
 // inverse    what makes weights of moments, (num_terms, num_points)

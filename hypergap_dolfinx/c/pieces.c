@@ -4,7 +4,15 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Which pieces of Γ1's facets in space lie opposite which facets of Γ0 (contact_geometry/opposite.py).
+// Pieces of Γ1's facets in space opposite facets of Γ0 (contact_geometry/opposite.py).
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "heights.h"
+#include "space.h"
+#include "vectors.h"
 
 #define PART 4        // corners of a part of a facet
 #define QUAD_STEPS 20 // of Newton's method in a quadrilateral
@@ -106,7 +114,7 @@ static void project_to(const double *dual, const double *x, double *y)
   y[0] = dot(dual, x), y[1] = dot(dual + 3, x);
 }
 
-// Whether the boxes around a polygon and a part have more in common than a side.
+// True if the boxes around a polygon and a part overlap by more than a side.
 static int boxes_meet(int num, const Point *a, const Point *part)
 {
   for (int i = 0; i < 2; ++i)
@@ -137,7 +145,7 @@ typedef struct {
   Pieces *pieces;
 } Look;
 
-// Add a piece, unless it is none.
+// Add a piece, unless its area is zero.
 //
 // by    corners of Γ0's facet as they are seen
 static void add_piece(const Look *look, int f0, int part, const Point *by)
@@ -246,7 +254,7 @@ static void put_balls(const Facets *side, const int *order, int start, int end, 
 // reach     how far these facets reach from there, (num_facets1)
 // parts     of Γ1's reference facet, one for each vertex, (num_corners, 4, 2)
 // leans     cosine between normals from which facets face each other
-// sliver    area over the facet's that is none
+// sliver    area over the facet's, treated as zero up to this
 // last      step of Newton's method after which none is needed
 int find_pieces(const Facets *sides, const int *order, const double *normals, const double *planes,
                 const double *reach, const double *parts, double leans, double sliver, double last,
@@ -259,8 +267,17 @@ int find_pieces(const Facets *sides, const int *order, const double *normals, co
   if (!balls)
     return NO_MEMORY;
   put_balls(below, order, 0, below->num_facets, balls);
-  Look look = {below, above, order, normals, balls, (const Point *)parts, leans, sliver, last};
-  look.own = own, look.pieces = pieces;
+  Look look = {.below = below,
+               .above = above,
+               .order = order,
+               .normals = normals,
+               .balls = balls,
+               .parts = (const Point *)parts,
+               .leans = leans,
+               .sliver = sliver,
+               .last = last,
+               .own = own,
+               .pieces = pieces};
   pieces->num = 0;
   for (int f = 0; f < above->num_facets; ++f, planes += 12)
   {

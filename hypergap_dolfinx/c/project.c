@@ -4,22 +4,18 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Where points project to on a triangulated surface, with straight or with curved triangles.
+// Projection of points to a triangulated surface with straight or curved triangles.
+
+#include <math.h>
+#include <stddef.h>
+
+#include "monomials.h"
+#include "surface.h"
+#include "vectors.h"
 
 #define STRAIGHT_STEPS 100 // triangles that a point may cross
 #define INSIDE 1e-12       // weight below zero of a point that still lies in a triangle
-#define SINGULAR 1e-6      // determinant of Newton's matrix, in squares of slopes, that is none
-
-// Curved triangles: polynomials of places in facets, where each triangle lies in one.
-typedef struct {
-  int num_terms, num_bends; // of the polynomials, and of each edge
-  const int *powers;        // of both coordinates in each term
-  const double *nodes;      // of each triangle: a place, and the polynomials' factors from there
-  const double *corners;    // of each triangle: its corners' coordinates in the facet
-  const double *bends;      // by what each of its edges leaves the straight line there, if any do
-  const double *normals;    // of the vertices
-  int steps, further;       // of Newton's method; triangles that a point may cross
-} Curves;
+#define SINGULAR 1e-6      // determinant of Newton's matrix, in squares of slopes, treated as zero
 
 typedef struct {
   const double *x;
@@ -49,7 +45,7 @@ static void on_straight(const Patches *s, int f, const double *point, double *X)
   }
 }
 
-// Where a place of a triangle is in its facet, and the derivatives by its coordinates.
+// Position of a triangle's point in its facet, and the derivatives by its coordinates.
 static void in_facet(const Curves *c, int f, const double *X, double *at, double slopes[2][2])
 {
   const double *v = c->corners + 6 * f;
@@ -104,7 +100,7 @@ static void on_facet(const Curves *c, int f, const double *X, double *x, double 
       dx[j][i] = slopes[j][0] * by[0][i] + slopes[j][1] * by[1][i];
 }
 
-// Where a line along the normals between a triangle's vertices meets it, by Newton's method: other
+// Intersection of a triangle and a line along its interpolated normals, by Newton's method: other
 // than along its own normal, points near each other get to places near each other across edges. X
 // stays where it doesn't converge.
 static void on_curved(const Patches *s, int f, const double *point, double *X)
@@ -202,7 +198,7 @@ void project(int num, const double *points, const double *x, const int *triangle
   }
 }
 
-// Where points project to on a triangle each, from coordinates in it.
+// Project points to one triangle each, starting from coordinates in it.
 void project_on_curved(int num, const double *points, const double *x, const int *triangles,
                        const Curves *curves, const int *facet, double *X)
 {

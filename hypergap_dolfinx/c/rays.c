@@ -7,15 +7,18 @@
 // Cells of contact's Σ in the plane (contact_geometry/rays.py): fans between Γ1's vertices and what Γ1's rays
 // cut from Γ0.
 
-enum { NOWHERE = -1, AT_START, AT_END, AT_MIDDLE, FIXED }; // parameters that don't move
+#include <math.h>
+#include <stdlib.h>
 
-static const double positions[FIXED] = {0, 1, 0.5};
+#include "fans.h"
+#include "plane.h"
+#include "vectors.h"
 
 typedef struct {
   int edge, parameter;
 } Place;
 
-// What Γ0 has opposite of an edge of Γ1.
+// Places on Γ0 opposite of an edge of Γ1.
 typedef struct {
   // Of the start, of the end (of what is covered) and of the middle, if both vertices have a weight
   Place places[3];
@@ -35,20 +38,6 @@ typedef struct {
   double end, faces, farther;
 } Cast;
 
-// Node k of an edge.
-static const double *node(const Side *side, int edge, int k)
-{
-  return side->nodes + 2 * (edge * side->num_nodes + k);
-}
-
-// From the start of an edge to its end.
-static double chord(const Side *side, int edge, double *c)
-{
-  const double *x = node(side, edge, 0), *y = node(side, edge, 1);
-  c[0] = y[0] - x[0], c[1] = y[1] - x[1];
-  return sqrt(c[0] * c[0] + c[1] * c[1]);
-}
-
 // Vertices at which a side turns too far to go on.
 //
 // kink     cosine of the turn
@@ -67,15 +56,15 @@ void kinks_of(const Side *side, double kink, int *kinks)
   }
 }
 
-// Whether an edge of Γ0 is the first or last one (k = 0, 1) of a chain that is no loop.
+// True if an edge of Γ0 is the first or last one (k = 0, 1) of a chain that is no loop.
 static int is_end(const Chains *chains, int edge, int k)
 {
   int c = chains->chain[edge];
   return !chains->closed[c] && chains->position[edge] == (k ? chains->count[c] - 1 : 0);
 }
 
-// Where both ends of an edge of Γ0 are along one of Γ1, in lengths of it; whether they face each
-// other. Γ0 runs against Γ1.
+// Positions of both ends of an edge of Γ0 along one of Γ1, in lengths of it; true if the edges face
+// each other. Γ0 runs against Γ1.
 static int along(const Cast *cast, int f, int g, double *s)
 {
   const double *a = node(cast->above, f, 0);
@@ -219,7 +208,7 @@ static void emit(const Cast *cast, Cell cell)
   ++sigma->num_cells;
 }
 
-// Whether a vertex beyond Γ0's end has a share: not if it is opposite of something else.
+// True if a vertex beyond Γ0's end has a share: not if it is opposite of something else.
 static int has_share(const Cast *cast, int f)
 {
   const Opposite *own = cast->opposite + f;

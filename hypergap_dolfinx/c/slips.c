@@ -6,7 +6,12 @@
 
 // The slip of columns, κ e · P D, and its derivatives (contact_geometry/slips.py).
 
-// What is across a facet's normal.
+#include <math.h>
+#include <string.h>
+
+#include "heights.h"
+
+// Projection across a facet's normal.
 typedef struct {
   Normals normals;
   double m[3], size, kappa; // the normal's direction and length, N₁ · m
@@ -48,7 +53,7 @@ static void add_slip(const double *q, const Across *a, const double *e, const do
   add_normal(q, T1, T2, by_n1, by);
 }
 
-// What rays make of motions, as vectors that are multiplied with those of q.
+// Slips by motions at rays, as vectors that are multiplied with those of q.
 //
 // block    number of each ray's block, (num)
 // e        a direction each, (num, 3)

@@ -4,7 +4,10 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// What contact in space is made of. Python reads this file too (core/compiled.py).
+// Contact in space. Python reads this file too (core/compiled.py).
+
+#ifndef HYPERGAP_SPACE_H
+#define HYPERGAP_SPACE_H
 
 #define MOST_CORNERS 19 // of a quadrilateral, convex or not, that is cut four times
 
@@ -33,7 +36,7 @@ typedef struct {
   const double *middle; // slopes of Γ1's functions in the middle, (2, num_dofs1)
 } Rays;
 
-// What of Γ1 lies opposite Γ0 (contact_geometry/opposite.py). If there is no room for all, num is what they need.
+// Pieces of Γ1 opposite Γ0 (contact_geometry/opposite.py). num counts those without room, too.
 typedef struct {
   int max, num;
   int *facets[2];
@@ -65,3 +68,5 @@ void column_slips(const Rays *rays, const int *block, const double *e, const dou
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks);
 int merge_blocks(int num_rows, int num_columns, int num, int a, const int *rows, int b,
                  const int *columns, int size, double *values, int *first);
+
+#endif

@@ -4,7 +4,16 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Which facets of a surface meet, where it turns, and what of an outline or of some points is nearest.
+// Neighbours and corners of a surface's facets; points and edges nearest to points.
+
+#include "surface.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "adjacency.h"
+#include "vectors.h"
 
 // The facet behind each edge.
 //
@@ -41,7 +50,7 @@ int find_neighbours(int n, int num, int size, const int *facets, int *behind)
   return status;
 }
 
-// Whether a surface has an edge at which the cosine between normals is less than that.
+// True if a surface has an edge with a smaller cosine between normals.
 int has_corner(int num, int size, const int *behind, const double *normals, double cosine)
 {
   for (int f = 0; f < num; ++f)
@@ -102,7 +111,7 @@ static double find_turns(int num, int size, const int *facets, const int *behind
   return most;
 }
 
-// Whether some edge at a vertex, which doesn't touch an edge, turns about as much and as it does.
+// True if some other edge at a vertex, without a common end, turns about as much in its direction.
 static int turns_beside(const Turn *turns, const int *offset, const int *at, int vertex,
                         const Turn *own, double stands_out)
 {
@@ -123,11 +132,11 @@ static int turns_beside(const Turn *turns, const int *offset, const int *at, int
 // facets      (num, size), around the facets
 // behind      (num, size): the facet behind each edge, −1 at the boundary
 // normals     unit normals of the facets
-// limit       turn that is none
+// limit       turn that is treated as zero
 // noise       error of coordinates' differences, which adds to that
 // corner      turn that is a corner whatever is beside it
 // stands_out  times the turns beside it from which a turn is one
-// kinks       (num, size): whether it is one, of each edge once
+// kinks       (num, size): 1 for these edges, on one of their two facets
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
                const double *normals, double limit, double noise, double corner,
                double stands_out, int *kinks)
@@ -177,10 +186,6 @@ finish:
 // ---------------------------------------------------------------------------------------------
 
 #define LOT 16 // points that have a ball around them
-
-typedef struct {
-  double middle[3], radius;
-} Ball;
 
 // Balls around points and the edges from them to the next ones.
 static Ball *make_balls(int n, const double *x)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.heights import Rays
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.surface.moving import Sparse
 
 
@@ -34,7 +34,7 @@ class Blocks:
         """``(num, num_dofs, num_dofs, 3, 3)``."""
         num, num_dofs = self._below.shape[:2]
         result = self._below.copy()
-        library().lib.complete(num, num_dofs, as_doubles(result))
+        call("complete", num, num_dofs, result)
         return result
 
     def add_curvatures(self, pair, factor, rays: Rays):
@@ -45,8 +45,7 @@ class Blocks:
             factor: What they are multiplied with, ``(num_points,)``.
             rays: The points.
         """
-        given = as_ints(pair), as_doubles(factor), as_doubles(self._below)
-        library().lib.column_curvatures(rays.pointer[0], *given)
+        call("column_curvatures", rays.pointer, ints(pair), doubles(factor), self._below)
 
     def add_products(self, pair, a, b):
         """Add a bᵀ + b aᵀ.
@@ -56,9 +55,8 @@ class Blocks:
             a: ``(num_points, num_dofs, 3)``.
             b: Likewise.
         """
-        library().lib.add_products(
-            len(a), a.shape[1], as_ints(pair), as_doubles(a), as_doubles(b), as_doubles(self._below)
-        )
+        given = len(a), a.shape[1], ints(pair), doubles(a), doubles(b)
+        call("add_products", *given, self._below)
 
 
 def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]) -> Sparse:
@@ -72,8 +70,8 @@ def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]
     """
     num, a, b, r, c = values.shape
     first = np.empty(num * a * b, dtype=np.int32)
-    places = num, a, as_ints(rows), b, as_ints(columns), r * c
-    found = library().lib.merge_blocks(*size, *places, as_doubles(values), as_ints(first))
+    places = num, a, ints(rows), b, ints(columns), r * c
+    found = call("merge_blocks", *size, *places, values, first)
     if found < 0:
         raise MemoryError("no memory for the derivatives of gaps")
     first = first[:found]

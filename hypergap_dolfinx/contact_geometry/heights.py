@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.opposite import Frames, reference_middle, sides_of
 from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_HEIGHTS
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
 from hypergap_dolfinx.surface.trace import Surface
 
 
@@ -59,25 +59,25 @@ class Rays:
     """Slopes of Γ1's in the facet's middle, ``(2, num_dofs1)``."""
 
     @cached_property
-    def pointer(self) -> tuple[Any, dict[str, Any]]:
-        """For C, with all that it points to."""
+    def pointer(self) -> Any:
+        """Struct ``Rays`` of ``c/space.h``."""
         num1 = self.middle.shape[1]
-        fields = {
-            "num": len(self.q),
-            "num_dofs": [self.functions.shape[2] - num1, num1],
-            "xi": as_doubles(self.xi),
-            "q": as_doubles(self.q),
-            "bends": library().ffi.NULL if self.bends is None else as_doubles(self.bends),
-            "functions": as_doubles(self.functions),
-            "middle": as_doubles(self.middle),
-        }
-        return library().ffi.new("Rays *", fields), fields
+        return struct(
+            "Rays",
+            num=len(self.q),
+            num_dofs=[self.functions.shape[2] - num1, num1],
+            xi=self.xi,
+            q=self.q,
+            bends=self.bends,
+            functions=self.functions,
+            middle=doubles(self.middle),
+        )
 
     @cached_property
     def heights(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """f, the areas as seen along the rays, and ∂f/∂q; ``(num,)`` twice, ``(num, 7, 3)``."""
         (f, areas), by_q = np.empty((2, len(self.q))), np.empty_like(self.q)
-        library().lib.column_heights(self.pointer[0], *map(as_doubles, (f, areas, by_q)))
+        call("column_heights", self.pointer, f, areas, by_q)
         return f, areas, by_q
 
     def add_by_dofs(self, block, factor, by_q, blocks):
@@ -89,8 +89,8 @@ class Rays:
             by_q: Derivatives by q, ``(num, 7, 3)``.
             blocks: ``(num_blocks, num_dofs, 3)``.
         """
-        doubles = map(as_doubles, (factor, by_q, blocks))
-        library().lib.sum_by_dofs(self.pointer[0], as_ints(block), *doubles)
+        given = ints(block), doubles(factor), doubles(by_q)
+        call("sum_by_dofs", self.pointer, *given, blocks)
 
     def edges(self, normal) -> tuple[npt.NDArray, npt.NDArray]:
         """How edges move on which rays are that end on those of Γ0.
@@ -103,8 +103,7 @@ class Rays:
             that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
         """
         motion, slopes = np.empty_like(self.q), np.empty(len(self.q))
-        given = map(as_doubles, (normal, motion, slopes))
-        library().lib.column_edges(self.pointer[0], *given)
+        call("column_edges", self.pointer, doubles(normal), motion, slopes)
         return motion, slopes
 
     def some(self, some) -> "Rays":
@@ -135,13 +134,6 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
         np.empty((num, 3, num_dofs)),
         above.element.tabulate(1, reference_middle(above)[None])[1:, 0, :, 0],
     )
-    library().lib.cast_columns(
-        sides_of(surfaces),
-        as_doubles(frames.tangents),
-        1 if straight else NEWTON_HEIGHTS,
-        LAST,
-        *map(as_ints, facets),
-        as_doubles(X),
-        rays.pointer[0],
-    )
+    given = sides_of(surfaces), doubles(frames.tangents), 1 if straight else NEWTON_HEIGHTS, LAST
+    call("cast_columns", *given, *map(ints, facets), doubles(X), rays.pointer)
     return rays

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.tolerances import KINK_ORDER
-from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.core.compiled import call, ints, struct
 from hypergap_dolfinx.gap_mesh.strip import chains
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -26,8 +26,8 @@ class Order:
 
     kinks: npt.NDArray[np.bool_]
     """Where it does, ``(num_vertices,)``."""
-    chains: dict[str, Any]
-    """As C sees them (``Chains`` in ``c/plane.h``)."""
+    chains: Any
+    """Struct ``Chains`` of ``c/plane.h``."""
 
     @classmethod
     def of(
@@ -60,17 +60,16 @@ class Order:
             "chain": chain,
             "position": position,
         }
-        return cls(kinks, {"num": len(found), **{k: as_ints(v) for k, v in arrays.items()}})
+        arrays = {name: ints(array) for name, array in arrays.items()}
+        return cls(kinks, struct("Chains", num=len(found), **arrays))
 
 
-def find_kinks(sigma, i: int) -> npt.NDArray[np.bool_]:
+def find_kinks(side: dict[str, Any]) -> npt.NDArray[np.bool_]:
     """Vertices at which a side turns too far to go on, ``(num_vertices,)``.
 
     Args:
-        sigma: What C knows of the sides.
-        i: Γ0 (0) or Γ1 (1).
+        side: Fields of ``Side`` of ``c/plane.h``.
     """
-    side = sigma.sides[i]
-    kinks = np.empty(side.num_vertices, np.int32)
-    library().lib.kinks_of(library().ffi.addressof(side), KINK_ORDER, as_ints(kinks))
+    kinks = np.empty(side["num_vertices"], np.int32)
+    call("kinks_of", struct("Side", **side), KINK_ORDER, kinks)
     return kinks > 0

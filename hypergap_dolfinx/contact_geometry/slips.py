@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.heights import Rays
 from hypergap_dolfinx.contact_geometry.opposite import Frames, cross
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.surface.trace import Surface, lengths
 
 
@@ -62,9 +62,9 @@ def slips(rays: Rays, block, e, moves=None) -> npt.NDArray[np.float64]:
     Returns:
         ``(num, 7, 3)``.
     """
-    result, given = np.empty_like(rays.q), (as_ints(block), as_doubles(e))
-    motions = library().ffi.NULL if moves is None else as_doubles(moves)
-    library().lib.column_slips(rays.pointer[0], *given, motions, as_doubles(result))
+    result = np.empty_like(rays.q)
+    given = ints(block), doubles(e), None if moves is None else doubles(moves)
+    call("column_slips", rays.pointer, *given, result)
     return result
 
 
@@ -77,5 +77,4 @@ def add_curvatures(rays: Rays, block, traction, blocks):
         traction: On Γ1, before it is projected, ``(num, 3)``.
         blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
     """
-    given = as_ints(block), as_doubles(traction), as_doubles(blocks)
-    library().lib.slip_curvatures(rays.pointer[0], *given)
+    call("slip_curvatures", rays.pointer, ints(block), doubles(traction), blocks)

@@ -3,4 +3,4 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tools of every room: compiled C, DOLFINx versions, PETSc objects' lifetimes, graphs, progress."""
+"""Tools for all rooms: compiled C, DOLFINx versions, lifetimes of objects, graphs, progress."""

@@ -3,13 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Actions of all ranks together: raising the same error and destroying PETSc's objects.
+"""Actions that all ranks take together: destroying PETSc objects, and raising the same error.
 
-Destruction is collective, Python's garbage collection is not.
-
-The ranks may let go of two problems in different orders. So what a rank no longer needs waits
-until all ranks meet, when the next tie or problem is made: what all of them have let go is
-destroyed then, in the same order. What a user still has is only let go: PETSc counts references.
+Destroying a PETSc object is collective, but Python's garbage collection is not: two ranks may
+release the objects of two problems in different orders. So released objects wait until the next
+tie or problem is made. Then the ranks agree on those that all of them have released, and destroy
+these in the same order. An object that the user still refers to survives: PETSc counts references.
 """
 
 import sys
@@ -24,7 +23,6 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.tolerances import DIGITS_MESSAGES
 from hypergap_dolfinx.errors import InterfaceError
 
 Ranks = tuple[int, ...]
@@ -36,13 +34,15 @@ _waiting: defaultdict[Ranks, dict[int, list[Any]]] = defaultdict(dict)
 
 
 def enter(comm: MPI.Comm) -> Ticket:
-    """A ticket for a new owner of PETSc objects; destroys what waits. Collective.
+    """A ticket for a new owner of PETSc objects. Collective.
+
+    Destroys the objects that all ranks have released.
 
     Args:
         comm: Communicator of the objects.
 
     Returns:
-        What :func:`leave` wants.
+        The ticket, for :func:`leave`.
     """
     world = MPI.COMM_WORLD.Get_group()
     group = comm.Get_group()
@@ -61,11 +61,11 @@ def enter(comm: MPI.Comm) -> Ticket:
 
 
 def leave(ticket: Ticket | None, objects: Iterable[Any]):
-    """Let go of PETSc objects: at once on one rank, else when the ranks meet next.
+    """Release PETSc objects: destroyed now on one rank, else by a later :func:`enter`.
 
     Args:
-        ticket: The owner's, or None if it was never made.
-        objects: What to destroy; None is left out.
+        ticket: Ticket of their owner, None if it has none.
+        objects: The objects; None is skipped.
     """
     # References of their own: not those of Python's objects, which users may have
     left = [copy(obj) if isinstance(obj, PETSc.Object) else obj for obj in objects if obj]
@@ -77,39 +77,41 @@ def leave(ticket: Ticket | None, objects: Iterable[Any]):
 
 
 class Owner:
-    """What owns PETSc objects, and lets them go when it goes itself."""
+    """Base class of owners of PETSc objects, which are released with their owner."""
 
     _ticket: Ticket | None = None
 
     def destroy(self):
         """Destroy the PETSc objects now. Collective.
 
-        Without it they go by themselves; on several ranks, when the next tie or problem is made.
+        Otherwise they are destroyed with their owner; on several ranks, when the next tie or
+        problem is made.
         """
         for obj in filter(None, self._release()):
             obj.destroy()
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing):
-        """Let the PETSc objects go; at the end of Python they go with the process."""
-        if not is_finalizing():  # a default, since modules have lost their names by then
+        """Release the PETSc objects, unless Python is shutting down."""
+        if not is_finalizing():  # a default: modules are empty by then
             leave(self._ticket, self._release())
 
     def _release(self) -> list[Any]:
-        """The PETSc objects, which their owner forgets; None is left out."""
+        """Give up the PETSc objects and return them; entries may be None."""
         raise NotImplementedError
 
 
 def spot(x: npt.NDArray[np.floating]) -> str:
-    """A place for a message, without what is round-off in its coordinates.
+    """A point for a message, rounded to six digits.
 
     Args:
-        x: Its coordinates, or those of points of which it is the middle, ``(…, n)``.
+        x: Coordinates of the point, or of points around it, ``(…, n)``.
     """
     middle = x.reshape(-1, x.shape[-1]).mean(axis=0)
     size = np.abs(x[np.isfinite(x)]).max(initial=0)
-    decimals = DIGITS_MESSAGES - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
+    digits = 6  # format of messages: hides round-off
+    decimals = digits - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
     rounded = (round(float(value), decimals) + 0.0 for value in middle)
-    return f"({', '.join(f'{value:.{DIGITS_MESSAGES}g}' for value in rounded)})"
+    return f"({', '.join(f'{value:.{digits}g}' for value in rounded)})"
 
 
 def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):

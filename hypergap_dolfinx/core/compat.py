@@ -3,9 +3,9 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The differences between DOLFINx 0.9, 0.10 and 0.11 (and their PETSc), all of them.
+"""Differences between DOLFINx 0.9, 0.10 and 0.11, and between their versions of PETSc.
 
-What a keyword spans (``create_mesh(comm, cells, e=..., x=...)``) needs no place here.
+Those that keyword arguments bridge (``create_mesh(comm, cells, e=..., x=...)``) are not here.
 """
 
 from importlib import import_module
@@ -39,8 +39,8 @@ def entities_to_geometry(
 ) -> npt.NDArray[np.int32]:
     """Geometry nodes of the vertices of entities, ``(num_entities, num_vertices)``.
 
-    DOLFINx 0.9 divides by the number of entities: without any the process ends in a floating-point
-    exception, on a rank that has no facets of an interface for instance.
+    DOLFINx 0.9 divides by the number of entities: on a rank without any, the process would end with
+    a floating-point exception.
     """
     if len(entities) == 0:
         kind = cpp_mesh.cell_entity_type(mesh.topology.cell_type, dim, 0)
@@ -49,7 +49,7 @@ def entities_to_geometry(
 
 
 def destinations(rank: npt.NDArray[np.int32]):
-    """What a partitioner of cells returns: the rank that each cell goes to."""
+    """Destination ranks of cells, as a partitioner returns them."""
     lists = graph.adjacencylist(np.ascontiguousarray(rank, dtype=np.int32).reshape(-1, 1))
     return getattr(lists, "_cpp_object", lists)  # 0.9 has no class around it
 
@@ -63,13 +63,13 @@ def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
 
 
 class Triplets:
-    """Fills a new matrix from (row, column, value) triplets, once or several times."""
+    """Triplets (row, column, value) that fill a new matrix, once or several times."""
 
     def __init__(self, A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray):
-        """Make room for them. Collective.
+        """Preallocate the matrix. Collective.
 
         Args:
-            A: The matrix, of which sizes and type are set.
+            A: The matrix; its sizes and type are set.
             i: Global rows, on any rank.
             j: Global columns.
         """
@@ -86,7 +86,7 @@ class Triplets:
         self._columns = j[self._order]
 
     def set(self, values: npt.NDArray):
-        """Set values, which are added up where they are at one place. Collective."""
+        """Set the values; those with equal row and column are added. Collective."""
         if self._at_once:
             self._A.setValuesCOO(values)
         else:
@@ -98,12 +98,12 @@ class Triplets:
 
 
 def set_triplets(A: PETSc.Mat, i: npt.NDArray, j: npt.NDArray, values: npt.NDArray):
-    """Fill a new matrix from (row, column, value) triplets, which are added up. Collective."""
+    """Fill a new matrix from (row, column, value) triplets; duplicates are added. Collective."""
     Triplets(A, i, j).set(values)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Points of the reference cell at which a function is evaluated to be interpolated."""
+    """Interpolation points in the reference cell."""
     points = V.element.interpolation_points
     return points() if VERSION < (0, 10) else points  # type: ignore[operator]
 

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Pictures where there is no screen: in containers, on clusters, in CI."""
+"""Off-screen rendering: in containers, on clusters, in CI."""
 
 import os
 import shutil
@@ -14,10 +14,10 @@ import vtkmodules.vtkRenderingOpenGL2 as opengl
 
 
 def prepare():
-    """Have VTK draw without a screen, in the way that its build knows.
+    """Make VTK render off screen, in the way that its build supports.
 
     Raises:
-        RuntimeError: VTK draws on an X server only, and there is none and no Xvfb.
+        RuntimeError: VTK needs an X server, and there is neither one nor Xvfb.
     """
     if "DISPLAY" in os.environ:
         return
@@ -31,7 +31,7 @@ def prepare():
 
 
 def _start_xvfb() -> str:
-    """A virtual X server that ends with this process; returns its display."""
+    """Start a virtual X server that ends with this process; returns its display."""
     if not shutil.which("Xvfb") or not shutil.which("setpriv"):
         raise RuntimeError(
             "no pictures without a screen: this VTK draws on an X server only. Install Xvfb "

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem, la
-from hypergap_dolfinx.core.tolerances import MANY
+from hypergap_dolfinx.core.tolerances import MANY_PARTS
 
 
 def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
@@ -23,7 +23,7 @@ def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32
         j: The other end.
 
     Returns:
-        Component of each vertex, ``(num,)``.
+        Number of the component of each vertex, ``(num,)``.
     """
     label = np.arange(num)
     while len(i):
@@ -37,10 +37,10 @@ def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32
 
 
 def connected(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
-    """The connected part of its mesh that a node is in. Collective.
+    """Connected parts of a mesh, by nodes. Collective.
 
     Args:
-        V: A Lagrange space: parts that share no dof can move apart.
+        V: A Lagrange space on it: parts without a common dof can move apart.
 
     Returns:
         Part of each of this rank's nodes (blocks of dofs) and ghosts; number of parts.
@@ -62,35 +62,35 @@ def connected(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
 
 
 def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
-    """The :func:`connected` part that a node is in; 0 beyond :data:`MANY` parts. Collective.
+    """Connected parts of a mesh, by nodes; one part if they are very many. Collective.
 
     Args:
-        V: A Lagrange space.
+        V: A Lagrange space on it.
 
     Returns:
         Part of each of this rank's nodes (blocks of dofs), ``(num_owned,)``; number of parts.
     """
     part, num_parts = connected(V)
     part = part[: V.dofmap.index_map.size_local]
-    return (part, num_parts) if num_parts <= MANY else (np.zeros_like(part), 1)
+    return (part, num_parts) if num_parts <= MANY_PARTS else (np.zeros_like(part), 1)
 
 
 class PartsOf:
-    """The connected parts that sides of ties are on; each space is looked at once."""
+    """Connected parts that sides of ties belong to, found once for each space."""
 
     def __init__(self):
-        """None looked at yet."""
+        """No space is known yet."""
         self._known: dict[int, tuple[fem.FunctionSpace, npt.NDArray[np.int32], int]] = {}
 
     def __call__(self, V: fem.FunctionSpace, dofs: npt.NDArray[np.int64]) -> frozenset[int]:
-        """The :func:`parts` that dofs are in. Collective.
+        """The :func:`parts` that have some dofs. Collective.
 
         Args:
             V: A Lagrange space.
             dofs: Global dofs (blocks), the same on every rank.
         """
         if id(V) not in self._known:
-            self._known[id(V)] = V, *parts(V)  # V is kept: another could have its id
+            self._known[id(V)] = V, *parts(V)  # V is kept, so that no other space gets its id
         _, part, num_parts = self._known[id(V)]
         if num_parts == 1:
             return frozenset({0})

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What two simplices have in common, on a line or in a plane; many pairs at once."""
+"""Intersections of simplices on a line or in a plane, many pairs at once."""
 
 import numpy as np
 import numpy.typing as npt
@@ -20,14 +20,15 @@ def axes_across(normal: npt.NDArray) -> npt.NDArray[np.float64]:
 
 
 def common_part(x0: npt.NDArray, x1: npt.NDArray):
-    """Common parts of simplices on a line or in a plane, where they are counterclockwise.
+    """Intersections of simplices on a line or in a plane; triangles are counterclockwise.
 
     Args:
-        x0: Vertices, ``(num, n, n - 1)``.
-        x1: The same of others.
+        x0: Vertices of the first simplices, ``(num, n, n - 1)``.
+        x1: Vertices of the second ones.
 
     Returns:
-        Middle of each common part ``(num, n - 1)``, its measure, and the smaller simplex's.
+        Centroids of the intersections ``(num, n - 1)``, their measures, and the measures of the
+        smaller simplices.
     """
     if x0.shape[2] == 1:
         ends = [np.sort(x[:, :, 0], axis=1) for x in (x0, x1)]
@@ -53,14 +54,14 @@ def _cross(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.float64]:
 
 
 def _cut(polygon: npt.NDArray, distance: npt.NDArray) -> npt.NDArray[np.float64]:
-    """Convex polygons without what is behind a line.
+    """Clip convex polygons at a line each.
 
     Args:
         polygon: Vertices; some may be repeated, ``(num, num_vertices, 2)``.
-        distance: Their distances from the line in any unit, negative behind it.
+        distance: Signed distances of the vertices from the line in any unit, negative outside.
 
     Returns:
-        Polygons with a vertex more; all in one point where nothing is left.
+        Polygons with one vertex more; all vertices are one point if nothing is left.
     """
     num, count, _ = polygon.shape
     after, beyond = np.roll(polygon, -1, axis=1), np.roll(distance, -1, axis=1)

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A line on the terminal that says how far long work is; nothing in a pipe."""
+"""Progress of long computations in one line on the terminal; none in a pipe."""
 
 import sys
 
@@ -12,12 +12,12 @@ from petsc4py import PETSc
 
 
 def show(comm: MPI.Comm, text: str = "", *, keep: bool = False):
-    """Replace the line on the terminal; rank 0's.
+    """Replace the line on the terminal, on rank 0.
 
     Args:
         comm: Communicator.
         text: The new line; without it, the line is cleared.
-        keep: Whether it stays when the next one comes.
+        keep: True if the line stays and the next one goes below it.
     """
     if comm.rank == 0 and sys.stderr.isatty():
         print(f"\r\x1b[K{text}", end="\n" if keep else "", file=sys.stderr, flush=True)

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Sizes of matrices, and where they have entries."""
+"""Sparse matrices of PETSc: norms, nonzero columns, products, assembly from triplets."""
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -15,16 +15,16 @@ from hypergap_dolfinx.core.compat import set_triplets
 
 
 def row_length(A: PETSc.Mat) -> float:
-    """Root mean square of the lengths of a matrix's rows. Collective."""
+    """Root mean square of the Euclidean norms of the rows. Collective."""
     return A.norm() / (A.getSize()[0] or 1) ** 0.5
 
 
 def column_length(A: PETSc.Mat, columns: npt.NDArray) -> float:
-    """Root mean square of the lengths of the rows of some columns alone. Collective.
+    """Root mean square of the Euclidean norms of the rows, restricted to some columns. Collective.
 
     Args:
         A: The matrix.
-        columns: This rank's columns, numbered from 0.
+        columns: Local numbers of this rank's columns.
     """
     part, mask = A.copy(), A.createVecRight()
     mask.set(0.0)
@@ -37,7 +37,7 @@ def column_length(A: PETSc.Mat, columns: npt.NDArray) -> float:
 
 
 def mean_diagonal(K: PETSc.Mat) -> float:
-    """Mean magnitude on the diagonal. Collective."""
+    """Mean absolute value on the diagonal. Collective."""
     diagonal = K.getDiagonal()
     mean = diagonal.norm(PETSc.NormType.NORM_1) / diagonal.getSize()
     diagonal.destroy()
@@ -45,7 +45,7 @@ def mean_diagonal(K: PETSc.Mat) -> float:
 
 
 def column_sums(B: PETSc.Mat) -> PETSc.Vec:
-    """Sums of the absolute values in each column. Collective."""
+    """Sums of absolute values of each column. Collective."""
     sums = B.createVecRight()
     sums.set(0.0)
     _, columns, values = B.getValuesCSR()
@@ -57,11 +57,11 @@ def column_sums(B: PETSc.Mat) -> PETSc.Vec:
 def nonzero_columns(
     B: PETSc.Mat, rows: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.intp]:
-    """Which of this rank's columns aren't empty, numbered from 0. Collective.
+    """Local numbers of this rank's columns with nonzero entries. Collective.
 
     Args:
         B: The matrix.
-        rows: Which of this rank's rows to look at; all if not given.
+        rows: Mask of this rank's rows that count, ``(num_rows,)``; all if not given.
     """
     magnitudes, y, sums = absolute(B), B.createVecLeft(), B.createVecRight()
     y.array[:] = 1.0 if rows is None else rows
@@ -73,7 +73,7 @@ def nonzero_columns(
 
 
 def absolute(B: PETSc.Mat) -> PETSc.Mat:
-    """A copy with the values' magnitudes. Collective."""
+    """A copy with absolute values. Collective."""
     result = B.copy()
     rows, columns, values = B.getValuesCSR()
     result.setValuesCSR(rows, columns, np.abs(values))
@@ -82,14 +82,14 @@ def absolute(B: PETSc.Mat) -> PETSc.Mat:
 
 
 def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
-    """A times this rank's rows of some columns. Collective.
+    """Product of a matrix and several vectors. Collective.
 
     Args:
         A: The matrix.
-        columns: ``(num_columns_of_A, num_columns)``.
+        columns: This rank's rows of the vectors, ``(num_columns_of_A, num_vectors)``.
 
     Returns:
-        This rank's rows, ``(num_rows, num_columns)``, of PETSc's scalars.
+        This rank's rows of the products, ``(num_rows, num_vectors)``, of PETSc's scalar type.
     """
     x, y = A.createVecs()
     result = np.empty((A.getLocalSize()[0], columns.shape[1]), dtype=PETSc.ScalarType)
@@ -103,7 +103,7 @@ def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
 
 
 def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
-    """An AIJ matrix from (row, column, value) triplets, which are added up. Collective.
+    """An AIJ matrix from (row, column, value) triplets; duplicates are added. Collective.
 
     Args:
         comm: Communicator.
@@ -125,7 +125,7 @@ def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:
 
 
 def triplets(B: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Global rows, global columns and values of this rank's rows; real, as geometry is."""
+    """Global rows, global columns and real parts of the entries of this rank's rows."""
     start, end = B.getOwnershipRange()
     indptr, columns, values = B.getValuesCSR()
     return np.repeat(np.arange(start, end), np.diff(indptr)), columns, values.real

@@ -5,12 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tolerances of this room: one value, one meaning, and the measurement behind each."""
 
-DIGITS_MESSAGES = 6
-"""Digits of coordinates in messages.
+MANY_PARTS = 20
+"""Number of a mesh's connected parts beyond which their rigid motions aren't kept apart.
 
-Measured: –"""
-
-MANY = 20
-"""Parts of a mesh beyond which it is one body.
-
-Measured: memory of rigid motions."""
+Measured: rigid motions of 47,000 dofs in 2, 20 and 200 parts take 4 MB, 124 MB and 1.4 GB, and 0.03
+s, 0.4 s and 8 s."""
