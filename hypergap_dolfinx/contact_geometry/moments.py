@@ -21,14 +21,14 @@ from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 
 
 def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Points, which polygon each is of, and weights.
+    """Points of a rule on polygons, the polygon of each, and weights.
 
     One point on each for degree 1, three for degree 2, 15 for degree 4.
 
     Args:
         X: Corners of convex polygons, counterclockwise; behind the last one they repeat it,
             ``(num, num_corners, 2)``.
-        degree: Of polynomials that are integrated exactly, 1 or even.
+        degree: Degree of polynomials that are integrated exactly, 1 or even.
 
     Returns:
         ``(num_points, 2)``, ``(num_points,)`` and ``(num_points,)``.
@@ -57,8 +57,8 @@ def _points(degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     """Points on circles where mean and standard deviations are 0 and 1, and their weights.
 
     Returns:
-        ``(num_points, 2)``; the powers of which moments make weights, ``(num, 2)``, none if weights
-        are equal; and the matrix that does, ``(num, num_points)``.
+        ``(num_points, 2)``; the powers of the moments that determine weights, ``(num, 2)``, none if
+        weights are equal; and the matrix from moments to weights, ``(num, num_points)``.
     """
     circles = []
     if degree == 1:

@@ -5,29 +5,17 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Tolerances of this room: one value, one meaning, and the measurement behind each."""
 
-LEANS_OPPOSITE = 0.25
-"""Cosine between normals from which facets face each other.
-
+FACING = 0.25
+"""Cosine between normals (in the plane: edges) from which facets face each other.
 Measured: –"""
 
-SLIVER = 1e-14
-"""Area of a piece, over its facet's, that is none.
-
+ROUND_OFF_FACET = 1e-14
+"""Area of a piece over its facet's, and distance of an edge from a straight one on the reference
+facet, that are zero.
 Measured: round-off 1e-16."""
 
-BENDS = 1e-14
-"""How far an edge bends, on Γ1's reference facet, that is straight.
-
-Measured: round-off 1e-16."""
-
-ROOM_PIECES = 4
-"""Pieces of a facet for which there is room at first.
-
-Measured: 1 to 4 mostly; with more they are looked for anew."""
-
-NEWTON_OPPOSITE = 10
-"""Steps to a point of a curved facet.
-
+NEWTON_FACET = 10
+"""Newton steps to a point of a curved facet, and to where a ray meets one.
 Measured: round-off after 4."""
 
 NEWTON_CURVES = 5
@@ -62,11 +50,6 @@ deviations.
 
 Measured: a square and a triangle: weights of degree 4, 6 and 10 have absolute sums of 1.00, 1.08
 and 1.2 times the area."""
-
-NEWTON_HEIGHTS = 10
-"""Steps to where a ray meets a curved facet.
-
-Measured: round-off after 4."""
 
 KINK_ORDER = 0.5
 """Cosine of a surface's turn from which it goes on.
@@ -109,22 +92,7 @@ END = 1e-7
 
 Measured: –"""
 
-FACING_EDGES = 0.25
-"""Cosine between edges from which they face each other.
-
-Measured: –"""
-
 FARTHER = 8.0
 """Longest way between neighbouring rays, in lengths of their edges.
 
 Measured: –"""
-
-ROOM_CELLS = 3
-"""Cells of an edge for which there is room at first.
-
-Measured: 1 mostly; with more it is looked for anew."""
-
-ROOM_ROW = 32
-"""Entries of a row for which there is room at first.
-
-Measured: 6 to 30."""
