@@ -123,6 +123,25 @@ class Rays:
         library().lib.column_edges(self.pointer[0], *given)
         return motion, slopes
 
+    def kinks(self, normal, outline, factor) -> tuple[npt.NDArray, npt.NDArray]:
+        """Contribution of moving edges to ∂²∫f/∂q²: jumps of f's derivatives.
+
+        At Γ0's outline f is treated as zero, as it is in contact.
+
+        Args:
+            normal: As for :meth:`edges`.
+            outline: Mask of points at Γ0's outline, ``(num,)``.
+            factor: Factor of each ray, ``(num,)``.
+
+        Returns:
+            a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
+        """
+        motion, slope = self.edges(normal)
+        half = ((outline - 0.5) * slope * factor)[:, None, None] * motion
+        if outline.any():
+            half += (outline * factor)[:, None, None] * self.heights[2]
+        return half, motion
+
     def add_curvatures(self, block, factor, blocks):
         """Add second derivatives of f, each transposed pair of blocks once (:func:`complete`).
 

@@ -42,7 +42,16 @@ class Segments[State: Found](ABC):
     """
 
     sides: Sides
+    num_multipliers: int = field(init=False)
+    """Number of vertices of Γ1, in reach of Γ0 or not."""
+    num_dofs: int = field(init=False)
+    """Number of dofs of both sides."""
     _last: State | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self):
+        """Count."""
+        self.num_multipliers = len(self.sides[1].reference.x)
+        self.num_dofs = sum(len(side.dofs) for side in self.sides)
 
     @classmethod
     def between(cls, sides: Sides, u: Displacements, *args, **options) -> Self:
@@ -61,11 +70,6 @@ class Segments[State: Found](ABC):
         segments = cls(sides, *args, **options)
         segments._at(u)
         return segments
-
-    @property
-    def num_multipliers(self) -> int:
-        """One for each vertex of Γ1, in reach of Γ0 or not."""
-        return len(self.sides[1].reference.x)
 
     def _at(self, u: Displacements) -> State:
         """Segments where the bodies are, the last ones if they haven't moved."""
@@ -88,7 +92,7 @@ class Segments[State: Found](ABC):
 
         Returns:
             g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
-            ``(num_multipliers, n (num_dofs0 + num_dofs1))``.
+            ``(num_multipliers, n num_dofs)``.
         """
 
     @abstractmethod

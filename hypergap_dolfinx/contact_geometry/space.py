@@ -62,28 +62,18 @@ class _Columns(Found):
     gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
     """g, m and C, once they are needed."""
 
-    def on_some(self, on) -> tuple[Rays, npt.NDArray, npt.NDArray]:
-        """The rays on some pieces.
+    def on_some(self, on) -> npt.NDArray[np.intp]:
+        """Numbers of the points on some pieces.
 
         All points of the rule: with fewer, second derivatives of curved quadrilaterals are 10 %
         off, and Newton's iteration is no longer quadratic.
-
-        Args:
-            on: Numbers of pieces.
-
-        Returns:
-            The rays, and the piece and the weight of each.
         """
-        asked = np.zeros(len(self.vertex), dtype=bool)
-        asked[on] = True
-        points = np.flatnonzero(asked[self.piece])
-        return self.rays.some(points), self.piece[points], self.weights[points]
+        mask = np.zeros(len(self.vertex), dtype=bool)
+        mask[on] = True
+        return np.flatnonzero(mask[self.piece])
 
     def pairs(self, on) -> tuple[npt.NDArray[np.intp], tuple[npt.NDArray, ...]]:
         """The pairs of facets of some pieces.
-
-        Args:
-            on: Numbers of pieces.
 
         Returns:
             Number of the pair of each piece, ``(num_pieces,)``, and both facets of pairs.
@@ -96,14 +86,10 @@ class _Columns(Found):
         return pair, (f0[new], f1[new])
 
     @cached_property
-    def areas(self) -> npt.NDArray[np.float64]:
-        """Areas as seen along the rays, ``(num_pieces,)``."""
-        return np.bincount(self.piece, self.weights * self.rays.heights[1], len(self.vertex))
-
-    @cached_property
-    def volumes(self) -> npt.NDArray[np.float64]:
-        """Volumes of the columns, ``(num_pieces,)``."""
-        return np.bincount(self.piece, self.weights * self.rays.heights[0], len(self.vertex))
+    def sizes(self) -> list[npt.NDArray[np.float64]]:
+        """Volumes of the columns, and areas as seen along the rays, ``(num_pieces,)`` each."""
+        parts = self.rays.heights[:2]
+        return [np.bincount(self.piece, self.weights * f, len(self.vertex)) for f in parts]
 
 
 @dataclass(frozen=True)
@@ -142,18 +128,16 @@ class SpaceSegments(Segments[_Columns]):
         state = self._at(u)
         if state.gap is not None:
             return state.gap
-        g, m = (
-            np.bincount(state.vertex, part, self.num_multipliers)
-            for part in (state.volumes, state.areas)
-        )
-        dofs = self._dofs(*state.pieces.facets)
+        dofs, rim = self._dofs(*state.pieces.facets), _edges(state, outline=True)
+        num, vertex = self.num_multipliers, state.vertex
+        g, m = [np.bincount(vertex, part, num) for part in state.sizes]
         blocks = np.zeros((*dofs.shape, 3))  # of pieces
         state.rays.add_by_dofs(state.piece, state.weights, state.rays.heights[2], blocks)
-        rim = _edges(state, outline=True)
         if len(rim.piece):
             moved = rim.weights * rim.rays.heights[0]
             rim.rays.add_by_dofs(rim.piece, moved, rim.rays.edges(rim.normal)[0], blocks)
-        state.gap = g, m, self._by_vertices(state.vertex[:, None], dofs, blocks)
+        blocks = blocks[:, None, :, None]
+        state.gap = g, m, merged(vertex[:, None], dofs, blocks, (num, self.num_dofs))
         return state.gap
 
     @override
@@ -163,20 +147,21 @@ class SpaceSegments(Segments[_Columns]):
         on = np.flatnonzero(pressure)
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = state.on_some(on)
         pair, facets = state.pairs(on)
-        dofs = self._dofs(*facets)
+        dofs, points = self._dofs(*facets), state.on_some(on)
+        edges, piece = _edges(state, pressure != 0), state.piece[points]
         blocks = np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
-        rays.add_curvatures(pair[piece], pressure[piece] * weights, blocks)
-        edges = _edges(state, pressure != 0)
+        factor = pressure[piece] * state.weights[points]
+        state.rays.some(points).add_curvatures(pair[piece], factor, blocks)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
-            a, b = _kinks(edges, pressure[edges.piece] * edges.weights)
+            factor = pressure[edges.piece] * edges.weights
+            a, b = edges.rays.kinks(edges.normal, edges.outline, factor)
             by_dofs = np.zeros((2, len(edges.piece), dofs.shape[1], 3))
             for by_q, by_dof in zip((a, b), by_dofs, strict=True):
                 edges.rays.add_by_dofs(np.arange(len(a)), np.ones(len(a)), by_q, by_dof)
             add_products(pair[edges.piece], by_dofs[0], by_dofs[1], blocks)
         complete(blocks)
-        return self._by_dofs(dofs, blocks)
+        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs))
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
@@ -199,21 +184,22 @@ class SpaceSegments(Segments[_Columns]):
 
     def _slips(self, state: _Columns, target, on, since: Displacements | None = None) -> Sparse:
         """T of some pieces, or ∂s/∂u of slips since given displacements."""
-        rays, piece, weights = state.on_some(on)
+        points, vertex = state.on_some(on), state.vertex[on]
         number = np.zeros(len(state.vertex), dtype=np.intp)
         number[on] = np.arange(len(on))
-        piece, vertex = number[piece], state.vertex[on]
-        dofs = self._dofs(*(facet[on] for facet in state.pieces.facets))
+        piece, weights = number[state.piece[points]], state.weights[points]
+        dofs = self._dofs(*[facet[on] for facet in state.pieces.facets])
         moves = None
         if since is not None:
             moves = np.concatenate([a - b for a, b in zip(state.u, since, strict=True)])[dofs]
-        e = directions(state.frames)[target[vertex]]
+        e, rays = directions(state.frames)[target[vertex]], state.rays.some(points)
         blocks = np.zeros((2 * len(on), dofs.shape[1], 3))
         for k in (0, 1):
             by_q = rays.slips(piece, e[piece, k], moves)
             rays.add_by_dofs(2 * piece + k, weights, by_q, blocks)
         rows = vertex[:, None] + self.num_multipliers * np.arange(2)
-        return self._by_vertices(rows, dofs, blocks)
+        blocks = blocks.reshape(*rows.shape, -1, 1, 3)
+        return merged(rows, dofs, blocks, (2 * self.num_multipliers, self.num_dofs))
 
     @override
     def slip_curvature(
@@ -224,20 +210,18 @@ class SpaceSegments(Segments[_Columns]):
         on = np.flatnonzero(traction.any(axis=1))
         if not len(on):
             return Sparse.empty()
-        rays, piece, weights = state.on_some(on)
         pair, facets = state.pairs(on)
-        dofs = self._dofs(*facets)
-        blocks = np.zeros((len(dofs), dofs.shape[1], dofs.shape[1], 3, 3))
-        forces = weights[:, None] * traction[piece]
-        rays.add_slip_curvatures(pair[piece], forces, blocks)
-        return self._by_dofs(dofs, blocks)
+        dofs, points = self._dofs(*facets), state.on_some(on)
+        piece, blocks = state.piece[points], np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
+        forces = state.weights[points, None] * traction[piece]
+        state.rays.some(points).add_slip_curvatures(pair[piece], forces, blocks)
+        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs))
 
     @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         # Half of each piece has its vertex' pressure, half the mean of its facet
         state = self._at(u)
-        facet, area = state.pieces.facets[1], state.areas
-        num = len(state.frames.middle)
+        facet, area, num = state.pieces.facets[1], state.sizes[1], len(state.frames.middle)
         force, size = (np.bincount(facet, w, num) for w in (area * p[state.vertex], area))
         mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)[facet]
         mean = 0.5 * (mean + p[state.vertex])
@@ -260,46 +244,18 @@ class SpaceSegments(Segments[_Columns]):
             ends.append([s.points(f, x) for s, f, x in zip(surfaces, facets, (xi, X), strict=True)])
         prism = np.stack([x for side in (1, 0) for x in (end[side] for end in ends)], axis=1)
         x = prism[:, [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]].reshape(-1, 4, 3)
-        area, cell = state.areas, np.repeat(piece, 3)
+        cell, (volume, area) = np.repeat(piece, 3), state.sizes
         return OpenCells(
             x=x,
             rank=surfaces[1].owner[pieces.facets[1][cell]],
-            gap=(state.volumes / area)[cell],
+            gap=(volume / area)[cell],
             pressure=p[state.vertex][cell],
         )
-
-    @property
-    def _num_dofs(self) -> int:
-        return sum(len(side.dofs) for side in self.sides)
 
     def _dofs(self, f0, f1) -> npt.NDArray[np.intp]:
         """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
         below, above = self.sides
         return np.hstack((below.at_facets[f0], len(below.dofs) + above.at_facets[f1]))
-
-    def _by_vertices(self, rows, dofs, blocks) -> Sparse:
-        """Sum of rows, ``(num, a)``, with blocks ``(num a, num_facet_dofs, 3)``, by dofs."""
-        size = rows.shape[1] * self.num_multipliers, self._num_dofs
-        return merged(rows, dofs, blocks.reshape(*rows.shape, -1, 1, 3), size)
-
-    def _by_dofs(self, dofs, blocks) -> Sparse:
-        """Sum of blocks, ``(num, num_dofs, num_dofs, 3, 3)``, by dofs, ``(num, num_dofs)``."""
-        return merged(dofs, dofs, blocks, (self._num_dofs, self._num_dofs))
-
-
-def _kinks(edges: _Edges, factor) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Contribution of moving edges to ∂²∫f/∂q²: jumps of f's derivatives.
-
-    At Γ0's outline f is treated as zero, as it is in contact.
-
-    Returns:
-        a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
-    """
-    motion, slope = edges.rays.edges(edges.normal)
-    half = ((edges.outline - 0.5) * slope * factor)[:, None, None] * motion
-    if edges.outline.any():
-        half += (edges.outline * factor)[:, None, None] * edges.rays.heights[2]
-    return half, motion
 
 
 def _cast(frames: Frames, pieces: FacetPieces):
