@@ -108,42 +108,8 @@ class Rays:
         doubles = map(as_doubles, (factor, by_q, blocks))
         library().lib.sum_by_dofs(self.pointer[0], as_ints(block), *doubles)
 
-    def edges(self, normal) -> tuple[npt.NDArray, npt.NDArray]:
-        """Motion of edges on Γ1, for rays that end on edges of Γ0.
-
-        Args:
-            normal: Across the edge, in Γ1's reference facet, ``(num, 2)``.
-
-        Returns:
-            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
-            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
-        """
-        motion, slopes = np.empty_like(self.q), np.empty(len(self.q))
-        given = map(as_doubles, (normal, motion, slopes))
-        library().lib.column_edges(self.pointer[0], *given)
-        return motion, slopes
-
-    def kinks(self, normal, outline, factor) -> tuple[npt.NDArray, npt.NDArray]:
-        """Contribution of moving edges to ∂²∫f/∂q²: jumps of f's derivatives.
-
-        At Γ0's outline f is treated as zero, as it is in contact.
-
-        Args:
-            normal: As for :meth:`edges`.
-            outline: Mask of points at Γ0's outline, ``(num,)``.
-            factor: Factor of each ray, ``(num,)``.
-
-        Returns:
-            a and b, ``(num, 7, 3)`` each, of a ⊗ b + b ⊗ a.
-        """
-        motion, slope = self.edges(normal)
-        half = ((outline - 0.5) * slope * factor)[:, None, None] * motion
-        if outline.any():
-            half += (outline * factor)[:, None, None] * self.heights[2]
-        return half, motion
-
     def add_curvatures(self, block, factor, blocks):
-        """Add second derivatives of f, each transposed pair of blocks once (:func:`complete`).
+        """Add second derivatives of f, each transposed pair of blocks once (:func:`symmetric`).
 
         Args:
             block: Number of each ray's block, ``(num,)``.
@@ -187,6 +153,66 @@ class Rays:
         xi, q, functions = (part[some] for part in (self.xi, self.q, self.functions))
         bends = None if self.bends is None else self.bends[some]
         return Rays((f0[some], f1[some]), xi, q, bends, functions, self.middle)
+
+
+@dataclass(frozen=True)
+class EdgeRays:
+    """Rays that end on edges of Γ0's facets, and how these move on Γ1."""
+
+    rays: Rays
+    piece: npt.NDArray[np.intp]
+    """Piece of each ray, ``(num,)``."""
+    weights: npt.NDArray[np.float64]
+    normal: npt.NDArray[np.float64]
+    """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
+    outline: npt.NDArray[np.bool_]
+    """Mask of points where Γ0 ends."""
+
+    def _motions(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Motion of edges on Γ1.
+
+        Returns:
+            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
+            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
+        """
+        motion, slopes = np.empty_like(self.rays.q), np.empty(len(self.rays.q))
+        given = map(as_doubles, (self.normal, motion, slopes))
+        library().lib.column_edges(self.rays.pointer[0], *given)
+        return motion, slopes
+
+    def add_slopes(self, blocks):
+        """Add what moving edges contribute to ∂∫f/∂u.
+
+        Args:
+            blocks: Blocks of pieces, ``(num_pieces, num_dofs, 3)``.
+        """
+        motion, moved = self._motions()[0], self.weights * self.rays.heights[0]
+        doubles = map(as_doubles, (moved, motion, blocks))
+        library().lib.sum_by_dofs(self.rays.pointer[0], as_ints(self.piece), *doubles)
+
+    def add_kinks(self, block, factor, blocks):
+        """Add what moving edges contribute to ∂²∫f/∂u²: jumps of f's derivatives.
+
+        At Γ0's outline f is treated as zero, as it is in contact.
+
+        Args:
+            block: As for :meth:`Rays.add_curvatures`.
+            factor: Likewise.
+            blocks: Likewise.
+        """
+        motion, slope = self._motions()
+        half = ((self.outline - 0.5) * slope * factor)[:, None, None] * motion
+        if self.outline.any():
+            half += (self.outline * factor)[:, None, None] * self.rays.heights[2]
+        a, b = by_dofs = np.zeros((2, len(half), blocks.shape[1], 3))
+        each = np.arange(len(half)), np.ones(len(half))
+        # a ⊗ b + b ⊗ a
+        for by_q, by_dof in zip((half, motion), by_dofs, strict=True):
+            doubles = map(as_doubles, (each[1], by_q, by_dof))
+            library().lib.sum_by_dofs(self.rays.pointer[0], as_ints(each[0]), *doubles)
+        library().lib.add_products(
+            len(a), a.shape[1], as_ints(block), as_doubles(a), as_doubles(b), as_doubles(blocks)
+        )
 
 
 def cast(frames: Frames, facets, X) -> Rays:
@@ -240,26 +266,6 @@ def directions(frames: Frames) -> npt.NDArray[np.float64]:
     return np.stack((first, cross(normal, first)), axis=1)
 
 
-def add_products(block, a, b, blocks):
-    """Add a bᵀ + b aᵀ, each transposed pair of blocks once (:func:`complete`).
-
-    Args:
-        block: Number of each product's block, ``(num,)``.
-        a: ``(num, num_dofs, 3)``.
-        b: Likewise.
-        blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
-    """
-    library().lib.add_products(
-        len(a), a.shape[1], as_ints(block), as_doubles(a), as_doubles(b), as_doubles(blocks)
-    )
-
-
-def complete(blocks):
-    """Fill in the transposed of symmetric blocks, ``(num, num_dofs, num_dofs, 3, 3)``."""
-    num, num_dofs = blocks.shape[:2]
-    library().lib.complete(num, num_dofs, as_doubles(blocks))
-
-
 def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]) -> Sparse:
     """The sum of blocks at the same place, as a sparse matrix.
 
@@ -281,3 +287,15 @@ def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]
     j = c * columns[group, at % b, None, None] + np.arange(c)
     i, j = np.broadcast_arrays(i, j)
     return Sparse(i.ravel(), j.ravel(), values.reshape(-1, r * c)[first].ravel())
+
+
+def symmetric(dofs, blocks: npt.NDArray[np.float64], num: int) -> Sparse:
+    """:func:`merged`, of symmetric matrices with each transposed pair of blocks given once.
+
+    Args:
+        dofs: ``(num_blocks, num_dofs)``.
+        blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``; overwritten.
+        num: Number of dofs in all.
+    """
+    library().lib.complete(len(blocks), dofs.shape[1], as_doubles(blocks))
+    return merged(dofs, dofs, blocks, (num, num))

@@ -21,12 +21,12 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.heights import (
+    EdgeRays,
     Rays,
-    add_products,
     cast,
-    complete,
     directions,
     merged,
+    symmetric,
 )
 from hypergap_dolfinx.contact_geometry.moments import rule
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
@@ -92,19 +92,6 @@ class _Columns(Found):
         return [np.bincount(self.piece, self.weights * f, len(self.vertex)) for f in parts]
 
 
-@dataclass(frozen=True)
-class _Edges:
-    """Points of a rule on edges of pieces that lie on Γ0's, and how they move on Γ1."""
-
-    rays: Rays
-    piece: npt.NDArray[np.intp]
-    weights: npt.NDArray[np.float64]
-    normal: npt.NDArray[np.float64]
-    """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
-    outline: npt.NDArray[np.bool_]
-    """Mask of points where Γ0 ends."""
-
-
 @dataclass
 class SpaceSegments(Segments[_Columns]):
     """Contact segments in space: columns."""
@@ -134,8 +121,7 @@ class SpaceSegments(Segments[_Columns]):
         blocks = np.zeros((*dofs.shape, 3))  # of pieces
         state.rays.add_by_dofs(state.piece, state.weights, state.rays.heights[2], blocks)
         if len(rim.piece):
-            moved = rim.weights * rim.rays.heights[0]
-            rim.rays.add_by_dofs(rim.piece, moved, rim.rays.edges(rim.normal)[0], blocks)
+            rim.add_slopes(blocks)
         blocks = blocks[:, None, :, None]
         state.gap = g, m, merged(vertex[:, None], dofs, blocks, (num, self.num_dofs))
         return state.gap
@@ -155,13 +141,8 @@ class SpaceSegments(Segments[_Columns]):
         state.rays.some(points).add_curvatures(pair[piece], factor, blocks)
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
             factor = pressure[edges.piece] * edges.weights
-            a, b = edges.rays.kinks(edges.normal, edges.outline, factor)
-            by_dofs = np.zeros((2, len(edges.piece), dofs.shape[1], 3))
-            for by_q, by_dof in zip((a, b), by_dofs, strict=True):
-                edges.rays.add_by_dofs(np.arange(len(a)), np.ones(len(a)), by_q, by_dof)
-            add_products(pair[edges.piece], by_dofs[0], by_dofs[1], blocks)
-        complete(blocks)
-        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs))
+            edges.add_kinks(pair[edges.piece], factor, blocks)
+        return symmetric(dofs, blocks, self.num_dofs)
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
@@ -274,7 +255,7 @@ def _cast(frames: Frames, pieces: FacetPieces):
     return cast(frames, facets, X), piece, weights
 
 
-def _edges(state: _Columns, which=True, *, outline: bool = False) -> _Edges:
+def _edges(state: _Columns, which=True, *, outline: bool = False) -> EdgeRays:
     """Points on the pieces' edges that lie on Γ0's.
 
     Args:
@@ -295,7 +276,7 @@ def _edges(state: _Columns, which=True, *, outline: bool = False) -> _Edges:
     X, step = [part.reshape(-1, 2) for part in along]
     num = len(points)
     f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
-    return _Edges(
+    return EdgeRays(
         cast(state.frames, (f0, f1), X),
         np.repeat(piece, num),
         np.tile(weights, len(piece)),
