@@ -37,6 +37,7 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
 from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.search import along_curve
+from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface, around, lengths, tabulate
 
 
@@ -233,11 +234,12 @@ def _cut(frames: Frames, parts):
         ``(num_pieces, num_corners)``; corners in the plane and on the reference facet.
     """
     (below, above), (ffi, lib) = frames.surfaces, (library().ffi, library().lib)
+    sides = frames.in_c
     axes = frames.normal / lengths(frames.normal)[:, None]
     planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = as_ints(along_curve(below.x[below.facets].mean(axis=1)))
-    given = frames.in_c, order, *map(as_doubles, (below.normals, planes, reach, parts))
+    given = sides, order, *map(as_doubles, (below.normals, planes, reach, parts))
     room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
     while True:
         ints = np.empty((4, room), dtype=np.int32)
@@ -342,6 +344,36 @@ def _nearest_sheet(frames: Frames, pieces: FacetPieces) -> FacetPieces:
     nearest = np.flatnonzero(mean <= best[facet])
     np.minimum.at(first, facet[nearest], nearest)
     return pieces.some(first[f1] == sheet)
+
+
+def stand_ins(surface: Surface, pieces: FacetPieces) -> npt.NDArray[np.intp]:
+    """The vertex of Γ1 that gets the pieces next to each one, ``(num_vertices,)``.
+
+    A vertex of which no facet is covered by more than :data:`COVERED_SIDE` has no multiplier: its
+    share goes to the nearest vertex that has one.
+    """
+    whole = polygon_areas(reference_corners(surface.geometry.cell_type)[None])[0]
+    covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
+    has = np.zeros(len(surface.x), dtype=bool)
+    has[surface.facets[covered > COVERED_SIDE]] = True
+    stand_in = np.arange(len(surface.x))
+    without = np.zeros_like(has)
+    without[pieces.vertex] = True
+    without &= ~has
+    facets = surface.facets
+    v, near = (part.ravel() for part in np.broadcast_arrays(facets[:, :, None], facets[:, None]))
+    use = without[v] & has[near]
+    v, near = v[use], near[use]
+    order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
+    first = order[np.unique(v[order], return_index=True)[1]]
+    stand_in[v[first]] = near[first]
+    without[v] = False
+    for alone in np.flatnonzero(without).tolist():
+        near = np.flatnonzero(has)
+        if not len(near):  # nothing but a part of one facet
+            near, has[alone] = np.array([alone]), True
+        stand_in[alone] = near[lengths(surface.x[near] - surface.x[alone]).argmin()]
+    return stand_in
 
 
 @cache

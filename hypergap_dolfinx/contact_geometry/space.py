@@ -35,15 +35,12 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     Frames,
     Label,
     find_pieces,
-    polygon_areas,
-    reference_corners,
+    stand_ins,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
-from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
-from hypergap_dolfinx.surface.trace import Surface, lengths
 
 
 @dataclass
@@ -106,8 +103,8 @@ class SpaceSegments(Segments[_Columns]):
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
+        vertex = stand_ins(above, pieces)[pieces.vertex]
         rays, piece, weights = _cast(frames, pieces)
-        vertex = _stand_ins(above, pieces)[pieces.vertex]
         return _Columns(u, frames, pieces, vertex, rays, piece, weights)
 
     @override
@@ -115,7 +112,7 @@ class SpaceSegments(Segments[_Columns]):
         state = self._at(u)
         if state.gap is not None:
             return state.gap
-        dofs, rim = self._dofs(*state.pieces.facets), _edges(state, outline=True)
+        dofs, rim = self._dofs(*state.pieces.facets), self._edges(state, outline=True)
         num, vertex = self.num_multipliers, state.vertex
         g, m = [np.bincount(vertex, part, num) for part in state.sizes]
         blocks = np.zeros((*dofs.shape, 3))  # of pieces
@@ -135,7 +132,7 @@ class SpaceSegments(Segments[_Columns]):
             return Sparse.empty()
         pair, facets = state.pairs(on)
         dofs, points = self._dofs(*facets), state.on_some(on)
-        edges, piece = _edges(state, pressure != 0), state.piece[points]
+        edges, piece = self._edges(state, pressure != 0), state.piece[points]
         blocks = np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
         factor = pressure[piece] * state.weights[points]
         state.rays.some(points).add_curvatures(pair[piece], factor, blocks)
@@ -233,6 +230,35 @@ class SpaceSegments(Segments[_Columns]):
             pressure=p[state.vertex][cell],
         )
 
+    def _edges(self, state: _Columns, which=True, *, outline: bool = False) -> EdgeRays:
+        """Points on the pieces' edges that lie on Γ0's.
+
+        Args:
+            state: Columns.
+            which: Mask of the pieces, ``(num_pieces,)``.
+            outline: True for edges at Γ0's outline only.
+        """
+        pieces = state.pieces
+        there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
+        at_end = self.sides[0].reference.is_outline[pieces.facets[0][:, None], pieces.label]
+        there &= np.broadcast_to(which, len(there))[:, None]
+        if outline:
+            there &= at_end
+        piece, k = np.nonzero(there)
+        curved = pieces.bend is not None
+        points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
+        along = pieces.along(piece, k, points[:, 0])
+        X, step = [part.reshape(-1, 2) for part in along]
+        num = len(points)
+        f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
+        return EdgeRays(
+            cast(state.frames, (f0, f1), X),
+            np.repeat(piece, num),
+            np.tile(weights, len(piece)),
+            np.column_stack((step[:, 1], -step[:, 0])),
+            np.repeat(at_end[piece, k], num),
+        )
+
     def _dofs(self, f0, f1) -> npt.NDArray[np.intp]:
         """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
         below, above = self.sides
@@ -253,63 +279,3 @@ def _cast(frames: Frames, pieces: FacetPieces):
         X, piece, weights = X[order], piece[order], weights[order]
     facets = pieces.facets[0][piece], pieces.facets[1][piece]
     return cast(frames, facets, X), piece, weights
-
-
-def _edges(state: _Columns, which=True, *, outline: bool = False) -> EdgeRays:
-    """Points on the pieces' edges that lie on Γ0's.
-
-    Args:
-        state: Columns.
-        which: Mask of the pieces, ``(num_pieces,)``.
-        outline: True for edges at Γ0's outline only.
-    """
-    pieces = state.pieces
-    there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-    at_end = state.frames.surfaces[0].is_outline[pieces.facets[0][:, None], pieces.label]
-    there &= np.broadcast_to(which, len(there))[:, None]
-    if outline:
-        there &= at_end
-    piece, k = np.nonzero(there)
-    curved = pieces.bend is not None
-    points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
-    along = pieces.along(piece, k, points[:, 0])
-    X, step = [part.reshape(-1, 2) for part in along]
-    num = len(points)
-    f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
-    return EdgeRays(
-        cast(state.frames, (f0, f1), X),
-        np.repeat(piece, num),
-        np.tile(weights, len(piece)),
-        np.column_stack((step[:, 1], -step[:, 0])),
-        np.repeat(at_end[piece, k], num),
-    )
-
-
-def _stand_ins(surface: Surface, pieces: FacetPieces) -> npt.NDArray[np.intp]:
-    """The vertex of Γ1 that gets the columns next to each one, ``(num_vertices,)``.
-
-    A vertex of which no facet is covered by more than :data:`COVERED_SIDE` has no multiplier: its
-    share goes to the nearest vertex that has one.
-    """
-    whole = polygon_areas(reference_corners(surface.geometry.cell_type)[None])[0]
-    covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
-    has = np.zeros(len(surface.x), dtype=bool)
-    has[surface.facets[covered > COVERED_SIDE]] = True
-    stand_in = np.arange(len(surface.x))
-    without = np.zeros_like(has)
-    without[pieces.vertex] = True
-    without &= ~has
-    facets = surface.facets
-    v, near = (part.ravel() for part in np.broadcast_arrays(facets[:, :, None], facets[:, None]))
-    use = without[v] & has[near]
-    v, near = v[use], near[use]
-    order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
-    first = order[np.unique(v[order], return_index=True)[1]]
-    stand_in[v[first]] = near[first]
-    without[v] = False
-    for alone in np.flatnonzero(without).tolist():
-        near = np.flatnonzero(has)
-        if not len(near):  # nothing but a part of one facet
-            near, has[alone] = np.array([alone]), True
-        stand_in[alone] = near[lengths(surface.x[near] - surface.x[alone]).argmin()]
-    return stand_in
