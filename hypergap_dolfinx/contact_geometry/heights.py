@@ -220,7 +220,7 @@ def cast(frames: Frames, facets, X) -> Rays:
 
     Args:
         frames: Γ0 and Γ1 where they are.
-        facets: Of both, ``(num,)`` each.
+        facets: Facets of both, ``(num,)`` each.
         X: Reference coordinates on Γ1, ``(num, 2)``.
     """
     num, (below, above) = len(X), frames.surfaces

@@ -448,7 +448,7 @@ def _evaluate(curves, t) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float6
 
 
 def _crossings(a, b, s, t) -> npt.NDArray[np.float64]:
-    """Where curves cross others; nearer to the crossing of straight ones if nearly parallel."""
+    """Crossings of curves with others, moved to those of straight ones if nearly parallel."""
     first, s, t = s, s.copy(), t.copy()
     straight = np.abs(_sine(a[:, 1:].sum(axis=1), b[:, 1:].sum(axis=1)))
     for _ in range(NEWTON_CURVES):

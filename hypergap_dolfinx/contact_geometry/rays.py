@@ -11,8 +11,9 @@ the base of a cell with the ray's end as apex, of which the foot is the edge's m
 half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
 
 **A vertex of Γ1 beyond the end of Γ0.** Where Γ0 ends opposite of an edge of Γ1, the fan of the
-vertex before the end reaches up to there. What the vertex beyond the end gets depends on the part
-of the edge that Γ0 covers, with two limits each, so that a vertex doesn't come and go at one place:
+vertex before the end reaches up to there. The weight of the vertex beyond the end depends on the
+part of the edge that Γ0 covers. Each limit has two values, so that a vertex doesn't come and go at
+one place:
 
 1. More than :data:`REACHED`, or :data:`COVERED_SIDE` (degree 1) or :data:`KEPT` (degree 2) if it
    was so at the last displacements: the edge counts as whole, and both vertices have a half of its
@@ -120,7 +121,7 @@ class Fans:
     """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
 
     cells: npt.NDArray
-    """Of :data:`CELL`, ``(num_cells,)``: side of the base, edges of base and apex, parameters of
+    """Cells as :data:`CELL`, ``(num_cells,)``: base's side, edges of base and apex, parameters of
     the base's start and end and of the apex, and vertices of Γ1 that share the cell, half each."""
     whole: npt.NDArray[np.bool_]
     """Mask of edges of Γ1 both of whose vertices have a weight, ``(num_edges1,)``."""

@@ -7,8 +7,8 @@ r"""Contact segments in space: columns between pieces of Γ1 and Γ0.
 
 A column stands on a piece of a facet of Γ1, along the facet's normal, up to the facet of Γ0 there.
 The vertex of Γ1 next to it has all of its volume: :math:`g_a = \int f\,dX` over its pieces. So
-weights are never negative, and nothing jumps as nodes pass nodes. Where the surfaces touch, columns
-fill the space between them. Pieces' edges move with Γ0; as f is continuous across them only those
+weights are never negative, and nothing jumps as nodes pass nodes. Columns fill the space between
+surfaces that touch. Pieces' edges move with Γ0; as f is continuous across them only those
 at Γ0's outline are in ∂g/∂u, and in ∂²g/∂u² the jumps of f's derivatives.
 """
 
