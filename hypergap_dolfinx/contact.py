@@ -18,8 +18,9 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma
-from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
-from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
+from hypergap_dolfinx.contact_geometry.protocol import Segments
+from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching, owned_values
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all
@@ -256,9 +257,7 @@ class Contact:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
         return self._depth
 
-    def gaps(
-        self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]
-    ) -> Opening | PlaneOpening:
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]) -> Segments:
         """Find Σ where the bodies are. Collective.
 
         Args:
@@ -270,9 +269,9 @@ class Contact:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
         if self._surfaces[0].gdim == 3:
-            return Opening.between(self._comm, self._sides, u)
+            return SpaceSegments.between(self._sides, u)
         shares = self._friction is None and self._compliance is None
-        return PlaneOpening.between(self._sides, u, held, shares=shares)
+        return PlaneSegments.between(self._sides, u, held, shares=shares)
 
     @property
     def swapped(self) -> bool:
@@ -447,10 +446,9 @@ class Contact:
             raise ValueError(f'on is "sigma" or "body", not {on!r}.')
         return on == "body"
 
-    def _opening(self, rows: ContactRows) -> Opening | PlaneOpening:
+    def _opening(self, rows: ContactRows) -> Segments:
         if rows.now.opening is None:
             raise InterfaceError("nothing of Γ1 lies opposite Γ0 where the bodies are.")
-        assert isinstance(rows.now.opening, Opening | PlaneOpening)
         return rows.now.opening
 
     def displaced(self, problem) -> tuple[Surface, Surface]:

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""The gap along the normal of Γ1's facet, times area, and its derivatives.
+r"""Columns: rays from Γ1 to Γ0, the gaps and slips along them, and their derivatives.
 
 From a point :math:`\mathbf x_1(X)` of Γ1 a ray along its facet's normal in the middle,
 :math:`\mathbf M`, meets Γ0 in :math:`\mathbf x_0(\xi)`, where Γ0's normal is :math:`\mathbf N_0`.
@@ -16,8 +16,22 @@ is the distance along the ray times the area of Γ1 as seen along it, for each
 :math:`dX`. There :math:`\partial f/\partial\xi = 0`: first derivatives don't need to know how the
 ray's end moves along Γ0, and second ones need it to first order.
 All this is a function of seven vectors, q: :math:`\mathbf r = \mathbf x_0 - \mathbf x_1`, two
-tangents of Γ0 and of Γ1 each, and those of Γ1 in the facet's middle. What there is at each of the
-many rays is found in C (``c/heights.c``).
+tangents of Γ0 and of Γ1 each, and those of Γ1 in the facet's middle.
+
+Two opposite points that move have the slip
+
+.. math:: \kappa\,\mathbf e_k\cdot\mathbf P\mathbf D, \qquad
+   \mathbf D = \Delta\mathbf u_1(X) - \Delta\mathbf u_0(\xi), \qquad
+   \kappa = \mathbf N_1\cdot\hat{\mathbf M},
+
+with P across the facet's normal :math:`\hat{\mathbf M}`, and two directions :math:`\mathbf e_k` for
+each vertex of Γ1. As :math:`\mathbf x_0 - \mathbf x_1` is along the normal, it is zero if
+:math:`\Delta\mathbf u` is the position: with :math:`\Delta\mathbf u = \mathbf x -
+\mathbf x_n` a rotation of closed bodies, however large, is no slip.
+
+All that is computed at the many rays, and sums over groups of them, is in C (``c/heights.c``,
+``c/columns.c``, ``c/slips.c``): second derivatives are matrices of 21 × 21 at each point, which
+NumPy would move through memory five times.
 """
 
 from dataclasses import dataclass
@@ -28,10 +42,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_geometry.opposite import Frames, reference_middle, sides_of
-from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_HEIGHTS
+from hypergap_dolfinx.contact_geometry.opposite import Frames, cross
+from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_FACET
 from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
-from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.moving import Sparse
+from hypergap_dolfinx.surface.trace import lengths
 
 
 class At(IntEnum):
@@ -42,21 +57,22 @@ class At(IntEnum):
 
 @dataclass(frozen=True)
 class Rays:
-    """Points of Γ1 and what is opposite of them."""
+    """Points of Γ1 and their opposite points on Γ0."""
 
     facets: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
-    """Of Γ0 and of Γ1, ``(num,)`` each."""
+    """Facets of Γ0 and of Γ1, ``(num,)`` each."""
     xi: npt.NDArray[np.float64]
-    """Where they meet Γ0, ``(num, 2)``."""
+    """Reference coordinates on Γ0, ``(num, 2)``."""
     q: npt.NDArray[np.float64]
     """The seven vectors, ``(num, 7, 3)``."""
     bends: npt.NDArray[np.float64] | None
     """Second derivatives of Γ0 by ξ, ``(num, 3, 3)``: by ξ₁ twice, ξ₁ and ξ₂, ξ₂ twice. None for
     straight triangles."""
     functions: npt.NDArray[np.float64]
-    """Those of Γ0's dofs, then of Γ1's, and their slopes, ``(num, 3, num_dofs0 + num_dofs1)``."""
+    """Basis functions of Γ0's dofs, then of Γ1's, and their slopes,
+    ``(num, 3, num_dofs0 + num_dofs1)``."""
     middle: npt.NDArray[np.float64]
-    """Slopes of Γ1's in the facet's middle, ``(2, num_dofs1)``."""
+    """Slopes of Γ1's functions in the facet's middle, ``(2, num_dofs1)``."""
 
     @cached_property
     def pointer(self) -> Any:
@@ -84,46 +100,123 @@ class Rays:
         """Add derivatives by the dofs of both facets to blocks.
 
         Args:
-            block: The number of each ray's, ``(num,)``.
-            factor: What they are multiplied with, ``(num,)``.
+            block: Number of each ray's block, ``(num,)``.
+            factor: Factor of each ray, ``(num,)``.
             by_q: Derivatives by q, ``(num, 7, 3)``.
             blocks: ``(num_blocks, num_dofs, 3)``.
         """
         given = ints(block), doubles(factor), doubles(by_q)
         call("sum_by_dofs", self.pointer, *given, blocks)
 
-    def edges(self, normal) -> tuple[npt.NDArray, npt.NDArray]:
-        """How edges move on which rays are that end on those of Γ0.
+    def add_curvatures(self, block, factor, blocks):
+        """Add second derivatives of f, each transposed pair of blocks once (:func:`symmetric`).
 
         Args:
-            normal: Across the edge, in Γ1's reference facet, ``(num, 2)``.
+            block: Number of each ray's block, ``(num,)``.
+            factor: Factor of each ray, ``(num,)``.
+            blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
+        """
+        call("column_curvatures", self.pointer, ints(block), doubles(factor), blocks)
+
+    def slips(self, block, e, moves=None) -> npt.NDArray[np.float64]:
+        """Slips by the motions of q, as vectors that are multiplied with these.
+
+        Args:
+            block: Number of each ray's pair of facets, ``(num,)``.
+            e: A direction each, ``(num, 3)``.
+            moves: Motions of the pairs' dofs, ``(num_pairs, num_dofs, 3)``. If given, the result is
+                the derivative by q of slips whose motions change with the positions of the dofs.
 
         Returns:
-            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
-            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
+            ``(num, 7, 3)``.
         """
-        motion, slopes = np.empty_like(self.q), np.empty(len(self.q))
-        call("column_edges", self.pointer, doubles(normal), motion, slopes)
-        return motion, slopes
+        result = np.empty_like(self.q)
+        given = ints(block), doubles(e), None if moves is None else doubles(moves)
+        call("column_slips", self.pointer, *given, result)
+        return result
+
+    def add_slip_curvatures(self, block, traction, blocks):
+        """Add derivatives by the dofs of the forces of tractions at the points.
+
+        Args:
+            block: Number of each ray's block, ``(num,)``.
+            traction: On Γ1, before it is projected, ``(num, 3)``.
+            blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
+        """
+        call("slip_curvatures", self.pointer, ints(block), doubles(traction), blocks)
 
     def some(self, some) -> "Rays":
-        """A part of them: numbers, or which."""
+        """A part of them, by numbers or a mask."""
         f0, f1 = self.facets
         xi, q, functions = (part[some] for part in (self.xi, self.q, self.functions))
         bends = None if self.bends is None else self.bends[some]
         return Rays((f0[some], f1[some]), xi, q, bends, functions, self.middle)
 
 
-def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
+@dataclass(frozen=True)
+class EdgeRays:
+    """Rays that end on edges of Γ0's facets, and how these move on Γ1."""
+
+    rays: Rays
+    piece: npt.NDArray[np.intp]
+    """Piece of each ray, ``(num,)``."""
+    weights: npt.NDArray[np.float64]
+    normal: npt.NDArray[np.float64]
+    """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
+    outline: npt.NDArray[np.bool_]
+    """Mask of points where Γ0 ends."""
+
+    def _motions(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Motion of edges on Γ1.
+
+        Returns:
+            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
+            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
+        """
+        motion, slopes = np.empty_like(self.rays.q), np.empty(len(self.rays.q))
+        call("column_edges", self.rays.pointer, doubles(self.normal), motion, slopes)
+        return motion, slopes
+
+    def add_slopes(self, blocks):
+        """Add what moving edges contribute to ∂∫f/∂u.
+
+        Args:
+            blocks: Blocks of pieces, ``(num_pieces, num_dofs, 3)``.
+        """
+        motion, moved = self._motions()[0], self.weights * self.rays.heights[0]
+        self.rays.add_by_dofs(self.piece, moved, motion, blocks)
+
+    def add_kinks(self, block, factor, blocks):
+        """Add what moving edges contribute to ∂²∫f/∂u²: jumps of f's derivatives.
+
+        At Γ0's outline f is treated as zero, as it is in contact.
+
+        Args:
+            block: As for :meth:`Rays.add_curvatures`.
+            factor: Likewise.
+            blocks: Likewise.
+        """
+        motion, slope = self._motions()
+        half = ((self.outline - 0.5) * slope * factor)[:, None, None] * motion
+        if self.outline.any():
+            half += (self.outline * factor)[:, None, None] * self.rays.heights[2]
+        a, b = by_dofs = np.zeros((2, len(half), blocks.shape[1], 3))
+        each = np.arange(len(half)), np.ones(len(half))
+        # a ⊗ b + b ⊗ a
+        for by_q, by_dof in zip((half, motion), by_dofs, strict=True):
+            self.rays.add_by_dofs(*each, by_q, by_dof)
+        call("add_products", len(a), a.shape[1], ints(block), a, b, blocks)
+
+
+def cast(frames: Frames, facets, X) -> Rays:
     """Rays from points of Γ1 to the facets of Γ0 that they meet.
 
     Args:
-        surfaces: Γ0 and Γ1 where they are.
-        frames: Of Γ1.
-        facets: Of both, ``(num,)`` each.
+        frames: Γ0 and Γ1 where they are.
+        facets: Facets of both, ``(num,)`` each.
         X: Reference coordinates on Γ1, ``(num, 2)``.
     """
-    num, (below, above) = len(X), surfaces
+    num, (below, above) = len(X), frames.surfaces
     num_dofs = below.element.dim + above.element.dim
     straight = below.geometry.dim == 3
     rays = Rays(
@@ -132,8 +225,63 @@ def cast(surfaces: tuple[Surface, Surface], frames: Frames, facets, X) -> Rays:
         np.empty((num, len(At), 3)),
         None if straight else np.empty((num, 3, 3)),
         np.empty((num, 3, num_dofs)),
-        above.element.tabulate(1, reference_middle(above)[None])[1:, 0, :, 0],
+        frames.slopes,
     )
-    given = sides_of(surfaces), doubles(frames.tangents), 1 if straight else NEWTON_HEIGHTS, LAST
+    given = frames.in_c, doubles(frames.tangents), 1 if straight else NEWTON_FACET, LAST
     call("cast_columns", *given, *map(ints, facets), doubles(X), rays.pointer)
     return rays
+
+
+def directions(frames: Frames) -> npt.NDArray[np.float64]:
+    """Two directions at each vertex of Γ1, across the mean normal, that turn with the surface.
+
+    Returns:
+        Unit vectors, ``(num_vertices, 2, 3)``.
+    """
+    surface = frames.surfaces[1]
+    polygons = surface.polygons
+    normal, along = np.zeros((2, len(surface.x), 3))
+    after = np.roll(polygons, -1, axis=1)
+    for k in range(polygons.shape[1]):
+        np.add.at(normal, polygons[:, k], frames.normal)
+        # Of the facets around a vertex the last one's edge
+        along[polygons[:, k]] = surface.x[after[:, k]] - surface.x[polygons[:, k]]
+    normal /= np.maximum(lengths(normal), 1e-300)[:, None]
+    first = along - np.einsum("vi,vi->v", along, normal)[:, None] * normal
+    first /= np.maximum(lengths(first), 1e-300)[:, None]
+    return np.stack((first, cross(normal, first)), axis=1)
+
+
+def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]) -> Sparse:
+    """The sum of blocks at the same place, as a sparse matrix.
+
+    Args:
+        rows: Rows of groups of blocks, ``(num, a)``.
+        columns: Columns of groups of blocks, ``(num, b)``.
+        values: Blocks of each group, ``(num, a, b, r, c)``; overwritten.
+        size: Size of the matrix, in blocks.
+    """
+    num, a, b, r, c = values.shape
+    first = np.empty(num * a * b, dtype=np.int32)
+    places = num, a, ints(rows), b, ints(columns), r * c
+    found = call("merge_blocks", *size, *places, values, first)
+    if found < 0:
+        raise MemoryError("no memory for the derivatives of gaps")
+    first = first[:found]
+    group, at = np.divmod(first, a * b)
+    i = r * rows[group, at // b, None, None] + np.arange(r)[:, None]
+    j = c * columns[group, at % b, None, None] + np.arange(c)
+    i, j = np.broadcast_arrays(i, j)
+    return Sparse(i.ravel(), j.ravel(), values.reshape(-1, r * c)[first].ravel())
+
+
+def symmetric(dofs, blocks: npt.NDArray[np.float64], num: int) -> Sparse:
+    """:func:`merged`, of symmetric matrices with each transposed pair of blocks given once.
+
+    Args:
+        dofs: ``(num_blocks, num_dofs)``.
+        blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``; overwritten.
+        num: Number of dofs in all.
+    """
+    call("complete", len(blocks), dofs.shape[1], blocks)
+    return merged(dofs, dofs, blocks, (num, num))

@@ -39,8 +39,8 @@ def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str, values=None) -> fem.Fu
     Args:
         comm: Communicator.
         cells: Σ.
-        name: ``"gap"`` or ``"pressure"``, or what other values are called.
-        values: Others, ``(num_cells, num)``.
+        name: ``"gap"`` or ``"pressure"``, or the name of other values.
+        values: Other values, ``(num_cells, num)``.
     """
     n = cells.x.shape[2]
     x = cells.x.reshape(-1, n)

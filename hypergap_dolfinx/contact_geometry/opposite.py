@@ -3,51 +3,55 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which pieces of Γ1's facets in space lie opposite which facets of Γ0.
+"""Pieces of Γ1's facets in space, each opposite one facet of Γ0.
 
-Each facet of Γ1 looks along its own normal. It is divided into as many parts as it has vertices, by
-lines from its middle to its edges' middles; what a facet of Γ0 covers of such a part is a piece, a
-polygon in the plane across the normal. No piece is ever made larger or smaller by where nodes of
-the other side are: as these pass, what changes is how a part is divided.
+Facets of Γ0 are projected along the normal of each facet of Γ1. That is divided into as many parts
+as it has vertices, by lines from its middle to its edges' middles; the intersection of a part and a
+facet of Γ0 is a piece, a polygon in the plane across the normal. The nodes of the other side never
+make parts larger or smaller: as these pass, only the division of a part changes.
+
+Pieces are found with straight edges. If it stayed at that, derivatives would be those of another
+domain: edges of curved facets move with nodes in their middles too, and integrals over both sides
+differ there. So the area between curved and straight edges is given by one side to the other:
+together they fill the same.
 """
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry import curves
 from hypergap_dolfinx.contact_geometry.tolerances import (
-    BENDS,
+    DRIFT,
+    FACING,
     LAST,
-    LEANS_OPPOSITE,
-    NEWTON_OPPOSITE,
-    ROOM_PIECES,
-    SLIVER,
+    NEWTON_CURVES,
+    NEWTON_FACET,
+    PARALLEL_CURVES,
+    ROUND_OFF_FACET,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct, structs
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.search import along_curve
-from hypergap_dolfinx.surface.trace import (
-    Surface,
-    around,
-    lengths,
-    tabulate,
-)
+from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
+from hypergap_dolfinx.surface.trace import Surface, around, lengths, tabulate
 
 
 class Label(IntEnum):
-    """Of a piece's edge that is none of Γ0's facet."""
+    """Label of a piece's edge that isn't on one of Γ0's facet."""
 
     INNER = -1
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Planes across the normals of Γ1's facets in their middles."""
+    """Γ0 and Γ1 where they are, and planes across the normals of Γ1's facets in their middles."""
 
+    surfaces: tuple[Surface, Surface]
     middle: npt.NDArray[np.float64]
     """``(num_facets, 3)``."""
     tangents: npt.NDArray[np.float64]
@@ -58,13 +62,17 @@ class Frames:
     """Basis dual to the tangents in the plane, ``(num_facets, 2, 3)``."""
 
     @classmethod
-    def of(cls, surface: Surface) -> "Frames":
-        """Of all facets of a surface."""
-        middle = reference_middle(surface)[None]
-        values = surface.geometry.tabulate(1, middle)[:, 0, :, 0]  # (value and slopes, node)
-        at = np.einsum("dm,fmi->fdi", values, surface.nodes)
-        normal, dual = dual_basis(at[:, 1:])
-        return cls(at[:, 0], at[:, 1:], normal, dual)
+    def of(cls, surfaces: tuple[Surface, Surface]) -> "Frames":
+        """Those of all facets of Γ1."""
+        above = surfaces[1]
+        middle = reference_corners(above.geometry.cell_type).mean(axis=0)[None]
+        values = above.geometry.tabulate(1, middle)[:, 0, :, 0]  # (value and slopes, node)
+        at = np.einsum("dm,fmi->fdi", values, above.nodes)
+        a, b = at[:, 1], at[:, 2]
+        normal = cross(a, b)
+        square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
+        dual = np.stack((cross(b, normal) / square, cross(normal, a) / square), axis=1)
+        return cls(surfaces, at[:, 0], at[:, 1:], normal, dual)
 
     def project(self, facet, x) -> npt.NDArray[np.float64]:
         """Coordinates of points in facets' planes, ``(num, ..., 2)``."""
@@ -72,43 +80,37 @@ class Frames:
         shape = (len(facet), *[1] * (x.ndim - 2), 3)
         return np.einsum("fki,f...i->f...k", self.dual[facet], x - origin.reshape(shape))
 
+    @cached_property
+    def in_c(self) -> Any:
+        """Γ0 and Γ1 for C; it lives as long as they do."""
+        return structs("Facets", [surface.polynomials for surface in self.surfaces])
+
+    @cached_property
+    def slopes(self) -> npt.NDArray[np.float64]:
+        """Slopes of the functions of Γ1's dofs in the facets' middle, ``(2, num_dofs1)``."""
+        element = self.surfaces[1].element
+        middle = reference_corners(element.cell_type).mean(axis=0)
+        return element.tabulate(1, middle[None])[1:, 0, :, 0]
+
 
 def cross(a, b) -> npt.NDArray[np.float64]:
-    """Of vectors, ``(num, 3)``: NumPy's own is slow for short ones."""
+    """Cross products of vectors, ``(num, 3)``: NumPy's own is slow for short ones."""
     result = np.empty_like(a)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         result[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
     return result
 
 
-def dual_basis(tangents) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Normals of pairs of tangents, ``(num, 2, 3)``, and the dual bases across these."""
-    normal = cross(tangents[:, 0], tangents[:, 1])
-    square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
-    pair = cross(tangents[:, 1], normal) / square, cross(normal, tangents[:, 0]) / square
-    return normal, np.stack(pair, axis=1)
-
-
-def sides_of(surfaces: tuple[Surface, Surface]):
-    """Γ0 and Γ1 for C; it lives as long as they do."""
-    return structs("Facets", [surface.polynomials for surface in surfaces])
-
-
-def reference_corners(surface: Surface) -> npt.NDArray[np.float64]:
-    """Vertices of the reference facet, one after the other around it."""
-    return basix.geometry(surface.geometry.cell_type)[
-        around(np.arange(surface.facets.shape[1])[None])[0]
-    ]
-
-
-def reference_middle(surface: Surface) -> npt.NDArray[np.float64]:
-    """Middle of the reference facet."""
-    return reference_corners(surface).mean(axis=0)
+@cache
+def reference_corners(cell_type: basix.CellType) -> npt.NDArray[np.float64]:
+    """Vertices of a reference facet, one after the other around it, ``(num_corners, 2)``."""
+    corners = basix.geometry(cell_type)
+    return corners[around(np.arange(len(corners))[None])[0]]
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """What of Γ1 lies opposite Γ0, facet by facet and vertex by vertex."""
+class FacetPieces:
+    """Parts of Γ1 opposite Γ0, facet by facet and vertex by vertex."""
 
     facets: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
     """Facets of Γ0 and of Γ1, ``(num_pieces,)`` each."""
@@ -122,42 +124,66 @@ class Pieces:
     label: npt.NDArray[np.intp]
     """Number of Γ0's facet's edge from each corner to the next, or :data:`Label.INNER`."""
     bend: npt.NDArray[np.float64] | None = None
-    """How far these edges are from straight ones at the start, in the middle and at the end,
+    """Distance of these edges from straight ones at the start, in the middle and at the end,
     ``(num_pieces, num, 3, 2)``; None where all are straight."""
 
-    def some(self, some) -> "Pieces":
-        """A part of them: numbers, or which."""
+    def some(self, some) -> "FacetPieces":
+        """A part of them, by numbers or a mask."""
         facets = self.facets[0][some], self.facets[1][some]
         vertex, X, num, label = (part[some] for part in (self.vertex, self.X, self.num, self.label))
         bend = None if self.bend is None else self.bend[some]
-        return Pieces(facets, vertex, X, num, label, bend)
+        return FacetPieces(facets, vertex, X, num, label, bend)
 
-    def edges(self, piece, k) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Ends of edges if they were straight, and how far they are away from that.
-
-        Args:
-            piece: ``(num,)``.
-            k: Their first corners', ``(num,)``.
-
-        Returns:
-            On the reference facet, ``(num, 2, 2)`` and ``(num, 3, 2)``.
-        """
+    def _edges(self, piece, k) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Ends of straight edges, ``(num, 2, 2)``, and distances from these, ``(num, 3, 2)``."""
         ends = np.stack((self.X[piece, k], self.X[piece, (k + 1) % self.num[piece]]), axis=1)
         bend = np.zeros((len(ends), 3, 2)) if self.bend is None else self.bend[piece, k]
         return ends, bend
 
-    def bent(self, piece, k, X) -> "Pieces":
-        """The same, but that edges bend.
+    def along(self, piece, k, t) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Points of edges, and derivatives by t.
+
+        Args:
+            piece: ``(num,)``.
+            k: The edges' first corners, ``(num,)``.
+            t: From 0 to 1, ``(num_points,)``.
+
+        Returns:
+            On the reference facet, ``(num, num_points, 2)`` each.
+        """
+        return _parabolas(*self._edges(piece, k), t)
+
+    def bulges(self, num: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Points and weights for the area between curved edges and straight ones.
+
+        Args:
+            num: Number of points.
+
+        Returns:
+            Piece of each curved edge, ``(num_edges,)``, ``(num_edges, num, 2)`` and
+            ``(num_edges, num)``: positive right of edges.
+        """
+        if self.bend is None:
+            return np.empty(0, dtype=np.intp), np.empty((0, num, 2)), np.empty((0, num))
+        piece, k = self.bend.any(axis=(2, 3)).nonzero()
+        ends, bend = self._edges(piece, k)
+        t, weights = basix.make_quadrature(basix.CellType.interval, 2 * num - 1)
+        points, slopes = _parabolas(ends, 0.5 * bend, t[:, 0])  # half way between both
+        away = 2 * (points - _parabolas(ends, 0 * bend, t[:, 0])[0])
+        return piece, points, weights * _cross2(away, slopes)
+
+    def bent(self, piece, k, X) -> "FacetPieces":
+        """The same pieces with curved edges.
 
         Args:
             piece: ``(num,)``.
             k: Their first corners', ``(num,)``.
-            X: Where they start, have their middle and end, ``(num, 3, 2)``.
+            X: Start, middle and end of each edge, ``(num, 3, 2)``.
         """
-        start, end = self.edges(piece, k)[0].swapaxes(0, 1)
+        start, end = self._edges(piece, k)[0].swapaxes(0, 1)
         straight = np.stack((start, 0.5 * (start + end), end), axis=1)
         away = X - straight
-        bends = np.abs(away).max(axis=(1, 2), initial=0) > BENDS
+        bends = np.abs(away).max(axis=(1, 2), initial=0) > ROUND_OFF_FACET
         if not bends.any():
             return self
         bend = np.zeros((*self.X.shape[:2], 3, 2))
@@ -165,69 +191,55 @@ class Pieces:
         return replace(self, bend=bend)
 
     @property
-    def curved(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Piece and first corner of each edge that bends."""
-        if self.bend is None:
-            return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
-        piece, k = self.bend.any(axis=(2, 3)).nonzero()
-        return piece, k
-
-    @property
     def area(self) -> npt.NDArray[np.float64]:
-        """In the reference facet, ``(num_pieces,)``."""
+        """Areas in the reference facet, ``(num_pieces,)``."""
         return polygon_areas(self.X)
 
 
 def polygon_areas(y) -> npt.NDArray[np.float64]:
-    """Of polygons, ``(num, num_corners, 2)``, of which corners may repeat."""
+    """Areas of polygons, ``(num, num_corners, 2)``, whose corners may repeat."""
     steps = y - y[:, :1]
     a, b = steps[:, 1:-1], steps[:, 2:]
     return 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
 
 
-def find_pieces(surfaces: tuple[Surface, Surface], frames: Frames) -> Pieces:
-    """All pieces.
-
-    Args:
-        surfaces: Γ0 and Γ1 where they are.
-        frames: Of Γ1.
-    """
-    below, above = surfaces
-    own = reference_corners(above)
+def find_pieces(frames: Frames) -> FacetPieces:
+    """All pieces."""
+    below, above = frames.surfaces
+    own = reference_corners(above.geometry.cell_type)
     middles = (own + np.roll(own, -1, axis=0)) / 2
     centre = np.broadcast_to(own.mean(axis=0), own.shape)
     # (part, corner, 2), from the vertex counterclockwise
     parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
-    f0, f1, part, count, edge, y, X = _cut(surfaces, frames, parts)
+    f0, f1, part, count, edge, y, X = _cut(frames, parts)
     # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
     sides, num = below.facets.shape[1], parts.shape[1]
     label = np.where(edge < num, Label.INNER, (sides - 2 - edge + num) % sides)
-    pieces = Pieces((f0, f1), above.polygons[f1, part].astype(np.intp), X, count, label)
-    if max(surface.geometry.degree for surface in surfaces) > 1:
-        pieces = _bent(surfaces, frames, pieces, parts, part, y, edge)
-    return _nearest_sheet(surfaces, frames, pieces)
+    pieces = FacetPieces((f0, f1), above.polygons[f1, part].astype(np.intp), X, count, label)
+    if max(surface.geometry.degree for surface in frames.surfaces) > 1:
+        pieces = _bent(frames, pieces, parts, part, y, edge)
+    return _nearest_sheet(frames, pieces)
 
 
-def _cut(surfaces, frames: Frames, parts):
+def _cut(frames: Frames, parts):
     """Cut parts of Γ1's facets with Γ0's, in C.
 
     Args:
-        surfaces: Γ0 and Γ1 where they are.
-        frames: Of Γ1.
-        parts: Of Γ1's reference facet, ``(num_parts, 4, 2)``.
+        frames: Γ0 and Γ1.
+        parts: Parts of Γ1's reference facet, ``(num_parts, 4, 2)``.
 
     Returns:
-        Of each piece both facets and the part, ``(num_pieces,)``; the number of corners, likewise;
-        which edge each edge is on, those of Γ0's facet behind the part's, ``(num_pieces,
-        num_corners)``; corners in the plane and on the reference facet.
+        Both facets and the part of each piece, ``(num_pieces,)``; the number of corners, likewise;
+        the number of the edge on which each edge is, those of Γ0's facet behind the part's,
+        ``(num_pieces, num_corners)``; corners in the plane and on the reference facet.
     """
-    below, above = surfaces
+    below, above = frames.surfaces
     axes = frames.normal / lengths(frames.normal)[:, None]
     planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = ints(along_curve(below.x[below.facets].mean(axis=1)))
-    given = sides_of(surfaces), order, *map(doubles, (below.normals, planes, reach, parts))
-    room = ROOM_PIECES * (len(below.facets) + len(above.facets))
+    given = frames.in_c, order, *map(doubles, (below.normals, planes, reach, parts))
+    room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
     while True:
         numbers = np.empty((4, room), dtype=np.int32)
         edge = np.empty((room, library("space").lib.MOST_CORNERS), dtype=np.int32)
@@ -235,7 +247,7 @@ def _cut(surfaces, frames: Frames, parts):
         of0, of1, part, count = numbers
         fields = {"facets": [of0, of1], "part": part, "count": count, "edge": edge}
         pieces = struct("Pieces", max=room, **fields, y=points[0], X=points[1])
-        if call("find_pieces", *given, LEANS_OPPOSITE, SLIVER, LAST, pieces):
+        if call("find_pieces", *given, FACING, ROUND_OFF_FACET, LAST, pieces):
             raise MemoryError("no memory for the pieces of the gap domain")
         if pieces.num <= room:
             break
@@ -245,20 +257,19 @@ def _cut(surfaces, frames: Frames, parts):
     return *numbers[:, :num].astype(np.intp), edge[:num, :corners].astype(np.intp), y, X
 
 
-def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pieces:
-    """Let edges of pieces bend that are Γ0's.
+def _bent(frames: Frames, pieces: FacetPieces, parts, part, y, edge) -> FacetPieces:
+    """Make the edges curved that lie on Γ0's.
 
     Args:
-        surfaces: Γ0 and Γ1 where they are.
-        frames: Of Γ1.
-        pieces: With straight ones.
-        parts: Of Γ1's reference facet, ``(num_parts, 4, 2)``.
-        part: The number of the one that each piece is in, ``(num_pieces,)``.
+        frames: Γ0 and Γ1.
+        pieces: Pieces with straight edges.
+        parts: Parts of Γ1's reference facet, ``(num_parts, 4, 2)``.
+        part: Number of the part of each piece, ``(num_pieces,)``.
         y: Corners in the facets' planes, as the pieces' ``X``.
-        edge: Which edge each is on, the part's first, as ``label``.
+        edge: Number of the edge on which each edge is, the part's first, as ``label``.
     """
-    below, above = surfaces
-    degree = max(surface.geometry.degree for surface in surfaces)
+    below, above = frames.surfaces
+    degree = max(surface.geometry.degree for surface in frames.surfaces)
     (f0, f1), num = pieces.facets, parts.shape[1]
     piece, k = np.nonzero((edge >= num) & (np.arange(y.shape[1]) < pieces.num[:, None]))
     # Where one piece takes what another one leaves, or no other is there
@@ -269,45 +280,47 @@ def _bent(surfaces, frames: Frames, pieces: Pieces, parts, part, y, edge) -> Pie
     piece, k = piece[some], k[some]
     if not len(piece):
         return pieces
-    own = _seen(above, frames, curves.edge_points(parts, degree))[f1, part]
-    ring = curves.edge_points(reference_corners(below)[::-1], degree)  # from the other side
+    own = _seen(frames, _edge_points(parts, degree))[f1, part]
+    corners = reference_corners(below.geometry.cell_type)[::-1]  # seen from the other side
+    ring = _edge_points(corners, degree)
     x = (tabulate(below.geometry, ring.reshape(-1, 2)) @ below.nodes)[f0]
     nodes = np.concatenate((own, frames.project(f1, x).reshape(len(x), *ring.shape)), axis=1)
-    y = curves.bent(y, pieces.num, edge, nodes, num, (piece, k))
-    return pieces.bent(piece, k, _in_curved(above, frames, f1[piece], y))
+    y = _bent_edges(y, pieces.num, edge, nodes, num, (piece, k))
+    return pieces.bent(piece, k, _in_curved(frames, f1[piece], y))
 
 
-def _seen(surface: Surface, frames: Frames, X) -> npt.NDArray[np.float64]:
-    """Reference points, ``(..., 2)``, of each facet in its plane, ``(num_facets, ..., 2)``."""
+def _seen(frames: Frames, X) -> npt.NDArray[np.float64]:
+    """Reference points, ``(..., 2)``, of Γ1's facets in their planes, ``(num_facets, ..., 2)``."""
+    surface = frames.surfaces[1]
     x = tabulate(surface.geometry, X.reshape(-1, 2)) @ surface.nodes
     return frames.project(np.arange(len(x)), x).reshape(len(x), *X.shape)
 
 
-def _in_curved(surface: Surface, frames: Frames, facet, y) -> npt.NDArray[np.float64]:
+def _in_curved(frames: Frames, facet, y) -> npt.NDArray[np.float64]:
     """Reference coordinates of points of curved facets.
 
     Args:
-        surface: Γ1.
-        frames: Its.
-        facet: ``(num,)``.
-        y: In the facets' planes, ``(num, num_points, 2)``.
+        frames: Γ0 and Γ1.
+        facet: Facets of Γ1, ``(num,)``.
+        y: Points in the facets' planes, ``(num, num_points, 2)``.
     """
+    surface = frames.surfaces[1]
     nodes = frames.project(np.arange(len(surface.nodes)), surface.nodes)[facet]
-    X = reference_middle(surface) + y
-    for _ in range(NEWTON_OPPOSITE):
+    X = reference_corners(surface.geometry.cell_type).mean(axis=0) + y
+    for _ in range(NEWTON_FACET):
         table = surface.geometry.tabulate(1, X.reshape(-1, 2))[..., 0]  # (value or slope, ...)
         at, p, q = table.reshape(3, *y.shape[:2], -1) @ nodes
-        rest, det = y - at, curves.cross(p, q)
-        step = np.stack((curves.cross(rest, q) / det, curves.cross(p, rest) / det), axis=-1)
+        rest, det = y - at, _cross2(p, q)
+        step = np.stack((_cross2(rest, q) / det, _cross2(p, rest) / det), axis=-1)
         X += np.clip(step, -0.5, 0.5)
         if np.abs(step).max(initial=0) < LAST:
             break
     return X
 
 
-def _nearest_sheet(surfaces, frames: Frames, pieces: Pieces) -> Pieces:
-    """Of what lies one behind the other what is nearest: a part of Γ0 that hangs together."""
-    below, above = surfaces
+def _nearest_sheet(frames: Frames, pieces: FacetPieces) -> FacetPieces:
+    """The nearest connected part of Γ0 where several lie one behind the other."""
+    below, above = frames.surfaces
     (f0, f1), num = pieces.facets, below.facets.shape[1]
     keys = (f1[:, None] * len(below.x) + below.facets[f0]).ravel()
     order = np.argsort(keys, kind="stable")
@@ -329,3 +342,143 @@ def _nearest_sheet(surfaces, frames: Frames, pieces: Pieces) -> Pieces:
     nearest = np.flatnonzero(mean <= best[facet])
     np.minimum.at(first, facet[nearest], nearest)
     return pieces.some(first[f1] == sheet)
+
+
+def stand_ins(surface: Surface, pieces: FacetPieces) -> npt.NDArray[np.intp]:
+    """The vertex of Γ1 that gets the pieces next to each one, ``(num_vertices,)``.
+
+    A vertex of which no facet is covered by more than :data:`COVERED_SIDE` has no multiplier: its
+    share goes to the nearest vertex that has one.
+    """
+    whole = polygon_areas(reference_corners(surface.geometry.cell_type)[None])[0]
+    covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
+    has = np.zeros(len(surface.x), dtype=bool)
+    has[surface.facets[covered > COVERED_SIDE]] = True
+    stand_in = np.arange(len(surface.x))
+    without = np.zeros_like(has)
+    without[pieces.vertex] = True
+    without &= ~has
+    facets = surface.facets
+    v, near = (part.ravel() for part in np.broadcast_arrays(facets[:, :, None], facets[:, None]))
+    use = without[v] & has[near]
+    v, near = v[use], near[use]
+    order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
+    first = order[np.unique(v[order], return_index=True)[1]]
+    stand_in[v[first]] = near[first]
+    without[v] = False
+    for alone in np.flatnonzero(without).tolist():
+        near = np.flatnonzero(has)
+        if not len(near):  # nothing but a part of one facet
+            near, has[alone] = np.array([alone]), True
+        stand_in[alone] = near[lengths(surface.x[near] - surface.x[alone]).argmin()]
+    return stand_in
+
+
+@cache
+def _to_powers(degree: int) -> npt.NDArray[np.float64]:
+    """Coefficients of powers of t of curves with equally spaced nodes, ``(power, node)``."""
+    return np.linalg.inv(np.vander(np.linspace(0, 1, degree + 1), increasing=True))
+
+
+def _edge_points(corners, degree: int) -> npt.NDArray[np.float64]:
+    """Points that divide polygons' edges equally.
+
+    Args:
+        corners: ``(..., num_corners, 2)``.
+        degree: Number of parts.
+
+    Returns:
+        Each edge's with its ends, ``(..., num_corners, degree + 1, 2)``.
+    """
+    share = np.linspace(0, 1, degree + 1)[:, None]
+    start, end = corners[..., None, :], np.roll(corners, -1, axis=-2)[..., None, :]
+    return start + share * (end - start)
+
+
+def _bent_edges(y, num, edge, nodes, sides: int, which) -> npt.NDArray[np.float64]:
+    """Curved edges of intersections of two polygons, those that are edges of the second.
+
+    Args:
+        y: Corners with straight edges, ``(num_polygons, num_corners, 2)``.
+        num: Numbers of corners, ``(num_polygons,)``.
+        edge: Number of the edge from each corner to the next, ``(num_polygons, num_corners)``.
+        nodes: Nodes of the edges of both, ``(num_polygons, num_edges, degree + 1, 2)``.
+        sides: Number of edges of the first one.
+        which: Polygons and first corners of the requested edges, ``(num,)`` each.
+
+    Returns:
+        Start, middle and end of each, ``(num, 3, 2)``. They end where edges of the first polygon
+        cross them.
+    """
+    (polygon, k), others = which, nodes.shape[1] - sides
+    to_powers, own = _to_powers(nodes.shape[2] - 1), edge[which]
+    curve = np.einsum("nm,pmi->pni", to_powers, nodes[polygon, own])
+    ends = []
+    for turn, at in ((-1, k), (1, (k + 1) % num[polygon])):
+        beside = edge[polygon, (k + turn) % num[polygon]]
+        t = _nearest(nodes[polygon, own], y[polygon, at])
+        t[beside == sides + (own - sides + turn) % others] = (1 + turn) // 2  # a corner of both
+        crossed = np.flatnonzero(beside < sides)
+        other = nodes[polygon, beside][crossed]
+        s = _nearest(other, y[polygon, at][crossed])
+        other = np.einsum("nm,pmi->pni", to_powers, other)
+        t[crossed] = _crossings(curve[crossed], other, t[crossed], s)
+        ends.append(t)
+    start, end = ends
+    points = [_evaluate(curve, t)[0] for t in (start, 0.5 * (start + end), end)]
+    return np.stack(points, axis=1)
+
+
+def _nearest(nodes, point) -> npt.NDArray[np.float64]:
+    """Positions of points along straight edges, from 0 to 1."""
+    step = nodes[:, -1] - nodes[:, 0]
+    square = np.maximum(np.einsum("pi,pi->p", step, step), 1e-300)
+    return np.einsum("pi,pi->p", point - nodes[:, 0], step) / square
+
+
+def _evaluate(curves, t) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Points and derivatives of curves, ``(num, power, 2)``, each at its t."""
+    value, slope = curves[:, -1].copy(), np.zeros_like(curves[:, -1])
+    for n in range(curves.shape[1] - 2, -1, -1):
+        slope = slope * t[:, None] + value
+        value = value * t[:, None] + curves[:, n]
+    return value, slope
+
+
+def _crossings(a, b, s, t) -> npt.NDArray[np.float64]:
+    """Crossings of curves with others, moved to those of straight ones if nearly parallel."""
+    first, s, t = s, s.copy(), t.copy()
+    straight = np.abs(_sine(a[:, 1:].sum(axis=1), b[:, 1:].sum(axis=1)))
+    for _ in range(NEWTON_CURVES):
+        (x, dx), (y, dy) = _evaluate(a, s), _evaluate(b, t)
+        rest, det = y - x, _cross2(dx, dy)
+        det = np.where(np.abs(det) > 1e-300, det, np.inf)
+        s += np.clip(_cross2(rest, dy) / det, -1, 1)
+        t += np.clip(_cross2(rest, dx) / det, -1, 1)
+    sine = np.minimum(np.abs(_sine(dx, dy)), straight)
+    share = np.minimum(sine / PARALLEL_CURVES, 1)
+    return first + share**2 * (3 - 2 * share) * np.clip(s - first, -DRIFT, DRIFT)
+
+
+def _sine(a, b) -> npt.NDArray[np.float64]:
+    """Sine of the angle between vectors, ``(num, 2)``."""
+    return _cross2(a, b) / np.maximum(lengths(a) * lengths(b), 1e-300)
+
+
+def _cross2(a, b) -> npt.NDArray[np.float64]:
+    """Cross products of vectors in the plane, ``(..., 2)``."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _parabolas(ends, bend, t) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Points of parabolas and derivatives by t, as :meth:`FacetPieces.along`.
+
+    Args:
+        ends: Start and end of straight edges, ``(num, 2, 2)``.
+        bend: Distances from these at the start, in the middle and at the end, ``(num, 3, 2)``.
+        t: From 0 to 1, ``(num_points,)``.
+    """
+    powers = np.column_stack((t**0, t, t**2))
+    slopes = np.column_stack((0 * t, t**0, 2 * t))
+    straight, curved = _to_powers(1), _to_powers(2)
+    return tuple((of[:, :2] @ straight) @ ends + (of @ curved) @ bend for of in (powers, slopes))

@@ -3,32 +3,36 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Contact's Σ in the plane: the weighted gap of fans on the dofs of both sides."""
+"""Contact segments in the plane: fans of cells between both sides."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, override
 
 import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry import fans, rays
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
+from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
+from hypergap_dolfinx.contact_geometry.tolerances import END
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
-from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced
+from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
 from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass
-class _State:
-    """Σ at displacements."""
+class _Fans(Found):
+    """Fans, and their gaps once these are needed."""
 
-    u: Displacements
     found: rays.Fans
-    gaps: fans.Gaps | None = None
-    """Once they are asked for."""
+
+    @cached_property
+    def gaps(self) -> fans.PlaneGaps:
+        """Weighted gaps."""
+        return fans.find_gaps(self.found)
 
 
 @dataclass(frozen=True)
@@ -36,64 +40,35 @@ class _Wall:
     """Ends of Γ0 and Γ1 that slide along one wall, as those of symmetry are."""
 
     vertices: tuple[int, int]
-    """Of Γ1 and of Γ0."""
+    """Vertices of Γ1 and of Γ0."""
     ends: tuple[int, int, int, int]
     """Edge and end of Γ1, edge and end of Γ0."""
     axis: int
-    """Coordinate in which both are held."""
+    """Coordinate in which both are prescribed."""
     size: float
-    """Of Γ1's facet there."""
+    """Size of Γ1's facet there."""
 
     def is_between(self, surfaces: tuple[Surface, Surface]) -> bool:
-        """Whether it is one wall where the surfaces are."""
+        """True if it is one wall where the surfaces are."""
         a, b = self.vertices
         apart = surfaces[0].x[b, self.axis] - surfaces[1].x[a, self.axis]
-        return abs(apart) <= rays.END * self.size
+        return abs(apart) <= END * self.size
 
 
 @dataclass
-class PlaneOpening:
-    """Σ between two surfaces in the plane, with weights for each vertex of Γ1.
+class PlaneSegments(Segments[_Fans]):
+    """Contact segments in the plane: fans of cells."""
 
-    It is found anew wherever the bodies are: g is continuous, and its derivatives are those of
-    everything that moves. The same on every rank.
-    """
-
-    sides: Sides
     held: Sequence[npt.NDArray[np.bool_]]
-    """Which dofs of both sides are prescribed, ``(num_dofs_i, 2)`` each."""
+    """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each."""
     shares: bool = False
-    """Whether vertices of Γ1 beyond an end of Γ0 have a share."""
-    _last: _State | None = field(default=None, repr=False)
-
-    @classmethod
-    def between(
-        cls,
-        sides: Sides,
-        u: Displacements,
-        held: Sequence[npt.NDArray[np.bool_]],
-        *,
-        shares: bool = False,
-    ) -> "PlaneOpening":
-        """Σ where the bodies are.
-
-        Args:
-            sides: Γ0 and Γ1.
-            u: Their displacements.
-            held: Which of them are prescribed.
-            shares: Whether vertices of Γ1 beyond an end of Γ0 have a share: they mustn't where
-                laws ask for the pressures themselves, as friction and what gives way do.
-
-        Raises:
-            InterfaceError: They don't face each other.
-        """
-        opening = cls(sides, held, shares)
-        opening._at(u)
-        return opening
+    """True if vertices of Γ1 beyond an end of Γ0 may have a share
+    (:mod:`~hypergap_dolfinx.contact_geometry.rays`): not where laws need the pressures themselves,
+    as friction and compliance do."""
 
     @cached_property
     def _walls(self) -> list[_Wall]:
-        """Where ends of both sides are held in the coordinate along which their surfaces go."""
+        """Ends of both sides whose displacements along their surfaces are prescribed."""
         side0, side1 = self.sides
         surfaces = side0.reference, side1.reference
         (starts0, ends0), (starts1, ends1) = (
@@ -109,7 +84,7 @@ class PlaneOpening:
                 if not self._held_at(1, a)[axis]:
                     continue
                 apart = np.abs(surfaces[0].x[others] - surfaces[1].x[a])
-                can = self._held_at(0, others)[:, axis] & (apart[:, axis] <= rays.END * edge[axis])
+                can = self._held_at(0, others)[:, axis] & (apart[:, axis] <= END * edge[axis])
                 if can.any():
                     b = int(others[np.where(can, apart.sum(axis=1), np.inf).argmin()])
                     ends = *own, *_end_at(surfaces[0], b)
@@ -117,129 +92,70 @@ class PlaneOpening:
         return found
 
     def _held_at(self, i: int, vertex) -> npt.NDArray[np.bool_]:
-        """Which components are prescribed at vertices of a side, ``(..., 2)``."""
+        """Mask of prescribed components at vertices of a side, ``(..., 2)``."""
         side = self.sides[i]
         return self.held[i][np.searchsorted(side.dofs, side.vertex_dofs[vertex])]
 
-    @property
-    def num_multipliers(self) -> int:
-        """One for each vertex of Γ1, in reach of Γ0 or not."""
-        return len(self.sides[1].reference.x)
-
     @cached_property
     def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What C knows of both sides wherever they are."""
+        """Both sides for C, without their positions."""
         below, above = self.sides
         return rays.side_of(below, 0), rays.side_of(above, len(below.dofs))
 
-    def _at(self, u: Displacements) -> _State:
-        """Σ where the bodies are, the last one if they haven't moved."""
-        last = self._last
-        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
-            surfaces = displaced(self.sides, u)
-            walls = [wall.ends for wall in self._walls if wall.is_between(surfaces)]
-            before = last.found if last else None
-            found = rays.cast(self._in_c, surfaces, before, walls, shares=self.shares)
-            if not len(found.cells):
-                mesh_strip(*surfaces)  # says why
-                raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-            self._last = last = _State((u[0].copy(), u[1].copy()), found)
-        return last
+    @override
+    def _find(self, u: Displacements) -> _Fans:
+        surfaces = displaced(self.sides, u)
+        walls = [wall.ends for wall in self._walls if wall.is_between(surfaces)]
+        before = self._last.found if self._last else None
+        found = rays.cast(self._in_c, surfaces, before, walls, shares=self.shares)
+        if not len(found.cells):
+            mesh_strip(*surfaces)  # raises an error that says why
+            raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
+        return _Fans(u, found)
 
-    def _gaps(self, u: Displacements) -> fans.Gaps:
-        state = self._at(u)
-        if state.gaps is None:
-            state.gaps = fans.find_gaps(state.found)
-        return state.gaps
-
+    @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        """The weighted gap.
-
-        Args:
-            u: Displacements.
-
-        Returns:
-            g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
-            ``(num_multipliers, 2 (num_dofs0 + num_dofs1))``.
-        """
-        gaps = self._gaps(u)
+        gaps = self._at(u).gaps
         return gaps.g, gaps.m, gaps.C
 
+    @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
-        """H = Σ_a p_a ∂²g_a/∂u², of the size of u.
-
-        Args:
-            u: Displacements.
-            p: ``(num_multipliers,)``.
-        """
         return fans.gap_curvature(self._at(u).found, p)
 
-    def slip(self, u: Displacements, lender: npt.NDArray[np.intp]) -> Sparse:
-        """What the weighted slip of Γ1 on Γ0, along Γ0's edges from start to end, is made of.
-
-        Args:
-            u: Displacements.
-            lender: Not asked for: all slips are along Γ0.
-
-        Returns:
-            T with s = T (u − u_since), of the size of C.
-        """
+    @override
+    def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
         return fans.find_slips(self._at(u).found)
 
+    @override
     def slip_slopes(
         self,
         u: Displacements,
         since: Displacements,
-        lender: npt.NDArray[np.intp],
+        target: npt.NDArray[np.intp],
         on: npt.NDArray[np.bool_],
     ) -> Sparse:
-        """∂s/∂u, of the size of C.
-
-        Args:
-            u: Displacements.
-            since: Those from which slip is counted.
-            lender: Not asked for.
-            on: Not asked for: all rows are there.
-        """
         moved = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
         return fans.find_slips(self._at(u).found, moved)
 
+    @override
     def slip_curvature(
-        self, u: Displacements, q: npt.NDArray[np.float64], lender: npt.NDArray[np.intp]
+        self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
     ) -> Sparse:
-        """Σ_a ∂(q_a T_a)/∂u, of the size of u; it isn't symmetric.
-
-        Args:
-            u: Displacements.
-            q: ``(1, num_multipliers)``.
-            lender: Not asked for.
-        """
         return fans.slip_curvature(self._at(u).found, q[0])
 
+    @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Pressures for people, (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas.
-
-        They have the force of p, and less of its scatter from node to node.
-
-        Args:
-            u: Displacements.
-            p: ``(num_multipliers,)``.
-        """
-        gaps, found = self._gaps(u), self._at(u).found
-        vertices = found.cells["vertices"]
-        halves = gaps.areas * found.pressures(p)[vertices].mean(axis=1) / 2
+        # (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas
+        state = self._at(u)
+        gaps, vertices = state.gaps, state.found.cells["vertices"]
+        halves = gaps.areas * state.found.pressures(p)[vertices].mean(axis=1) / 2
         total = np.bincount(vertices.ravel(), np.repeat(halves, 2), self.num_multipliers)
         return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
+    @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        """The cells where the bodies are, to look at.
-
-        Args:
-            u: Displacements.
-            p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, 2)``.
-        """
-        gaps, found = self._gaps(u), self._at(u).found
-        cells, p = found.cells, found.pressures(p)
+        state = self._at(u)
+        gaps, cells, p = state.gaps, state.found.cells, state.found.pressures(p)
         rank = np.empty(len(cells), dtype=np.int32)
         for i, moving in enumerate(self.sides):
             on = cells["side"] == i
@@ -254,6 +170,6 @@ class PlaneOpening:
 
 
 def _end_at(surface: Surface, vertex: int) -> tuple[int, int]:
-    """The edge that a surface has at an end, and which of its ends that is."""
+    """The edge of a surface at an end, and the number of its end there."""
     f, k = np.argwhere(surface.facets == vertex)[0].tolist()
     return f, k

@@ -3,20 +3,32 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Contact's Σ in the plane: fans between Γ1's vertices and what Γ1's rays cut from Γ0.
+"""Contact segments in the plane: fans between Γ1's vertices and the parts that rays cut from Γ0.
 
 From the middle of each edge of Γ1 a ray goes along its normal to Γ0. Between two rays Γ0 is the
 base of a fan of cells with Γ1's vertex as apex, which has their whole weight; the edge of Γ1 is
 the base of a cell with the ray's end as apex, of which the foot is the edge's middle: ∂ψ/∂α is a
 half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
 
-Where Γ0 ends opposite of an edge, the vertex before the end has the fan up to there. That beyond it
-has half of the edge's cell, but its pressure is at most :data:`STEEPER` times the other one's: with
-L of that limit, multipliers p ≥ 0 stand for the vertices' pressures Lᵀp and the gaps L g. As the
-end passes from edge to edge the pressures that are possible change continuously.
+**A vertex of Γ1 beyond the end of Γ0.** Where Γ0 ends opposite of an edge of Γ1, the fan of the
+vertex before the end reaches up to there. The weight of the vertex beyond the end depends on the
+part of the edge that Γ0 covers. Each limit has two values, so that a vertex doesn't come and go at
+one place:
 
-It is found in C (``c/rays.c``): what Newton's step of a small problem takes is soon spent on calls
-of NumPy with short arrays.
+1. More than :data:`REACHED`, or :data:`COVERED_SIDE` (degree 1) or :data:`KEPT` (degree 2) if it
+   was so at the last displacements: the edge counts as whole, and both vertices have a half of its
+   cell and fans of their own.
+2. Less, but more than :data:`COMES`, or :data:`GOES` if it was so at the last displacements
+   (degree 1 and ``shares`` only, and if the vertex is opposite nothing else): the vertex beyond has
+   a share, half of the edge's cell, and its pressure is at most :data:`STEEPER` times that of the
+   vertex before: with L of that limit, multipliers p ≥ 0 stand for the vertices' pressures Lᵀp and
+   the gaps L g. As the end passes from edge to edge the possible pressures change continuously.
+3. Otherwise nothing: its weight is zero, and the vertex before has all of the edge's cell.
+
+Ends of both sides at a wall, such as one of symmetry, are opposite each other whatever rays meet.
+
+It is found in C (``c/rays.c``): calls of NumPy with short arrays would soon take as long as
+Newton's step of a small problem.
 """
 
 from collections.abc import Sequence
@@ -27,23 +39,74 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.order import Order, find_kinks
 from hypergap_dolfinx.contact_geometry.tolerances import (
     COMES,
     END,
-    FACING_EDGES,
+    FACING,
     FARTHER,
     GOES,
     KEPT,
+    KINK_ORDER,
     REACHED,
-    ROOM_CELLS,
     STEEPER,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap_mesh.strip import chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface
+
+cells_an_edge = 3  # room at first: mostly 1; with more they are found anew
+
+
+@dataclass(frozen=True)
+class Order:
+    """A surface's facets one after the other, in chains that end at kinks.
+
+    They are the same until kinks change.
+    """
+
+    kinks: npt.NDArray[np.bool_]
+    """Mask of the vertices at kinks, ``(num_vertices,)``."""
+    chains: Any
+    """Struct ``Chains`` of ``c/plane.h``."""
+
+    @classmethod
+    def of(
+        cls, surface: Surface, kinks: npt.NDArray[np.bool_], last: "Order | None" = None
+    ) -> "Order":
+        """The order of a surface where it is, the last one if that still holds.
+
+        Raises:
+            InterfaceError: It branches.
+        """
+        if last is not None and np.array_equal(kinks, last.kinks):
+            return last
+        found = chains(surface, kinks)
+        edges = np.concatenate([part.facets for part in found])
+        count = np.array([len(part.facets) for part in found])
+        start = np.cumsum(count) - count
+        chain, position = np.empty_like(edges), np.empty_like(edges)
+        chain[edges] = np.repeat(np.arange(len(found)), count)
+        position[edges] = np.arange(len(edges)) - np.repeat(start, count)
+        arrays = {
+            "edges": edges,
+            "start": start,
+            "count": count,
+            "closed": np.array([part.closed for part in found]),
+            "chain": chain,
+            "position": position,
+        }
+        arrays = {name: ints(array) for name, array in arrays.items()}
+        return cls(kinks, struct("Chains", num=len(found), **arrays))
+
+
+def _find_kinks(side: dict[str, Any]) -> npt.NDArray[np.bool_]:
+    """Mask of vertices where a side turns too far to go on, ``(num_vertices,)``."""
+    kinks = np.empty(side["num_vertices"], np.int32)
+    call("kinks_of", struct("Side", **side), KINK_ORDER, kinks)
+    return kinks > 0
 
 
 @dataclass(frozen=True)
@@ -51,20 +114,20 @@ class Fans:
     """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
 
     cells: npt.NDArray
-    """``Cell`` of ``c/plane.h``, ``(num_cells,)``: side of the base, edges of base and apex,
+    """Cells as ``Cell`` of ``c/plane.h``, ``(num_cells,)``: base's side, edges of base and apex,
     parameters of the base's start and end and of the apex, and vertices of Γ1 that share the cell,
     half each."""
     whole: npt.NDArray[np.bool_]
-    """Edges of Γ1 of which both vertices have a weight, ``(num_edges1,)``."""
+    """Mask of edges of Γ1 both of whose vertices have a weight, ``(num_edges1,)``."""
     ends: npt.NDArray[np.int32]
     """Vertices of Γ1 beyond an end of Γ0 that have a share, and those before it,
     ``(num_ends, 2)``."""
     cut: npt.NDArray[np.intp]
     """The edges between them, ``(num_ends,)``."""
     order: Order
-    """Γ0's."""
+    """Order of Γ0's facets."""
     sigma: Any
-    """Struct ``Sigma`` of ``c/plane.h``: all this and the sides."""
+    """Struct ``Sigma`` of ``c/plane.h``: all this and both sides."""
 
     def pressures(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Lᵀp, pressures of vertices from multipliers, ``(num_vertices1,)`` each."""
@@ -74,7 +137,7 @@ class Fans:
         return result
 
     def limited(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """L of what vertices have, ``(num_vertices1,)``."""
+        """L of values at vertices, ``(num_vertices1,)``."""
         beyond, before = self.ends.T
         result = values.copy()
         np.add.at(result, beyond, values[before] / STEEPER)
@@ -91,7 +154,7 @@ class Fans:
 
 
 def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
-    """A side as C sees it, but for where it is.
+    """A side as C sees it, without its position.
 
     Args:
         side: Γ0 or Γ1.
@@ -141,19 +204,18 @@ def cast(
     """Find Σ's cells between two surfaces where they are.
 
     Args:
-        sides: Γ0 and Γ1, as :func:`side_of` has them.
-        surfaces: Where they are.
-        last: Those where they were. With a vertex' weight the bodies move a little: that one comes
-            and another goes at one place would leave places where neither is right.
-        walls: Edges and ends (0 or 1) of Γ1 and of Γ0 that are opposite whatever the rays say: the
-            ends at a wall.
-        shares: Whether vertices beyond an end of Γ0 have a share.
+        sides: Γ0 and Γ1, from :func:`side_of`.
+        surfaces: The same where they are.
+        last: Cells at the last displacements, for which vertices had a weight.
+        walls: Edges and ends (0 or 1) of Γ1 and of Γ0 that are opposite at a wall, whatever rays
+            meet.
+        shares: True if vertices beyond an end of Γ0 may have a share.
 
     Raises:
         InterfaceError: A surface branches.
     """
     num = len(surfaces[1].facets)
-    room = ROOM_CELLS * (num + len(surfaces[0].facets))
+    room = cells_an_edge * (num + len(surfaces[0].facets))
     crossings = np.empty(3 * num, dtype("Crossing"))
     motions = np.empty((len(crossings), 2 * sum(side["num_dofs"] for side in sides)))
     placed = [
@@ -161,7 +223,7 @@ def cast(
         for side, surface in zip(sides, surfaces, strict=True)
     ]
     fields = {"sides": placed, "crossings": crossings, "motions": motions}
-    kinks0, kinks1 = (find_kinks(side) for side in placed)
+    kinks0, kinks1 = (_find_kinks(side) for side in placed)
     order = Order.of(surfaces[0], kinks0, last.order if last else None)
     linear = surfaces[1].element.degree == 1
     kept = COVERED_SIDE if linear else KEPT
@@ -170,7 +232,7 @@ def cast(
         beyond[last.cut] = GOES
     least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     whole, owners = np.empty((2, num), np.int32)
-    given = order.chains, ints(kinks1), least, len(walls), ints(walls), END, FACING_EDGES, FARTHER
+    given = order.chains, ints(kinks1), least, len(walls), ints(walls), END, FACING, FARTHER
     while True:
         cells = np.empty(room, dtype("Cell"))
         sigma = struct("Sigma", **fields, cells=cells, max_cells=room)

@@ -15,13 +15,14 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.interface_laws.compliance import Compliance, Conductance
 from hypergap_dolfinx.interface_laws.law import Response
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse
+from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 from hypergap_dolfinx.surface.trace import Surface
 
 
@@ -123,30 +124,6 @@ class Pieces(Protocol):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
 
 
-class Gaps(Protocol):
-    """Weighted gaps between two sides, on which a contact's multipliers act."""
-
-    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        """Gaps g and areas m, ``(num_multipliers,)`` each, and C = ∂g/∂u."""
-
-    def curvature(self, u: Displacements, p: npt.NDArray) -> Sparse:
-        """Σ_a p_a ∂²g_a/∂u²."""
-
-    def slip(self, u: Displacements, lender: npt.NDArray) -> Sparse:
-        """T with slips s = T (u − u_since); n − 1 components one after the other.
-
-        In space each vertex has the directions of its lender.
-        """
-
-    def slip_slopes(
-        self, u: Displacements, since: Displacements, lender: npt.NDArray, on: npt.NDArray
-    ) -> Sparse:
-        """∂s/∂u of those that are asked for, ``(num_multipliers,)``."""
-
-    def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
-        """∂(Tᵀq)/∂u."""
-
-
 class AtVertices(Protocol):
     """What a contact has at each place of Γ1."""
 
@@ -193,5 +170,5 @@ class ContactInterface(Protocol):
     def depth(self) -> float:
         """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
 
-    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Gaps:
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
         """Find the gaps where the bodies are, of which some displacements are prescribed."""

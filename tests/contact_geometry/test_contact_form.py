@@ -18,7 +18,7 @@ import meshes
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx.contact_geometry import fans, rays
-from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.moving import MovingSurface
@@ -81,7 +81,7 @@ def dense(sparse, shape):
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
-    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
+    opening = PlaneSegments.between(sides, u, free(sides), shares=True)
     g, _, C = opening.gap(u)
     size = 2 * sum(len(part) for part in u)
     shape = len(g), size
@@ -105,7 +105,7 @@ def test_derivatives(options):
 def test_balance(options, gap):
     """Forces and moments of any pressures, at any gap."""
     sides, u, rng = scene(gap, **options)
-    opening = PlaneOpening.between(sides, u, free(sides), shares=True)
+    opening = PlaneSegments.between(sides, u, free(sides), shares=True)
     g, m, C = opening.gap(u)
     assert (m >= 0).all() and m.sum() > 0.5
     p = rng.random(len(g))
@@ -131,7 +131,7 @@ def _positions(side, u):
 def test_value(options):
     """A gap of constant width has it everywhere, seen by any weight; it is the volume."""
     sides, u, _ = scene(0.07, 0.0, **options)
-    g, m, _ = PlaneOpening.between(sides, u, free(sides)).gap(u)
+    g, m, _ = PlaneSegments.between(sides, u, free(sides)).gap(u)
     close(g[m > 0] / m[m > 0], np.full((m > 0).sum(), 0.07), 1e-11)
     spans = options.get("spans", ((0, 2), (0, 2)))
     width = min(b for _, b in spans) - max(a for a, _ in spans)
@@ -142,7 +142,7 @@ def test_value(options):
 def test_volume_between_loops(n):
     """However rough they are: rays may cross each other."""
     sides, u, _ = scene(0.0, 0.03, rings=True, n=n, k=(1, 2))
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneSegments.between(sides, u, free(sides))
     g, m, _ = opening.gap(u)
     s, weights = basix.make_quadrature(basix.CellType.interval, 3)
     volume = 0.0
@@ -158,10 +158,10 @@ def test_room(monkeypatch):
     """Where there is too little for cells and entries there is more."""
     sides, u, _ = scene()
     found = []
-    for room in (fans.ROOM_ROW, 0):
-        monkeypatch.setattr(fans, "ROOM_ROW", room)
-        monkeypatch.setattr(rays, "ROOM_CELLS", room)
-        g, _, C = PlaneOpening.between(sides, u, free(sides)).gap(u)
+    for room in (fans.entries_a_row, 0):
+        monkeypatch.setattr(fans, "entries_a_row", room)
+        monkeypatch.setattr(rays, "cells_an_edge", room)
+        g, _, C = PlaneSegments.between(sides, u, free(sides)).gap(u)
         found.append(np.concatenate((g, dense(C, (len(g), 2 * sum(map(len, u)))).ravel())))
     close(*found, 1e-15)
 
@@ -176,7 +176,7 @@ def test_corner():
         blocks.append((V, exterior_facet_indices(mesh.topology)))
     sides = sides_of(blocks)
     u = tuple(np.zeros((len(side.dofs), 2)) for side in sides)
-    _, m, _ = PlaneOpening.between(sides, u, free(sides)).gap(u)
+    _, m, _ = PlaneSegments.between(sides, u, free(sides)).gap(u)
     close(m[sides[1].reference.x[:, 1].argmin()], (0.5 + np.sqrt(0.5)) * size)
 
 
@@ -186,14 +186,14 @@ def test_cut_ends():
     Once it has one, it keeps it for a while: weights that come and go at one place could cycle.
     """
     sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((2e-4, 2), (0, 2)))
-    _, m, _ = PlaneOpening.between(sides, u, free(sides)).gap(u)
+    _, m, _ = PlaneSegments.between(sides, u, free(sides)).gap(u)
     x = (sides[1].reference.x - sides[1].reference.x.min(axis=0)) @ [
         np.cos(np.radians(25)),
         np.sin(np.radians(25)),
     ]
     assert (m > 0).all() and abs(m.sum() - 1.9998) <= 1e-12
     sides, u, _ = scene(0.0, 0.0, k=(1, 1), spans=((0.2, 2.5), (0, 2)))
-    opening = PlaneOpening.between(sides, u, free(sides))
+    opening = PlaneSegments.between(sides, u, free(sides))
     _, m, _ = opening.gap(u)
     assert m[x.argmin()] == 0 and abs(m.sum() - 1.8) <= 1e-12
     for cut, there in ((0.01, False), (0.0, True), (0.01, True), (0.02, False), (0.01, False)):
@@ -206,7 +206,7 @@ def test_degree():
     """One that is too high is told."""
     sides, u, _ = scene(n=(1, 1), k=(1, 12))
     with raises(InterfaceError, r"Γ1 has degree 12: contact .* up to 11"):
-        PlaneOpening.between(sides, u, free(sides))
+        PlaneSegments.between(sides, u, free(sides))
 
 
 def test_what_is_at_both_limits_stays_in_the_set():

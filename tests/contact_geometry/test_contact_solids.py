@@ -21,7 +21,7 @@ from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
 from hypergap_dolfinx.contact_geometry import moments
 from hypergap_dolfinx.contact_geometry.opposite import Frames, find_pieces
-from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
@@ -152,7 +152,7 @@ STEP = 1e-5  # of differences of the fourth order
 def test_derivatives(options, gradient, curvature):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with pieces and directions that move; all balance."""
     two, u, rng = rough(**options)
-    opening = Opening.between(comm, two, u)
+    opening = SpaceSegments.between(two, u)
     g, m, C = opening.gap(u)
     size = 3 * sum(map(len, u))
     C = dense(C, (len(g), size))
@@ -195,7 +195,7 @@ def test_opposite_at_any_distance(gap, degree):
 
     two = sides((round_one, lambda x, y: 0 * x), degree=degree, offset=0.31)
     u = at_rest(two)
-    g, m, _ = Opening.between(comm, two, u).gap(u)
+    g, m, _ = SpaceSegments.between(two, u).gap(u)
     assert abs(m.sum() - 0.69**2) <= 1e-12 and m.min() >= 0
     points, weights = basix.make_quadrature(basix.CellType.quadrilateral, 4)
     exact = -(0.69**2) * weights @ round_one(*(0.31 + 0.69 * points).T)
@@ -213,10 +213,10 @@ def test_opposite_where_they_slide():
         area = np.prod(1 - np.abs(move[:2]))
         for pair in (two, matching):
             u0, u1 = at_rest(pair)
-            g, m, _ = Opening.between(comm, pair, (u0, u1 + move)).gap((u0, u1 + move))
+            g, m, _ = SpaceSegments.between(pair, (u0, u1 + move)).gap((u0, u1 + move))
             assert abs(m.sum() / area - 1) <= 1e-11
             if pair is matching and size < 1e-2:
-                g0, m0, _ = Opening.between(comm, pair, (u0, u1)).gap((u0, u1))
+                g0, m0, _ = SpaceSegments.between(pair, (u0, u1)).gap((u0, u1))
                 assert np.abs(m - m0).max() <= 3 * size and np.abs(g - g0).max() <= 3 * size
 
 
@@ -228,12 +228,12 @@ def test_curved_outlines_that_are_one():
         part[:] = 0.03 * np.stack((np.sin(3 * x + y**2), y * np.cos(2 * x + y), 0 * x), axis=1)
         part[:, 2] = 0.03 * np.cos(3 * x) * np.cos(2 * y) + gap * np.cos(9 * x + 4 * y)
     num = 3 * sum(map(len, u))
-    g, _, C = Opening.between(comm, two, u).gap(u)
+    g, _, C = SpaceSegments.between(two, u).gap(u)
     for _ in range(3):
         moved = tuple(part + 1e-9 * rng.standard_normal(part.shape) for part in u)
         for part, side in zip(moved, two, strict=True):
             part[_positions(side, 0 * part)[:, 1] < 1e-9, 1] = 0  # a plane of symmetry
-        after, _, other = Opening.between(comm, two, moved).gap(moved)
+        after, _, other = SpaceSegments.between(two, moved).gap(moved)
         change = (dense(other, (len(g), num)) - dense(C, (len(g), num))).sum(axis=0)
         assert np.abs(after - g).max() <= 1e-9 and np.abs(change).max() <= 5e-9
 
@@ -288,8 +288,8 @@ def test_nearest_sheet():
         facets=np.vstack((below.facets, below.facets + num)),
         nodes=np.concatenate((second[below.facets], below.nodes)),
     )
-    frames = Frames.of(above)
-    alone, found = find_pieces((below, above), frames), find_pieces((both, above), frames)
+    frames = Frames.of((both, above))
+    alone, found = find_pieces(Frames.of((below, above))), find_pieces(frames)
     assert abs((found.area * frames_area(frames, found)).sum() - 0.69**2) <= 1e-12
     assert len(alone.num) == len(found.num) and found.facets[0].min() >= len(below.facets)
 
@@ -301,4 +301,4 @@ def frames_area(frames, pieces):
 def test_not_facing():
     two = sides((lambda x, y: 0 * x, lambda x, y: 0.1 + 0 * x))
     with raises(InterfaceError, r"nothing of Γ1 \(around .*\) lies opposite Γ0"):
-        Opening.between(comm, (two[0], two[0]), at_rest((two[0], two[0])))
+        SpaceSegments.between((two[0], two[0]), at_rest((two[0], two[0])))

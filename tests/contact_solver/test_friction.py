@@ -17,9 +17,9 @@ from helpers import close, raises
 import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Contact, ContactProblem
-from hypergap_dolfinx.contact_geometry import slips
-from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
-from hypergap_dolfinx.contact_geometry.space import Opening
+from hypergap_dolfinx.contact_geometry import space as columns
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
+from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 
@@ -74,7 +74,7 @@ def slip_of(opening, sides, u, rng, positions):
 def test_slip(options):
     """A rotation's slip is the gap: so moments of friction balance where it is closed."""
     sides, u, rng = plane.scene(**options)
-    opening = PlaneOpening.between(sides, u, plane.free(sides))
+    opening = PlaneSegments.between(sides, u, plane.free(sides))
     turned = slip_of(opening, sides, u, rng, plane._positions)
     close(turned[0], -opening.gap(u)[0], 1e-12)
 
@@ -82,10 +82,9 @@ def test_slip(options):
 def test_slip_in_space(monkeypatch):
     """Vertices have two directions, which are taken as they are."""
     sides, u, rng = space.rough()
-    opening = Opening.between(comm, sides, u)
-    state = opening._at(u)
-    fixed = slips.directions(state.surfaces[1], state.frames)
-    monkeypatch.setattr(slips, "directions", lambda *_: fixed)
+    opening = SpaceSegments.between(sides, u)
+    fixed = columns.directions(opening._at(u).frames)
+    monkeypatch.setattr(columns, "directions", lambda *_: fixed)
     slip_of(opening, sides, u, rng, space._positions)
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
 

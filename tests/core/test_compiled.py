@@ -14,7 +14,7 @@ import pytest
 from helpers import raises, skew, two_blocks
 
 from hypergap_dolfinx import Tie
-from hypergap_dolfinx.contact_geometry.plane import PlaneOpening
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.core import compiled
 from hypergap_dolfinx.core.compiled import call, dtype, ints, struct
 from hypergap_dolfinx.surface.moving import MovingSurface
@@ -116,5 +116,5 @@ def test_plane_alone(monkeypatch):
     Tie(*blocks)
     sides = tuple(MovingSurface(create_surface(*block, "Γ")) for block in blocks)
     u = tuple(np.zeros((len(side.dofs), 2)) for side in sides)
-    opening = PlaneOpening.between(sides, u, [np.zeros(part.shape, dtype=bool) for part in u])
-    assert np.isfinite(opening.gap(u)[0]).all() and loaded
+    segments = PlaneSegments.between(sides, u, [np.zeros(part.shape, dtype=bool) for part in u])
+    assert np.isfinite(segments.gap(u)[0]).all() and loaded

@@ -1,0 +1,163 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+#
+# This file is part of hypergap_dolfinx
+#
+# SPDX-License-Identifier:    LGPL-3.0-or-later
+"""The protocol of contact's geometry, which the plane and space implement."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.contact_geometry.opened import OpenCells
+from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse
+
+
+@dataclass
+class Found:
+    """Contact segments at given displacements."""
+
+    u: Displacements
+
+
+@dataclass
+class Segments[State: Found](ABC):
+    """Contact segments: Σ between two surfaces, with weights for each vertex of Γ1.
+
+    A vertex a of Γ1 has the weighted gap g_a, the volume of its part of Σ, and the area m_a. Σ is
+    found anew wherever the bodies are: g is continuous, and its derivatives are those of everything
+    that moves. The same on every rank.
+
+    Arrays of displacements are those at the dofs of Γ0 and of Γ1; in matrices by u Γ1's dofs are
+    behind all of Γ0's, all components of a dof together. Slips are counted from displacements
+    u_since. They have n − 1 components, each for all vertices, one behind the other.
+
+    The only state is what was found at the last displacements, so that asking again there costs
+    nothing. In the plane it has a memory too: which vertices at Γ0's ends have weights depends on
+    those that had them (:mod:`~hypergap_dolfinx.contact_geometry.rays`). Nothing of it is changed
+    in place: a ``copy.copy`` of segments keeps the state to go back to.
+    """
+
+    sides: Sides
+    num_multipliers: int = field(init=False)
+    """Number of vertices of Γ1, in reach of Γ0 or not."""
+    num_dofs: int = field(init=False)
+    """Number of dofs of both sides."""
+    _last: State | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self):
+        """Count."""
+        self.num_multipliers = len(self.sides[1].reference.x)
+        self.num_dofs = sum(len(side.dofs) for side in self.sides)
+
+    @classmethod
+    def between(cls, sides: Sides, u: Displacements, *args, **options) -> Self:
+        """Segments that are found where the bodies are.
+
+        Args:
+            sides: Γ0 and Γ1.
+            u: Their displacements.
+            *args: Further attributes of the class.
+            **options: Likewise.
+
+        Raises:
+            NotFacingError: Nothing of Γ1 lies opposite Γ0.
+            InterfaceError: There are no segments, for another reason.
+        """
+        segments = cls(sides, *args, **options)
+        segments._at(u)
+        return segments
+
+    def _at(self, u: Displacements) -> State:
+        """Segments where the bodies are, the last ones if they haven't moved."""
+        last = self._last
+        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
+            self._last = last = self._find((u[0].copy(), u[1].copy()))
+        return last
+
+    @abstractmethod
+    def _find(self, u: Displacements) -> State:
+        """Find segments at displacements, which are kept.
+
+        Raises:
+            NotFacingError: There are none.
+        """
+
+    @abstractmethod
+    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        """The weighted gap.
+
+        Returns:
+            g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
+            ``(num_multipliers, n num_dofs)``.
+        """
+
+    @abstractmethod
+    def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
+        """H = Σ_a p_a ∂²g_a/∂u², of the size of u, from p, ``(num_multipliers,)``."""
+
+    @abstractmethod
+    def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
+        """T with the weighted slips of Γ1 on Γ0, s = T (u − u_since).
+
+        In the plane along Γ0's edges from start to end, in space in two directions at each vertex.
+
+        Args:
+            u: Displacements.
+            target: Vertex whose directions each one takes, ``(num_multipliers,)``: slips of several
+                are added where they share a traction.
+
+        Returns:
+            T with n − 1 rows for each vertex of Γ1.
+        """
+
+    @abstractmethod
+    def slip_slopes(
+        self,
+        u: Displacements,
+        since: Displacements,
+        target: npt.NDArray[np.intp],
+        on: npt.NDArray[np.bool_],
+    ) -> Sparse:
+        """∂s/∂u, of the size of T.
+
+        Args:
+            u: Displacements.
+            since: Displacements from which slip is counted.
+            target: As for :meth:`slip`.
+            on: Mask of the vertices whose rows are needed, ``(num_multipliers,)``; others may be
+                there.
+        """
+
+    @abstractmethod
+    def slip_curvature(
+        self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
+    ) -> Sparse:
+        """∂(Tᵀq)/∂u, of the size of u; it isn't symmetric.
+
+        Args:
+            u: Displacements.
+            q: Tractions, ``(n - 1, num_multipliers)``.
+            target: As for :meth:`slip`.
+        """
+
+    @abstractmethod
+    def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Pressures to look at, which have the force of p and less of its scatter between nodes.
+
+        Args:
+            u: Displacements.
+            p: ``(num_multipliers,)``.
+        """
+
+    @abstractmethod
+    def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
+        """Σ's cells where the bodies are, to look at.
+
+        Args:
+            u: Displacements.
+            p: Pressures, ``(num_multipliers,)``, or tractions, ``(num_multipliers, n)``.
+        """
