@@ -56,31 +56,31 @@ def call(name: str, *args) -> Any:
 
     Args:
         name: Its name.
-        args: Numbers, structs, and C-contiguous arrays of what the header says; None for NULL. No
-            array is converted or copied.
+        args: Numbers, structs, and C-contiguous arrays of the types that the header names; None for
+            NULL. No array is converted or copied.
 
     Raises:
-        TypeError: An argument isn't what the header says.
+        TypeError: An argument doesn't match the header.
         RuntimeError: There is no C compiler that works.
     """
     return library(_owner(name)).call(name, args)
 
 
 def struct(name: str, **fields) -> Any:
-    """A struct of the C, by a pointer. Arrays that it points to live as long as it does.
+    """A pointer to a new struct of the C. Arrays that it points to live as long as it does.
 
     Args:
-        name: Of its type.
+        name: Name of its type.
         fields: As for :func:`call`; structs and arrays in it as dictionaries and lists.
 
     Raises:
-        TypeError: A field isn't what the header says.
+        TypeError: A field doesn't match the header.
     """
     return library(_owner(name)).new(f"{name} *", name, fields)
 
 
 def structs(name: str, each: Iterable[dict[str, Any]]) -> Any:
-    """Structs one after the other, likewise."""
+    """An array of structs, likewise."""
     return library(_owner(name)).new(f"{name}[]", name, list(each))
 
 
@@ -106,8 +106,8 @@ class _Slot(NamedTuple):
 
     name: str  # for messages
     ctype: Any
-    kind: str  # of that
-    array: Any  # type of what a pointer points to, if there are some in a row; else None
+    kind: str  # kind of ctype
+    array: Any  # array type of what a pointer points to, None if it is no pointer
     dtype: np.dtype | None  # of arrays that it may point to
     written: bool  # whether C may write there
 
@@ -116,10 +116,10 @@ class Library:
     """One of the libraries: ``lib`` has its functions, ``ffi`` their types."""
 
     def __init__(self, name: str):
-        """Load it, built before or now.
+        """Load it from the cache, or compile it first.
 
-        Any number of processes may come here at once: each that finds nothing compiles in a folder
-        of its own, and the file appears under its final name as a whole.
+        Any number of processes may do so at once: each compiles in a folder of its own, and the
+        file appears under its final name as a whole.
 
         Raises:
             RuntimeError: There is no C compiler that works.
@@ -171,9 +171,9 @@ class Library:
         """An argument or a field for cffi.
 
         Args:
-            slot: What it is for.
-            value: It.
-            kept: Pointers to arrays, which must live long enough, are added.
+            slot: The parameter or the field.
+            value: Its value.
+            kept: Pointers to arrays are added; they must live as long as C uses them.
         """
         name, ctype, kind, array, dtype, written = slot
         if kind == "primitive":
@@ -244,13 +244,16 @@ def library(name: str) -> Library:
 
 @cache
 def _owner(name: str) -> str:
-    """The library that has a function or a struct."""
-    return next(own for own in HEADERS if re.search(rf"\b{name}(\(|;)", _declarations(own)))
+    """The library that declares a function or a struct."""
+    for own in HEADERS:
+        if re.search(rf"\b{name}(\(|;)", _declarations(own)):
+            return own
+    raise NameError(f"no header in {FOLDER} declares {name}")
 
 
 @cache
 def _declarations(name: str) -> str:
-    """A library's declarations, without comments and all but numbers for the preprocessor."""
+    """A library's declarations for cffi: headers without comments, guards and includes."""
     text = "".join((FOLDER / header).read_text() for header in HEADERS[name])
     return re.sub(r"//.*|^#(?!define \w+ \d).*", "", text, flags=re.MULTILINE)
 
