@@ -29,7 +29,7 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 .PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
-	test-mpi-4 test-blas env-complex test-complex clean
+	test-mpi-4 test-blas env-complex test-complex sanitize clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
@@ -38,6 +38,8 @@ help:
 	@echo "make test-all  the same with the slow ones, the serial ones with BLAS for other processors,"
 	@echo "               and some with complex scalars"
 	@echo "make env       set up alone: everything goes into $(VENV)"
+	@echo "make sanitize  run the tests that reach the C with gcc's checks of addresses and undefined"
+	@echo "               behaviour compiled in"
 	@echo "make clean     remove $(VENV) and what was built (not results/)"
 	@echo "Parts of test: lint, types, test-serial, test-mpi-2, test-mpi-3, test-mpi-4;"
 	@echo "of test-all: test-blas, test-complex (sets up $(COMPLEX), which holds DOLFINx's complex build)."
@@ -138,6 +140,17 @@ test-complex: env-complex
 		$(complex_tests) 'tests/test_demos.py::test_demo[wave]'
 	$(COMPLEX_BIN)/mpirun -n 2 $(COMPLEX_BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) \
 		tests/test_wave.py tests/test_problem.py
+
+# The libraries have another name with these flags: the cache keeps both
+SANITIZE := -g1 -fsanitize=address,undefined -fno-sanitize-recover=undefined
+sanitized_tests := $(addprefix tests/test_,compiled.py front.py slab.py surface.py contact_form.py \
+	contact_solids.py)
+sanitize: export OMP_NUM_THREADS := 1
+sanitize: export HYPERGAP_CFLAGS := $(SANITIZE)
+sanitize: export ASAN_OPTIONS := detect_leaks=0
+sanitize: env
+	LD_PRELOAD=$$($${CC:-cc} -print-file-name=libasan.so) \
+		$(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) $(sanitized_tests)
 
 clean:
 	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis

@@ -347,7 +347,7 @@ def test_compiled_by_many_at_once(tmp_path):
     """Processes that start together with an empty cache all get the library, and leave one file."""
     code = (
         "from mpi4py import MPI\nfrom hypergap_dolfinx.core.compiled import library\n"
-        "assert library().lib.front_fill\n"
+        'assert library("space").lib.front_fill\n'
     )
     env = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
     runs = [subprocess.Popen([sys.executable, "-c", code], env=env) for _ in range(2)]

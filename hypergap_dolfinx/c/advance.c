@@ -6,6 +6,13 @@
 
 // The front's way from one surface to the other: where vertices wait at first, and the order of moves.
 
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "front.h"
+#include "gap_mesh.h"
+
 static int sort_edges(Edges *edges, int n, int num, const int *triangles)
 {
   edges->offset = calloc(n + 2, sizeof(int));

@@ -4,23 +4,18 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Which facets cells and edges belong to.
+// Facets that cells and edges belong to.
+
+#include <stdlib.h>
+
+#include "adjacency.h"
+#include "gap_mesh.h"
+#include "vectors.h"
 
 // The facets around each vertex: those of v are facet[offset[v]] to facet[offset[v + 1] − 1].
 typedef struct {
   int *offset, *facet;
 } Around;
-
-// Of things with some vertices each; offset is 0 at first.
-static void sort_at_vertices(int n, int size, int num, const int *vertices, int *offset, int *at)
-{
-  for (int i = 0; i < size * num; ++i)
-    ++offset[vertices[i] + 2];
-  for (int i = 2; i < n + 2; ++i)
-    offset[i] += offset[i - 1];
-  for (int i = 0; i < size * num; ++i)
-    at[offset[vertices[i] + 1]++] = i / size;
-}
 
 static int gather(Around *around, int n, int num, const int *facets)
 {

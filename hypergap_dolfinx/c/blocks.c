@@ -6,6 +6,11 @@
 
 // Sums of sparse matrices' blocks.
 
+#include <stdlib.h>
+
+#include "adjacency.h"
+#include "space.h"
+
 // Add each block to the first one of the same place.
 //
 // num       groups of blocks: of all pairs of a rows and b columns

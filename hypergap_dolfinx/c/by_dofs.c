@@ -6,6 +6,12 @@
 
 // Weighted gaps and slips in the plane (contact_geometry/plane.py), and their derivatives by both sides' dofs.
 
+#include <math.h>
+#include <string.h>
+
+#include "fans.h"
+#include "plane.h"
+
 // The dofs with which a cell's variables move: those of the base and of the apex, which are variables
 // themselves, then others on which s₁, s₂ and r hang.
 typedef struct {

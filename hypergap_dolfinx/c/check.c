@@ -4,7 +4,13 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Whether cells are what they should be, whoever made them.
+// Checks of cells: flat or inverted ones, and faces without a neighbour.
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "gap_mesh.h"
+#include "predicates.h"
 
 // A face of a, b and c in rising order, at the vertex a: the other two, and as the last bit whether
 // the face turns the other way.

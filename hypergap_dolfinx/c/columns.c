@@ -4,7 +4,11 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Second derivatives of what columns hold by the dofs of both their facets.
+// Second derivatives of volumes of columns by the dofs of both their facets.
+
+#include <string.h>
+
+#include "heights.h"
 
 // A_uv += factor [a]×, with [a]× b = a × b.
 static void add_cross(double A[SIZE][SIZE], int u, int v, double factor, const double *a)
@@ -91,10 +95,6 @@ static void half_hessian(const double *q, const double *bends, double A[SIZE][SI
   add_product(A, feet[1], right);
 }
 
-// Matrices by two vectors of q, (3, 3), and one that is 0: pairs of numbers are added at once.
-#define PADDED 10
-typedef double Matrix[VECTORS][VECTORS][PADDED];
-
 static inline void add_scaled(double factor, const double *restrict a, double *restrict to)
 {
   for (int c = 0; c < PADDED; ++c)
@@ -103,8 +103,8 @@ static inline void add_scaled(double factor, const double *restrict a, double *r
 
 // Add Tᵀ A T to a block, with T as hang_on has it; those of dofs a and b ≤ a alone where it is
 // symmetric.
-static void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], const Matrix A,
-                       int symmetric, double *block)
+void add_matrix(const Rays *rays, const double (*T)[MOST_VECTORS], const Matrix A,
+                int symmetric, double *block)
 {
   int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
   for (int a = 0; a < n; ++a)

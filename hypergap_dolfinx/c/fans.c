@@ -9,26 +9,13 @@
 // A cell lies between a piece of an edge, x(s) from s₁ to s₂, and an apex q(r) on the other side.
 // Its variables are the dofs of the base, those of the apex, both by components, and s₁, s₂, r.
 
+#include "fans.h"
+
+#include <math.h>
+#include <string.h>
+
 #define NEWTON 8 // steps to where a ray meets a curved edge: round-off after 3 or 4
 #define LAST_STEP 1e-15
-
-// A point of an edge, and two derivatives by its reference coordinate.
-typedef struct {
-  double N[3][MOST_DOFS]; // functions of the dofs
-  double x[3][2];
-} Jet;
-
-// A cell where it is.
-typedef struct {
-  const Side *base;
-  int edge, num_base, num_apex; // of dofs
-  int num;                      // of variables
-  double s[3];                  // s₁, s₂, r
-  double origin[2];             // differences keep their digits far from the origin
-  Jet ends[2], apex;
-  double chord[2];    // x(s₂) − x(s₁)
-  double reach[2][2]; // q − x(s₁), q − x(s₂)
-} Shape;
 
 // a × b
 static double wedge(const double *a, const double *b)
@@ -84,7 +71,7 @@ static double parameter(const Sigma *sigma, int number)
   return crossing->s[crossing->unknown];
 }
 
-static Shape shape_of(const Sigma *sigma, const Cell *cell)
+Shape shape_of(const Sigma *sigma, const Cell *cell)
 {
   const Side *base = sigma->sides + cell->side, *apex = sigma->sides + 1 - cell->side;
   Shape c = {.base = base,
@@ -119,7 +106,7 @@ static Jet point_of(const Shape *c, int p, double *weight, double *reach)
 }
 
 // ½ ∫ (q − x) × x' ds, and its derivatives by the variables.
-static double volume(const Shape *c, double *first)
+double volume(const Shape *c, double *first)
 {
   int to_apex = 2 * c->num_base, to_s = c->num - 3;
   double value = 0, weight, reach[2];
@@ -143,7 +130,7 @@ static double volume(const Shape *c, double *first)
 }
 
 // Second derivatives of the volume.
-static void volume_hessian(const Shape *c, int n, double H[n][n])
+void volume_hessian(const Shape *c, int n, double H[n][n])
 {
   int to_apex = 2 * c->num_base, s = n - 3, r = n - 1;
   double weight, reach[2];
@@ -197,7 +184,7 @@ static void volume_hessian(const Shape *c, int n, double H[n][n])
 //   ½ ∫ x' · (Δu(q) − Δu(s) − τ Δu'(s)) ds,   τ = (q − x) · x' / x' · x',
 //
 // T by the dofs, and S = ∂T by the variables, if S isn't NULL.
-static void slip(const Shape *c, int n, double *T, double (*S)[n])
+void slip(const Shape *c, int n, double *T, double (*S)[n])
 {
   int to_apex = 2 * c->num_base, to_s = n - 3;
   double along[2] = {0}, along_by[n][2], weight, d[2];
@@ -333,7 +320,7 @@ void find_crossings(Sigma *sigma)
 // Second derivatives of a crossing by the dofs, with those of s (t = ∂s/∂u),
 //
 //   −(Φ_uu + Φ_us tᵀ + t Φ_usᵀ + Φ_ss t tᵀ) / Φ_s.
-static void crossing_hessian(const Sigma *sigma, int k, int n, double H[n][n])
+void crossing_hessian(const Sigma *sigma, int k, int n, double H[n][n])
 {
   int num0 = sigma->sides[0].num_dofs, num1 = sigma->sides[1].num_dofs;
   const double *t = sigma->motions + n * k;

@@ -13,38 +13,15 @@
 // The order is that of a regular triangulation whose heights change with time, h − t α: between
 // two parallel planes the cells are those of the Delaunay triangulation in space.
 
-typedef struct {
-  int v[3];      // vertices, counterclockwise seen from the end
-  int behind[3]; // triangle behind the edge from v[k] to v[k + 1], −1 at the boundary
-  int head;      // first of the end's vertices that wait here, −1 if none
-  int stamp;     // how often it has changed; −1 if it is no part of the front any more
-} Triangle;
+#include "front.h"
 
-typedef struct {
-  double t;
-  int triangle, move; // move: an edge 0, 1, 2, or −1 − vertex
-  int stamp, behind, stamp_behind; // of the triangle, and of the one behind the edge
-} Event;
+#include <math.h>
+#include <stdlib.h>
 
-typedef struct {
-  int *offset, *to, *opposite, *triangle; // directed edges by the vertex where they start
-} Edges;
-
-typedef struct {
-  Points points;
-  Triangle *triangle;
-  int num_triangles, max_triangles;
-  int *spare, num_spare; // triangles to use again
-  int *home, *next;      // of each vertex: where it waits (−1: nowhere), and who waits next
-  Edges end;             // edges of the surface where the front ends
-  Event *heap, *sorted; // those to come, and of these the ones known at first
-  int num_events, max_events, num_sorted, next_sorted;
-  int *cells, num_cells, max_cells;
-  int failed; // no memory
-} Front;
+#define STEPS 64 // triangles that a waiting point may cross when the front has changed
 
 // The vertex opposite to the edge from a to b in a surface, −1 if it has no such edge.
-static int opposite(const Edges *edges, int a, int b)
+int opposite(const Edges *edges, int a, int b)
 {
   for (int i = edges->offset[a]; i < edges->offset[a + 1]; ++i)
     if (edges->to[i] == b)
@@ -64,7 +41,7 @@ static int allowed(const Front *f, int a, int b, int c)
   return a < f->points.n0 || b < f->points.n0 || c < f->points.n0 || opposite(&f->end, a, b) == c;
 }
 
-static int is_final(const Front *f, int t)
+int is_final(const Front *f, int t)
 {
   const int *v = f->triangle[t].v;
   return v[0] >= f->points.n0 && v[1] >= f->points.n0 && v[2] >= f->points.n0;
@@ -116,7 +93,7 @@ static int earlier(const void *a, const void *b)
 }
 
 // Sort the events that there are: from now on others come into a heap.
-static void sort_events(Front *f)
+void sort_events(Front *f)
 {
   qsort(f->heap, f->num_events, sizeof(Event), earlier);
   f->sorted = f->heap;
@@ -125,19 +102,19 @@ static void sort_events(Front *f)
   f->num_events = f->max_events = f->next_sorted = 0;
 }
 
-static void forget_events(Front *f)
+void forget_events(Front *f)
 {
   free(f->heap), free(f->sorted);
   f->heap = f->sorted = NULL;
   f->num_events = f->max_events = f->num_sorted = f->next_sorted = 0;
 }
 
-static int has_events(const Front *f)
+int has_events(const Front *f)
 {
   return f->num_events || f->next_sorted < f->num_sorted;
 }
 
-static Event pop(Front *f)
+Event pop(Front *f)
 {
   const Event *known = f->sorted + f->next_sorted;
   if (f->next_sorted < f->num_sorted && (!f->num_events || known->t <= f->heap[0].t))
@@ -164,7 +141,7 @@ static Event pop(Front *f)
   return first;
 }
 
-static int is_stale(const Front *f, const Event *e)
+int is_stale(const Front *f, const Event *e)
 {
   const Triangle *tri = f->triangle + e->triangle;
   if (tri->stamp != e->stamp)
@@ -183,7 +160,7 @@ static int edge_from(const Triangle *tri, int a)
 }
 
 // Make t the triangle (a,b,c); what is behind it comes later.
-static void set(Front *f, int t, int a, int b, int c)
+void set(Front *f, int t, int a, int b, int c)
 {
   Triangle *tri = f->triangle + t;
   tri->v[0] = a, tri->v[1] = b, tri->v[2] = c;
@@ -239,7 +216,7 @@ static int in_front(const Front *f, int t, int p, int s)
 // ---------------------------------------------------------------------------------------------
 // Points of the end that wait in triangles
 
-static void put(Front *f, int w, int t)
+void put(Front *f, int w, int t)
 {
   f->home[w] = t;
   f->next[w] = f->triangle[t].head;
@@ -248,7 +225,7 @@ static void put(Front *f, int w, int t)
 
 // Walk from t over the edge that w is farthest beyond, till it is in a triangle. Where there is
 // none, the one that it is the least outside of.
-static int walk(const Front *f, int t, int w, int steps)
+int walk(const Front *f, int t, int w, int steps)
 {
   int best = t, previous = -1;
   double least = -INFINITY, scale;
@@ -294,14 +271,14 @@ static int insertable(const Front *f, int triangle, int w, double *t)
   return due(&f->points, v[0], v[1], v[2], w, t);
 }
 
-static int is_inside(const Front *f, int t, int w)
+int is_inside(const Front *f, int t, int w)
 {
   const int *v = f->triangle[t].v;
   return ccw(&f->points, v[0], v[1], w) && ccw(&f->points, v[1], v[2], w) && ccw(&f->points, v[2], v[0], w);
 }
 
 // The earliest insertion into a triangle. Points that are no longer inside of it move on.
-static void offer_points(Front *f, int triangle)
+void offer_points(Front *f, int triangle)
 {
   double earliest = INFINITY, t;
   int first = -1, w = f->triangle[triangle].head;
@@ -362,7 +339,7 @@ static int move_of(const Front *f, int triangle, int k, int *v)
   return 0;
 }
 
-static void offer_edge(Front *f, int t, int k)
+void offer_edge(Front *f, int t, int k)
 {
   int v[4];
   double time;
@@ -472,7 +449,7 @@ static int remove_vertex(Front *f, int t, int q, const int *v)
   return 1;
 }
 
-static void carry_out(Front *f, const Event *e)
+void carry_out(Front *f, const Event *e)
 {
   int v[4];
   if (e->move < 0)

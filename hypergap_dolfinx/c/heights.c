@@ -6,39 +6,11 @@
 
 // Where rays along Γ1's normals meet Γ0, the gap there, and its derivatives (contact_geometry/heights.py).
 
-// The vectors of q, as contact_geometry/heights.py has them.
-enum { R, Z1, Z2, T1, T2, C1, C2, VECTORS };
-#define SIZE (3 * VECTORS)
+#include "heights.h"
 
-// Where q_u × q_v is multiplied with w: derivatives by both.
-static void add_normal(const double *q, int u, int v, const double *w, double *by)
-{
-  double c[3];
-  cross(q + 3 * v, w, c);
-  for (int i = 0; i < 3; ++i)
-    by[3 * u + i] += c[i];
-  cross(w, q + 3 * u, c);
-  for (int i = 0; i < 3; ++i)
-    by[3 * v + i] += c[i];
-}
+#include <string.h>
 
-// Normals of Γ0 and Γ1, that of Γ1's facet in the middle, N₀ · M, the height over M, and N₁ · M over
-// N₀ · M.
-typedef struct {
-  double n0[3], n1[3], m[3], b, h, slope;
-} Normals;
-
-static Normals normals_of(const double *q)
-{
-  Normals n;
-  cross(q + 3 * Z1, q + 3 * Z2, n.n0);
-  cross(q + 3 * T1, q + 3 * T2, n.n1);
-  cross(q + 3 * C1, q + 3 * C2, n.m);
-  n.b = dot(n.n0, n.m);
-  n.h = dot(n.n0, q + 3 * R) / n.b;
-  n.slope = dot(n.n1, n.m) / n.b;
-  return n;
-}
+#include "monomials.h"
 
 // Derivatives by q of w · (x₀ − x₁ − h M), with w across M: how the end of a ray that is fixed on Γ0
 // moves on Γ1 against the ray.
@@ -58,7 +30,7 @@ static void find_dual(const double *q, int u, int v, const Normals *n, double du
 }
 
 // How the ray's end moves on Γ0, ∂ξ/∂q.
-static void find_feet(const double *q, const Normals *n, double feet[2][SIZE])
+void find_feet(const double *q, const Normals *n, double feet[2][SIZE])
 {
   double dual[2][3];
   find_dual(q, Z1, Z2, n, dual);
@@ -71,7 +43,7 @@ static void find_feet(const double *q, const Normals *n, double feet[2][SIZE])
 }
 
 // Points of a facet from its origin, and derivatives, (rows, 3).
-static void jet_on(const Facets *side, int f, const double *X, int rows, double (*jet)[3])
+void jet_on(const Facets *side, int f, const double *X, int rows, double (*jet)[3])
 {
   int num = side->num_terms;
   double table[rows][num], from[2] = {X[0] - side->middle[0], X[1] - side->middle[1]};
@@ -204,13 +176,8 @@ void column_edges(const Rays *rays, const double *normal, double *motion, double
   }
 }
 
-// Vectors of q that hang on dofs of Γ0 and of Γ1.
-#define MOST_VECTORS 5
-static const int vectors[2][MOST_VECTORS] = {{R, Z1, Z2}, {R, T1, T2, C1, C2}};
-static const int num_vectors[2] = {3, 5};
-
 // ∂q/∂u at a ray: of each dof by the vectors that hang on it, (n, MOST_VECTORS).
-static void hang_on(const Rays *rays, int p, double (*T)[MOST_VECTORS])
+void hang_on(const Rays *rays, int p, double (*T)[MOST_VECTORS])
 {
   int num0 = rays->num_dofs[0], num1 = rays->num_dofs[1], n = num0 + num1;
   const double *values = rays->functions + (size_t)3 * n * p;

@@ -6,6 +6,12 @@
 
 // Quadrature on polygons (contact_geometry/moments.py).
 
+#include <math.h>
+#include <string.h>
+
+#include "monomials.h"
+#include "space.h"
+
 // Area, middle from the first corner, and the lower square root of the matrix of second moments.
 typedef struct {
   double area, middle[2], c, d, e;

@@ -6,6 +6,14 @@
 
 // Which pieces of Γ1's facets in space lie opposite which facets of Γ0 (contact_geometry/opposite.py).
 
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "heights.h"
+#include "space.h"
+#include "vectors.h"
+
 #define PART 4        // corners of a part of a facet
 #define QUAD_STEPS 20 // of Newton's method in a quadrilateral
 #define ROUND 1.001   // squares of distances over those at which balls meet: round-off
@@ -259,8 +267,17 @@ int find_pieces(const Facets *sides, const int *order, const double *normals, co
   if (!balls)
     return NO_MEMORY;
   put_balls(below, order, 0, below->num_facets, balls);
-  Look look = {below, above, order, normals, balls, (const Point *)parts, leans, sliver, last};
-  look.own = own, look.pieces = pieces;
+  Look look = {.below = below,
+               .above = above,
+               .order = order,
+               .normals = normals,
+               .balls = balls,
+               .parts = (const Point *)parts,
+               .leans = leans,
+               .sliver = sliver,
+               .last = last,
+               .own = own,
+               .pieces = pieces};
   pieces->num = 0;
   for (int f = 0; f < above->num_facets; ++f, planes += 12)
   {

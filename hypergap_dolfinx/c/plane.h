@@ -4,7 +4,10 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// What contact in the plane is made of. Python reads this file too (core/compiled.py).
+// Contact in the plane. Python reads this file too (core/compiled.py).
+
+#ifndef HYPERGAP_PLANE_H
+#define HYPERGAP_PLANE_H
 
 #define MOST_DOFS 12 // of an edge
 
@@ -77,3 +80,5 @@ void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, do
 void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries *H);
 void find_slips(const Sigma *sigma, const double *moved, Entries *rows);
 void slip_curvature(const Sigma *sigma, const double *q, Entries *H);
+
+#endif

@@ -6,22 +6,13 @@
 
 // Predicates: what four vertices of Σ make, seen along the mean of their normals.
 
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
+#ifndef HYPERGAP_PREDICATES_H
+#define HYPERGAP_PREDICATES_H
 
-enum { DONE = 0, STUCK = 1, NO_MEMORY = 2, BAD_INPUT = 3 };
+#include "vectors.h"
 
-#define FLAT 1e-9      // D of a cell over the product of its two edges on the surfaces that is none
+#define FLAT 1e-9       // least D of a valid cell, over the product of its edges on the surfaces
 #define COLLINEAR 1e-12 // the same for A of a triangle
-#define STEPS 64       // triangles that a waiting point may cross when the front has changed
-#define STEPS_OF_QUADRATICS 5
-#define RIDGE 1e-3 // of their coefficients' squares, beside those of what edges lack
-#define SOME_EDGES 4000 // that quadratics are sought with
-#define SLIVER 0.02 // what quadratics must change of an edge's height, over what they may leave
-#define FEW 0.01 // share of irregular ones below which none are
-#define MARGIN 1e-3    // by how much (in the longest edge to the fourth) weights make edges regular
 
 typedef struct {
   double x[3]; // where it is
@@ -37,37 +28,6 @@ typedef struct {
   double flat; // D of a cell over that product up to which a front does without it
 } Points;
 
-static inline double larger(double a, double b) { return a > b ? a : b; }
-
-static inline double smaller(double a, double b) { return a < b ? a : b; }
-
-static inline double dot(const double *a, const double *b)
-{
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static inline void cross(const double *a, const double *b, double *c)
-{
-  for (int i = 0; i < 3; ++i)
-  {
-    int j = (i + 1) % 3, k = (i + 2) % 3;
-    c[i] = a[j] * b[k] - a[k] * b[j];
-  }
-}
-
-// a · (b × c)
-static inline double triple(const double *a, const double *b, const double *c)
-{
-  return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
-         + a[2] * (b[0] * c[1] - b[1] * c[0]);
-}
-
-static inline void minus(const double *a, const double *b, double *c)
-{
-  for (int i = 0; i < 3; ++i)
-    c[i] = a[i] - b[i];
-}
-
 static inline void unit_sum(const double *a, const double *b, const double *c, const double *d,
                             double *n)
 {
@@ -81,7 +41,7 @@ static inline void unit_sum(const double *a, const double *b, const double *c, c
 // D(a,b,c,d) = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, with edges e_k from a and n the mean normal:
 // positive if the cell is not inverted. Relative to the lengths of its two edges on the surfaces; of
 // a cell with a base on one, D is the base's area, which may be as small as it is.
-static double D(const Points *p, int a, int b, int c, int d, const double *n, double *scale)
+static inline double D(const Points *p, int a, int b, int c, int d, const double *n, double *scale)
 {
   const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};
   const int on[4] = {a >= p->n0, b >= p->n0, c >= p->n0, d >= p->n0};
@@ -105,7 +65,7 @@ static double D(const Points *p, int a, int b, int c, int d, const double *n, do
 
 // H(a,b,c,d) = Σ_k dh_k (e_{k+1} × e_{k+2}) · n with h = |y|² − (y · n)² + w: positive if d is above
 // the plane through a, b, c, when each vertex is lifted by its h.
-static double H(const Vertex **v, const double *n)
+static inline double H(const Vertex **v, const double *n)
 {
   double e[3][3], sum = 0;
   for (int k = 0; k < 3; ++k)
@@ -120,7 +80,7 @@ static double H(const Vertex **v, const double *n)
 
 // A(a,b,c) = (b − a) × (c − a) · n with the sum n of the vertices' normals: positive if the triangle
 // is counterclockwise seen along it. Relative to the square of the longer edge from a.
-static double A(const Points *p, int a, int b, int c, double *scale)
+static inline double A(const Points *p, int a, int b, int c, double *scale)
 {
   const Vertex *u = p->vertex + a, *v = p->vertex + b, *w = p->vertex + c;
   double n[3], e[3], g[3];
@@ -132,14 +92,14 @@ static double A(const Points *p, int a, int b, int c, double *scale)
   return triple(e, g, n);
 }
 
-static int ccw(const Points *p, int a, int b, int c)
+static inline int ccw(const Points *p, int a, int b, int c)
 {
   double scale, area = A(p, a, b, c, &scale);
   return area > COLLINEAR * scale;
 }
 
 // Time t = H/D at which a cell is due; whether it is a valid one.
-static int due(const Points *p, int a, int b, int c, int d, double *t)
+static inline int due(const Points *p, int a, int b, int c, int d, double *t)
 {
   const Vertex *v[4] = {p->vertex + a, p->vertex + b, p->vertex + c, p->vertex + d};
   double n[3], scale, area;
@@ -150,3 +110,5 @@ static int due(const Points *p, int a, int b, int c, int d, double *t)
   *t = H(v, n) / area;
   return isfinite(*t);
 }
+
+#endif

@@ -6,6 +6,12 @@
 
 // Linear programs with few unknowns.
 
+#include <math.h>
+#include <stdlib.h>
+
+#include "gap_mesh.h"
+#include "vectors.h"
+
 #define MOST_UNKNOWNS 4
 
 // Maximise c · z where A z ≤ b and |z_i| ≤ bound, by Seidel's method.

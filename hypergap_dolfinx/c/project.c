@@ -4,22 +4,18 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Where points project to on a triangulated surface, with straight or with curved triangles.
+// Projection of points to a triangulated surface with straight or curved triangles.
+
+#include <math.h>
+#include <stddef.h>
+
+#include "monomials.h"
+#include "surface.h"
+#include "vectors.h"
 
 #define STRAIGHT_STEPS 100 // triangles that a point may cross
 #define INSIDE 1e-12       // weight below zero of a point that still lies in a triangle
 #define SINGULAR 1e-6      // determinant of Newton's matrix, in squares of slopes, that is none
-
-// Curved triangles: polynomials of places in facets, where each triangle lies in one.
-typedef struct {
-  int num_terms, num_bends; // of the polynomials, and of each edge
-  const int *powers;        // of both coordinates in each term
-  const double *nodes;      // of each triangle: a place, and the polynomials' factors from there
-  const double *corners;    // of each triangle: its corners' coordinates in the facet
-  const double *bends;      // by what each of its edges leaves the straight line there, if any do
-  const double *normals;    // of the vertices
-  int steps, further;       // of Newton's method; triangles that a point may cross
-} Curves;
 
 typedef struct {
   const double *x;

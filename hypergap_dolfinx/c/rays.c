@@ -7,9 +7,12 @@
 // Cells of contact's Σ in the plane (contact_geometry/rays.py): fans between Γ1's vertices and what Γ1's rays
 // cut from Γ0.
 
-enum { NOWHERE = -1, AT_START, AT_END, AT_MIDDLE, FIXED }; // parameters that don't move
+#include <math.h>
+#include <stdlib.h>
 
-static const double positions[FIXED] = {0, 1, 0.5};
+#include "fans.h"
+#include "plane.h"
+#include "vectors.h"
 
 typedef struct {
   int edge, parameter;
@@ -34,20 +37,6 @@ typedef struct {
   Opposite *opposite;        // of Γ1's edges
   double end, faces, farther;
 } Cast;
-
-// Node k of an edge.
-static const double *node(const Side *side, int edge, int k)
-{
-  return side->nodes + 2 * (edge * side->num_nodes + k);
-}
-
-// From the start of an edge to its end.
-static double chord(const Side *side, int edge, double *c)
-{
-  const double *x = node(side, edge, 0), *y = node(side, edge, 1);
-  c[0] = y[0] - x[0], c[1] = y[1] - x[1];
-  return sqrt(c[0] * c[0] + c[1] * c[1]);
-}
 
 // Vertices at which a side turns too far to go on.
 //

@@ -6,6 +6,11 @@
 
 // The slip of columns, κ e · P D, and its derivatives (contact_geometry/slips.py).
 
+#include <math.h>
+#include <string.h>
+
+#include "heights.h"
+
 // What is across a facet's normal.
 typedef struct {
   Normals normals;

@@ -4,7 +4,10 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// What contact in space is made of. Python reads this file too (core/compiled.py).
+// Contact in space. Python reads this file too (core/compiled.py).
+
+#ifndef HYPERGAP_SPACE_H
+#define HYPERGAP_SPACE_H
 
 #define MOST_CORNERS 19 // of a quadrilateral, convex or not, that is cut four times
 
@@ -65,3 +68,5 @@ void column_slips(const Rays *rays, const int *block, const double *e, const dou
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks);
 int merge_blocks(int num_rows, int num_columns, int num, int a, const int *rows, int b,
                  const int *columns, int size, double *values, int *first);
+
+#endif

@@ -4,7 +4,16 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Which facets of a surface meet, where it turns, and what of an outline or of some points is nearest.
+// Neighbours and corners of a surface's facets; points and edges nearest to points.
+
+#include "surface.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "adjacency.h"
+#include "vectors.h"
 
 // The facet behind each edge.
 //
@@ -177,10 +186,6 @@ finish:
 // ---------------------------------------------------------------------------------------------
 
 #define LOT 16 // points that have a ball around them
-
-typedef struct {
-  double middle[3], radius;
-} Ball;
 
 // Balls around points and the edges from them to the next ones.
 static Ball *make_balls(int n, const double *x)

@@ -10,6 +10,13 @@
 // other lies on each other. A cell with larger ones extrapolates, and a few such cells decide about
 // the condition of G.
 
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gap_mesh.h"
+#include "predicates.h"
+
 #define RING 6 // cells around an edge at most
 #define BANDS 4 // of qualities, each half of the last: derivatives above 16, 8, 4, 2
 #define MORE (1 + 1e-9) // what is better by less is as good: round-off doesn't choose
@@ -267,8 +274,11 @@ static int swap(Cells *all, int cell)
 int front_swap(int n0, int n, const double *vertices, const int *rank, double flat, double least,
                int num, int max, int *cells)
 {
-  Cells all = {{n0, n, (const Vertex *)vertices, flat}, cells, num, max};
-  all.rank = rank;
+  Cells all = {.points = {n0, n, (const Vertex *)vertices, flat},
+               .cells = cells,
+               .num = num,
+               .max = max,
+               .rank = rank};
   all.first = malloc((n + 1) * sizeof(int));
   all.next = malloc((4 * (size_t)max + 1) * sizeof(int));
   all.quality = malloc(((size_t)max + 1) * sizeof(double));

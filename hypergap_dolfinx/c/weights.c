@@ -6,6 +6,19 @@
 
 // Weights of vertices, with which a triangulation that isn't Delaunay is regular.
 
+#include <stdlib.h>
+#include <string.h>
+
+#include "gap_mesh.h"
+#include "predicates.h"
+
+#define STEPS_OF_QUADRATICS 5
+#define RIDGE 1e-3      // of their coefficients' squares, beside those of what edges lack
+#define SOME_EDGES 4000 // that quadratics are sought with
+#define SLIVER 0.02     // what quadratics must change of an edge's height, over what they may leave
+#define FEW 0.01        // share of irregular edges below which quadratics aren't sought
+#define MARGIN 1e-3     // by how much (in the longest edge to the fourth) weights make edges regular
+
 // One constraint on the weights: the sum of c[k] times them is at least bound.
 typedef struct {
   double c[4], bound, tolerance;

@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.rays import Fans
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, struct
 from hypergap_dolfinx.surface.moving import Sparse
 
 entries_a_row = 32  # room at first: 6 to 30; with more they are found anew
@@ -64,8 +64,8 @@ def find_gaps(fans: Fans) -> PlaneGaps:
     num, num_vertices = len(fans.cells), fans.sigma.sides[1].num_vertices
     volumes, areas = np.empty((2, num))
     x, (g, sizes) = np.empty((num, 3, 2)), np.empty((2, num_vertices))
-    pointers = [as_doubles(array) for array in (volumes, areas, x, g, sizes)]
-    C = _entries(fans, False, lambda C: library().lib.find_gaps(fans.sigma, *pointers, C))
+    given = fans.sigma, volumes, areas, x, g, sizes
+    C = _entries(fans, False, lambda C: call("find_gaps", *given, C))
     limited = fans.limited(g), fans.limited(sizes), fans.limited_rows(C)
     return PlaneGaps(volumes, areas, x, sizes, *limited)
 
@@ -77,11 +77,11 @@ def gap_curvature(fans: Fans, p: npt.NDArray[np.float64]) -> Sparse:
         fans: Cells where the sides are.
         p: ``(num_vertices1,)``.
     """
-    given = fans.sigma, as_doubles(fans.pressures(p))
+    given = fans.sigma, doubles(fans.pressures(p))
 
     def add(H):
         slopes = np.zeros(fans.sigma.num_crossings)
-        library().lib.gap_curvature(*given, as_doubles(slopes), H)
+        call("gap_curvature", *given, slopes, H)
 
     return _entries(fans, True, add)
 
@@ -93,8 +93,8 @@ def find_slips(fans: Fans, moved: npt.NDArray[np.float64] | None = None) -> Spar
         fans: Cells where the sides are.
         moved: Δu by both sides' dofs, all components, if it moves with u.
     """
-    given = library().ffi.NULL if moved is None else as_doubles(moved)
-    return _entries(fans, False, lambda T: library().lib.find_slips(fans.sigma, given, T))
+    given = fans.sigma, None if moved is None else doubles(moved)
+    return _entries(fans, False, lambda T: call("find_slips", *given, T))
 
 
 def slip_curvature(fans: Fans, q: npt.NDArray[np.float64]) -> Sparse:
@@ -104,8 +104,8 @@ def slip_curvature(fans: Fans, q: npt.NDArray[np.float64]) -> Sparse:
         fans: Cells where the sides are.
         q: ``(num_vertices1,)``.
     """
-    given = fans.sigma, as_doubles(q)
-    return _entries(fans, True, lambda H: library().lib.slip_curvature(*given, H))
+    given = fans.sigma, doubles(q)
+    return _entries(fans, True, lambda H: call("slip_curvature", *given, H))
 
 
 def _entries(fans: Fans, square: bool, add: Callable) -> Sparse:
@@ -116,19 +116,18 @@ def _entries(fans: Fans, square: bool, add: Callable) -> Sparse:
         square: True if rows are those of dofs instead of Γ1's vertices.
         add: Function that adds them.
     """
-    ffi, sides = library().ffi, fans.sigma.sides
+    sides = fans.sigma.sides
     num_rows = sides[1].num_vertices
     if square:
         num_rows = 2 * sum(side.num_edges * side.num_dofs for side in sides)
     room = entries_a_row * num_rows
     while True:
-        ints = np.empty((3, room), np.int32)
+        rows, columns, following = places = np.empty((3, room), np.int32)
         values, first = np.empty(room), np.full(num_rows, -1, np.int32)
-        rows, columns, following = (as_ints(part) for part in ints)
-        fields = {"max": room, "rows": rows, "columns": columns, "values": as_doubles(values)}
-        entries = ffi.new("Entries *", {**fields, "next": following, "first": as_ints(first)})
+        fields = {"rows": rows, "columns": columns, "next": following, "first": first}
+        entries = struct("Entries", max=room, values=values, **fields)
         add(entries)
         if entries.num <= room:
-            i, j, _ = ints[:, : entries.num].astype(np.int64)
+            i, j, _ = places[:, : entries.num].astype(np.int64)
             return Sparse(i, j, values[: entries.num])
         room = entries.num

@@ -44,7 +44,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.opposite import Frames, cross
 from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_FACET
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
 from hypergap_dolfinx.surface.moving import Sparse
 from hypergap_dolfinx.surface.trace import lengths
 
@@ -75,25 +75,25 @@ class Rays:
     """Slopes of Γ1's functions in the facet's middle, ``(2, num_dofs1)``."""
 
     @cached_property
-    def pointer(self) -> tuple[Any, dict[str, Any]]:
-        """``Rays`` in C, and all that it points to."""
+    def pointer(self) -> Any:
+        """Struct ``Rays`` of ``c/space.h``."""
         num1 = self.middle.shape[1]
-        fields = {
-            "num": len(self.q),
-            "num_dofs": [self.functions.shape[2] - num1, num1],
-            "xi": as_doubles(self.xi),
-            "q": as_doubles(self.q),
-            "bends": library().ffi.NULL if self.bends is None else as_doubles(self.bends),
-            "functions": as_doubles(self.functions),
-            "middle": as_doubles(self.middle),
-        }
-        return library().ffi.new("Rays *", fields), fields
+        return struct(
+            "Rays",
+            num=len(self.q),
+            num_dofs=[self.functions.shape[2] - num1, num1],
+            xi=self.xi,
+            q=self.q,
+            bends=self.bends,
+            functions=self.functions,
+            middle=doubles(self.middle),
+        )
 
     @cached_property
     def heights(self) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """f, the areas as seen along the rays, and ∂f/∂q; ``(num,)`` twice, ``(num, 7, 3)``."""
         (f, areas), by_q = np.empty((2, len(self.q))), np.empty_like(self.q)
-        library().lib.column_heights(self.pointer[0], *map(as_doubles, (f, areas, by_q)))
+        call("column_heights", self.pointer, f, areas, by_q)
         return f, areas, by_q
 
     def add_by_dofs(self, block, factor, by_q, blocks):
@@ -105,8 +105,8 @@ class Rays:
             by_q: Derivatives by q, ``(num, 7, 3)``.
             blocks: ``(num_blocks, num_dofs, 3)``.
         """
-        doubles = map(as_doubles, (factor, by_q, blocks))
-        library().lib.sum_by_dofs(self.pointer[0], as_ints(block), *doubles)
+        given = ints(block), doubles(factor), doubles(by_q)
+        call("sum_by_dofs", self.pointer, *given, blocks)
 
     def add_curvatures(self, block, factor, blocks):
         """Add second derivatives of f, each transposed pair of blocks once (:func:`symmetric`).
@@ -116,8 +116,7 @@ class Rays:
             factor: Factor of each ray, ``(num,)``.
             blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
         """
-        given = as_ints(block), as_doubles(factor), as_doubles(blocks)
-        library().lib.column_curvatures(self.pointer[0], *given)
+        call("column_curvatures", self.pointer, ints(block), doubles(factor), blocks)
 
     def slips(self, block, e, moves=None) -> npt.NDArray[np.float64]:
         """Slips by the motions of q, as vectors that are multiplied with these.
@@ -131,9 +130,9 @@ class Rays:
         Returns:
             ``(num, 7, 3)``.
         """
-        result, given = np.empty_like(self.q), (as_ints(block), as_doubles(e))
-        motions = library().ffi.NULL if moves is None else as_doubles(moves)
-        library().lib.column_slips(self.pointer[0], *given, motions, as_doubles(result))
+        result = np.empty_like(self.q)
+        given = ints(block), doubles(e), None if moves is None else doubles(moves)
+        call("column_slips", self.pointer, *given, result)
         return result
 
     def add_slip_curvatures(self, block, traction, blocks):
@@ -144,8 +143,7 @@ class Rays:
             traction: On Γ1, before it is projected, ``(num, 3)``.
             blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``.
         """
-        given = as_ints(block), as_doubles(traction), as_doubles(blocks)
-        library().lib.slip_curvatures(self.pointer[0], *given)
+        call("slip_curvatures", self.pointer, ints(block), doubles(traction), blocks)
 
     def some(self, some) -> "Rays":
         """A part of them, by numbers or a mask."""
@@ -176,8 +174,7 @@ class EdgeRays:
             that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
         """
         motion, slopes = np.empty_like(self.rays.q), np.empty(len(self.rays.q))
-        given = map(as_doubles, (self.normal, motion, slopes))
-        library().lib.column_edges(self.rays.pointer[0], *given)
+        call("column_edges", self.rays.pointer, doubles(self.normal), motion, slopes)
         return motion, slopes
 
     def add_slopes(self, blocks):
@@ -187,8 +184,7 @@ class EdgeRays:
             blocks: Blocks of pieces, ``(num_pieces, num_dofs, 3)``.
         """
         motion, moved = self._motions()[0], self.weights * self.rays.heights[0]
-        doubles = map(as_doubles, (moved, motion, blocks))
-        library().lib.sum_by_dofs(self.rays.pointer[0], as_ints(self.piece), *doubles)
+        call("sum_by_dofs", self.rays.pointer, ints(self.piece), moved, motion, blocks)
 
     def add_kinks(self, block, factor, blocks):
         """Add what moving edges contribute to ∂²∫f/∂u²: jumps of f's derivatives.
@@ -205,14 +201,11 @@ class EdgeRays:
         if self.outline.any():
             half += (self.outline * factor)[:, None, None] * self.rays.heights[2]
         a, b = by_dofs = np.zeros((2, len(half), blocks.shape[1], 3))
-        each = np.arange(len(half)), np.ones(len(half))
+        each = ints(np.arange(len(half))), np.ones(len(half))
         # a ⊗ b + b ⊗ a
         for by_q, by_dof in zip((half, motion), by_dofs, strict=True):
-            doubles = map(as_doubles, (each[1], by_q, by_dof))
-            library().lib.sum_by_dofs(self.rays.pointer[0], as_ints(each[0]), *doubles)
-        library().lib.add_products(
-            len(a), a.shape[1], as_ints(block), as_doubles(a), as_doubles(b), as_doubles(blocks)
-        )
+            call("sum_by_dofs", self.rays.pointer, *each, by_q, by_dof)
+        call("add_products", len(a), a.shape[1], ints(block), a, b, blocks)
 
 
 def cast(frames: Frames, facets, X) -> Rays:
@@ -234,15 +227,8 @@ def cast(frames: Frames, facets, X) -> Rays:
         np.empty((num, 3, num_dofs)),
         frames.slopes,
     )
-    library().lib.cast_columns(
-        frames.in_c,
-        as_doubles(frames.tangents),
-        1 if straight else NEWTON_FACET,
-        LAST,
-        *map(as_ints, facets),
-        as_doubles(X),
-        rays.pointer[0],
-    )
+    given = frames.in_c, doubles(frames.tangents), 1 if straight else NEWTON_FACET, LAST
+    call("cast_columns", *given, *map(ints, facets), doubles(X), rays.pointer)
     return rays
 
 
@@ -277,8 +263,8 @@ def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]
     """
     num, a, b, r, c = values.shape
     first = np.empty(num * a * b, dtype=np.int32)
-    places = num, a, as_ints(rows), b, as_ints(columns), r * c
-    found = library().lib.merge_blocks(*size, *places, as_doubles(values), as_ints(first))
+    places = num, a, ints(rows), b, ints(columns), r * c
+    found = call("merge_blocks", *size, *places, values, first)
     if found < 0:
         raise MemoryError("no memory for the derivatives of gaps")
     first = first[:found]
@@ -297,5 +283,5 @@ def symmetric(dofs, blocks: npt.NDArray[np.float64], num: int) -> Sparse:
         blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``; overwritten.
         num: Number of dofs in all.
     """
-    library().lib.complete(len(blocks), dofs.shape[1], as_doubles(blocks))
+    call("complete", len(blocks), dofs.shape[1], blocks)
     return merged(dofs, dofs, blocks, (num, num))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import WIDTH
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 
 
 def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
@@ -36,19 +36,9 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
     points, powers, inverse = _points(degree)
     inner = np.column_stack(basix.make_quadrature(basix.CellType.triangle, degree))
     at, weights = np.empty((len(X), len(points), 2)), np.empty((len(X), len(points)))
-    library().lib.polygon_rule(
-        *X.shape[:2],
-        as_doubles(X),
-        len(points),
-        as_doubles(points),
-        WIDTH**2,
-        len(powers),
-        as_ints(powers),
-        as_doubles(inverse),
-        len(inner),
-        as_doubles(inner),
-        *map(as_doubles, (at, weights)),
-    )
+    polygons = *X.shape[:2], doubles(X), len(points), doubles(points), WIDTH**2
+    terms = len(powers), ints(powers), doubles(inverse), len(inner), inner
+    call("polygon_rule", *polygons, *terms, at, weights)
     return at.reshape(-1, 2), np.repeat(np.arange(len(X)), len(points)), weights.ravel()
 
 

@@ -34,7 +34,7 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     PARALLEL_CURVES,
     ROUND_OFF_FACET,
 )
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct, structs
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.search import along_curve
 from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
@@ -83,7 +83,7 @@ class Frames:
     @cached_property
     def in_c(self) -> Any:
         """Γ0 and Γ1 for C; it lives as long as they do."""
-        return library().ffi.new("Facets[]", [surface.polynomials for surface in self.surfaces])
+        return structs("Facets", [surface.polynomials for surface in self.surfaces])
 
     @cached_property
     def slopes(self) -> npt.NDArray[np.float64]:
@@ -233,30 +233,29 @@ def _cut(frames: Frames, parts):
         the number of the edge on which each edge is, those of Γ0's facet behind the part's,
         ``(num_pieces, num_corners)``; corners in the plane and on the reference facet.
     """
-    (below, above), (ffi, lib) = frames.surfaces, (library().ffi, library().lib)
+    below, above = frames.surfaces
     sides = frames.in_c
     axes = frames.normal / lengths(frames.normal)[:, None]
     planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
-    order = as_ints(along_curve(below.x[below.facets].mean(axis=1)))
-    given = sides, order, *map(as_doubles, (below.normals, planes, reach, parts))
+    order = ints(along_curve(below.x[below.facets].mean(axis=1)))
+    given = sides, order, *map(doubles, (below.normals, planes, reach, parts))
     room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
     while True:
-        ints = np.empty((4, room), dtype=np.int32)
-        edge = np.empty((room, lib.MOST_CORNERS), dtype=np.int32)
+        numbers = np.empty((4, room), dtype=np.int32)
+        edge = np.empty((room, library("space").lib.MOST_CORNERS), dtype=np.int32)
         points = np.empty((2, *edge.shape, 2))
-        of0, of1, part, count = map(as_ints, ints)
-        fields = {"max": room, "facets": [of0, of1], "part": part, "count": count}
-        fields |= {"edge": as_ints(edge), "y": as_doubles(points[0]), "X": as_doubles(points[1])}
-        pieces = ffi.new("Pieces *", fields)
-        if lib.find_pieces(*given, FACING, ROUND_OFF_FACET, LAST, pieces):
+        of0, of1, part, count = numbers
+        fields = {"facets": [of0, of1], "part": part, "count": count, "edge": edge}
+        pieces = struct("Pieces", max=room, **fields, y=points[0], X=points[1])
+        if call("find_pieces", *given, FACING, ROUND_OFF_FACET, LAST, pieces):
             raise MemoryError("no memory for the pieces of the gap domain")
         if pieces.num <= room:
             break
         room = pieces.num
-    num, corners = pieces.num, int(ints[3, : pieces.num].max(initial=1))
+    num, corners = pieces.num, int(numbers[3, : pieces.num].max(initial=1))
     y, X = points[:, :num, :corners]
-    return *ints[:, :num].astype(np.intp), edge[:num, :corners].astype(np.intp), y, X
+    return *numbers[:, :num].astype(np.intp), edge[:num, :corners].astype(np.intp), y, X
 
 
 def _bent(frames: Frames, pieces: FacetPieces, parts, part, y, edge) -> FacetPieces:

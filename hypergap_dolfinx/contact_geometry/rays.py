@@ -50,20 +50,13 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     REACHED,
     STEEPER,
 )
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface
 
-CELL = np.dtype(
-    [(name, np.int32) for name in ("side", "base", "apex")]
-    + [("parameters", np.int32, 3), ("vertices", np.int32, 2)]
-)  # Cell, and Crossing, in c/plane.h
-CROSSING = np.dtype(
-    [("edges", np.int32, 2), ("unknown", np.int32), ("s", np.float64, 2)], align=True
-)
 cells_an_edge = 3  # room at first: mostly 1; with more they are found anew
 
 
@@ -76,8 +69,8 @@ class Order:
 
     kinks: npt.NDArray[np.bool_]
     """Mask of the vertices at kinks, ``(num_vertices,)``."""
-    chains: dict[str, Any]
-    """The chains as C sees them (``Chains`` in ``c/plane.h``)."""
+    chains: Any
+    """Struct ``Chains`` of ``c/plane.h``."""
 
     @classmethod
     def of(
@@ -105,14 +98,14 @@ class Order:
             "chain": chain,
             "position": position,
         }
-        return cls(kinks, {"num": len(found), **{k: as_ints(v) for k, v in arrays.items()}})
+        arrays = {name: ints(array) for name, array in arrays.items()}
+        return cls(kinks, struct("Chains", num=len(found), **arrays))
 
 
-def _find_kinks(sigma, i: int) -> npt.NDArray[np.bool_]:
-    """Mask of vertices where a side (0 or 1) turns too far to go on, ``(num_vertices,)``."""
-    side = sigma.sides[i]
-    kinks = np.empty(side.num_vertices, np.int32)
-    library().lib.kinks_of(library().ffi.addressof(side), KINK_ORDER, as_ints(kinks))
+def _find_kinks(side: dict[str, Any]) -> npt.NDArray[np.bool_]:
+    """Mask of vertices where a side turns too far to go on, ``(num_vertices,)``."""
+    kinks = np.empty(side["num_vertices"], np.int32)
+    call("kinks_of", struct("Side", **side), KINK_ORDER, kinks)
     return kinks > 0
 
 
@@ -121,8 +114,9 @@ class Fans:
     """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
 
     cells: npt.NDArray
-    """Cells as :data:`CELL`, ``(num_cells,)``: base's side, edges of base and apex, parameters of
-    the base's start and end and of the apex, and vertices of Γ1 that share the cell, half each."""
+    """``Cell`` of ``c/plane.h``, ``(num_cells,)``: side of the base, edges of base and apex,
+    parameters of the base's start and end and of the apex, and vertices of Γ1 that share the cell,
+    half each."""
     whole: npt.NDArray[np.bool_]
     """Mask of edges of Γ1 both of whose vertices have a weight, ``(num_edges1,)``."""
     ends: npt.NDArray[np.int32]
@@ -133,9 +127,7 @@ class Fans:
     order: Order
     """Order of Γ0's facets."""
     sigma: Any
-    """``Sigma`` in C (``c/plane.h``): all this and both sides."""
-    pointed_at: dict[str, Any]
-    """All that it points to."""
+    """Struct ``Sigma`` of ``c/plane.h``: all this and both sides."""
 
     def pressures(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Lᵀp, pressures of vertices from multipliers, ``(num_vertices1,)`` each."""
@@ -173,7 +165,7 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
     """
     surface, element = side.rest, side.reference.element
     num_nodes, num = surface.geometry.dim, len(surface.facets)
-    most = library().lib.MOST_DOFS
+    most = library("plane").lib.MOST_DOFS
     if max(num_nodes, element.dim) > most:
         raise InterfaceError(
             f"{surface.name} has degree {max(num_nodes, element.dim) - 1}: contact in the plane "
@@ -188,16 +180,16 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
     return {
         "num_edges": num,
         "num_vertices": len(surface.x),
-        "vertices": as_ints(surface.facets),
-        "beside": as_ints(beside),
+        "vertices": ints(surface.facets),
+        "beside": ints(beside),
         "num_nodes": num_nodes,
-        "node_at": as_doubles(surface.geometry.points),
+        "node_at": doubles(surface.geometry.points),
         "num_dofs": element.dim,
-        "dof_at": as_doubles(element.points),
-        "dofs": as_ints(first + side.at_facets),
+        "dof_at": doubles(element.points),
+        "dofs": ints(first + side.at_facets),
         "num_points": len(weights),
-        "points": as_doubles(points),
-        "weights": as_doubles(weights),
+        "points": doubles(points),
+        "weights": doubles(weights),
     }
 
 
@@ -222,23 +214,17 @@ def cast(
     Raises:
         InterfaceError: A surface branches.
     """
-    lib, ffi = library().lib, library().ffi
     num = len(surfaces[1].facets)
     room = cells_an_edge * (num + len(surfaces[0].facets))
-    crossings = np.empty(3 * num, CROSSING)
+    crossings = np.empty(3 * num, dtype("Crossing"))
     motions = np.empty((len(crossings), 2 * sum(side["num_dofs"] for side in sides)))
-    fields = {
-        "sides": [
-            {**side, "nodes": as_doubles(surface.nodes)}
-            for side, surface in zip(sides, surfaces, strict=True)
-        ],
-        "crossings": ffi.from_buffer("Crossing[]", crossings),
-        "motions": as_doubles(motions),
-    }
-    sigma = ffi.new("Sigma *", fields)
-    kinks0, kinks1 = (_find_kinks(sigma, i) for i in (0, 1))
+    placed = [
+        {**side, "nodes": doubles(surface.nodes)}
+        for side, surface in zip(sides, surfaces, strict=True)
+    ]
+    fields = {"sides": placed, "crossings": crossings, "motions": motions}
+    kinks0, kinks1 = (_find_kinks(side) for side in placed)
     order = Order.of(surfaces[0], kinks0, last.order if last else None)
-    chains = ffi.new("Chains *", order.chains)
     linear = surfaces[1].element.degree == 1
     kept = COVERED_SIDE if linear else KEPT
     beyond = np.full(num, COMES if linear and shares else 1.0)
@@ -246,27 +232,17 @@ def cast(
         beyond[last.cut] = GOES
     least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
     whole, owners = np.empty((2, num), np.int32)
-    given = (
-        as_ints(kinks1),
-        as_doubles(least),
-        len(walls),
-        as_ints(np.array(walls)),
-        END,
-        FACING,
-    )
+    given = order.chains, ints(kinks1), least, len(walls), ints(walls), END, FACING, FARTHER
     while True:
-        cells = np.empty(room, CELL)
-        fields["cells"] = sigma.cells = ffi.from_buffer("Cell[]", cells)
-        sigma.max_cells = room
-        if lib.cast_rays(
-            sigma, chains, *given, FARTHER, as_doubles(beyond), as_ints(whole), as_ints(owners)
-        ):
+        cells = np.empty(room, dtype("Cell"))
+        sigma = struct("Sigma", **fields, cells=cells, max_cells=room)
+        if call("cast_rays", sigma, *given, beyond, whole, owners):
             raise MemoryError("no memory for the cells of the gap domain")
         if sigma.num_cells <= room:
             break
         room = sigma.num_cells
-    lib.find_crossings(sigma)
+    call("find_crossings", sigma)
     cut = np.flatnonzero(owners >= 0)
     before = surfaces[1].facets[cut, owners[cut]]
     ends = np.stack((surfaces[1].facets[cut, 1 - owners[cut]], before), axis=1)
-    return Fans(cells[: sigma.num_cells], whole > 0, ends, cut, order, sigma, fields)
+    return Fans(cells[: sigma.num_cells], whole > 0, ends, cut, order, sigma)

@@ -3,16 +3,23 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Compiled C, built once with the compiler that FFCx uses, and kept in the cache that it uses."""
+"""The C in ``c/``: built once with FFCx's compiler, kept in its cache, called with checked arrays.
+
+The headers in ``c/`` are the only description of the interface.
+"""
 
 import hashlib
 import importlib.machinery
 import importlib.util
 import os
+import re
 import sys
 import tempfile
+import weakref
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import cffi
 import numpy as np
@@ -20,100 +27,264 @@ import numpy.typing as npt
 
 from dolfinx.jit import get_options
 
-NAMES = (
-    "predicates.h weights.c front.c advance.c swaps.c check.c bases.c surface.c "
-    "program.c monomials.c project.c plane.h rays.c fans.c by_dofs.c "
-    "space.h blocks.c heights.c columns.c slips.c moments.c pieces.c"
-).split()
-HEADERS = "plane.h", "space.h"  # what Python reads, too
 FOLDER = Path(__file__).parents[1] / "c"
-DECLARATIONS = """
-typedef struct {
-  int num_terms, num_bends;
-  const int *powers;
-  const double *nodes, *corners, *bends, *normals;
-  int steps, further;
-} Curves;
-int front_fill(int n0, int n1, const double *vertices, double flat, int num_start, const int *start,
-               int num_end, const int *end, int max_cells, int *cells, int *left, int *counts);
-int front_weights(int n, double *vertices, int num, const int *edges, int sweeps, double visits);
-int front_check(int n0, int n, const double *vertices, int num_cells, const int *cells,
-                int num_outer, const int *outer, int *counts);
-int front_swap(int n0, int n, const double *vertices, const int *rank, double flat, double least,
-               int num, int max, int *cells);
-int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
-                int *found);
-int find_bases(int n0, int n1, int num0, const int *facets0, int num1, const int *facets1,
-               int num_cells, const int *cells, int *bases);
-void facets_beside(int first, int last, const int *seeds, int num, const int *cells, int *beside);
-void cell_normals(int num, const int *cells, const double *at_vertices, const int *bases,
-                  const double *normals0, const double *normals1, double *normals);
-void vertex_hosts(int num, const int64_t *which, const int *cells, int points, int num_local,
-                  const int *local, const int *at, const int *on, const double *X,
-                  const int *beside, int64_t *facets, double *places);
-int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
-int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
-                 int *faces, int *counts);
-int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double noise, double corner,
-               double stands_out, int *kinks);
-int find_neighbours(int n, int num, int size, const int *facets, int *behind);
-int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
-int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
-                 double *s);
-int linear_program(int n, int num, const double *A, const double *b, const double *c, double bound,
-                   double *z);
-void project(int num, const double *points, const double *x, const int *triangles,
-             const int *behind, const Curves *curves, int *facet, double *X);
-void project_on_curved(int num, const double *points, const double *x, const int *triangles,
-                       const Curves *curves, const int *facet, double *X);
-"""
-FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math"]
+HEADERS = {"plane": ("plane.h",), "space": ("surface.h", "gap_mesh.h", "space.h")}
+"""Headers of each library that Python reads."""
+SOURCES = {
+    "plane": "by_dofs fans rays".split(),
+    "space": (
+        "advance bases blocks check columns front heights moments pieces program project slips "
+        "surface swaps weights"
+    ).split(),
+}
+"""Files of each library, in any order. They are compiled as one, so that short functions of one are
+inlined in others."""
+FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden"]
+MORE_FLAGS = "HYPERGAP_CFLAGS"
+"""Environment variable with more flags, which compiler and linker get."""
+DTYPES: dict[str, np.dtype] = {
+    "int": np.dtype(np.int32),
+    "int64_t": np.dtype(np.int64),
+    "double": np.dtype(np.float64),
+}
+
+_kept: weakref.WeakKeyDictionary[Any, list] = weakref.WeakKeyDictionary()  # arrays by struct
+
+
+def call(name: str, *args) -> Any:
+    """Call a function of the C.
+
+    Args:
+        name: Its name.
+        args: Numbers, structs, and C-contiguous arrays of what the header says; None for NULL. No
+            array is converted or copied.
+
+    Raises:
+        TypeError: An argument isn't what the header says.
+        RuntimeError: There is no C compiler that works.
+    """
+    return library(_owner(name)).call(name, args)
+
+
+def struct(name: str, **fields) -> Any:
+    """A struct of the C, by a pointer. Arrays that it points to live as long as it does.
+
+    Args:
+        name: Of its type.
+        fields: As for :func:`call`; structs and arrays in it as dictionaries and lists.
+
+    Raises:
+        TypeError: A field isn't what the header says.
+    """
+    return library(_owner(name)).new(f"{name} *", name, fields)
+
+
+def structs(name: str, each: Iterable[dict[str, Any]]) -> Any:
+    """Structs one after the other, likewise."""
+    return library(_owner(name)).new(f"{name}[]", name, list(each))
+
+
+def dtype(name: str) -> np.dtype:
+    """NumPy's dtype of a struct of the C without pointers."""
+    found = library(_owner(name)).dtype(name)
+    assert found is not None
+    return found
+
+
+def ints(array: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """An array as C reads ``int``: C-contiguous, of int32; the same one if it is that."""
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def doubles(array: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """An array as C reads ``double``: C-contiguous, of float64; the same one if it is that."""
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+class _Slot(NamedTuple):
+    """A parameter of a function or a field of a struct."""
+
+    name: str  # for messages
+    ctype: Any
+    kind: str  # of that
+    array: Any  # type of what a pointer points to, if there are some in a row; else None
+    dtype: np.dtype | None  # of arrays that it may point to
+    written: bool  # whether C may write there
+
+
+class Library:
+    """One of the libraries: ``lib`` has its functions, ``ffi`` their types."""
+
+    def __init__(self, name: str):
+        """Load it, built before or now.
+
+        Any number of processes may come here at once: each that finds nothing compiles in a folder
+        of its own, and the file appears under its final name as a whole.
+
+        Raises:
+            RuntimeError: There is no C compiler that works.
+        """
+        module = _module(name)
+        self.lib, self.ffi, self._text = module.lib, module.ffi, _declarations(name)
+        self._slots: dict[str, dict[str, _Slot]] = {}
+
+    def call(self, name: str, args) -> Any:
+        """Call a function."""
+        function = getattr(self.lib, name)
+        kept: list = []
+        slots = self._slots.get(name) or self._find_slots(name, self.ffi.typeof(function).args)
+        if len(args) != len(slots):
+            raise TypeError(f"{name} takes {len(slots)} arguments, not {len(args)}.")
+        given = (self._given(*pair, kept) for pair in zip(slots.values(), args, strict=True))
+        return function(*given)
+
+    def new(self, cname: str, name: str, value) -> Any:
+        """A struct, or structs, with their arrays."""
+        kept: list = []
+        if isinstance(value, list):
+            given: Any = [self._fields(name, each, kept) for each in value]
+        else:
+            given = self._fields(name, value, kept)
+        made = self.ffi.new(cname, given)
+        _kept[made] = kept
+        return made
+
+    def dtype(self, cname: str) -> np.dtype | None:
+        """NumPy's dtype of a type; None of pointers, and of structs with pointers."""
+        if cname in DTYPES:
+            return DTYPES[cname]
+        ctype = self.ffi.typeof(cname)
+        if ctype.kind == "array":
+            item = self.dtype(ctype.item.cname)
+            return None if item is None else np.dtype((item, ctype.length))
+        if ctype.kind != "struct":
+            return None
+        formats = [self.dtype(field.type.cname) for _, field in ctype.fields]
+        if None in formats:
+            return None
+        names, offsets = zip(*((key, field.offset) for key, field in ctype.fields), strict=True)
+        size = self.ffi.sizeof(ctype)
+        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
+        return np.dtype(spec)  # type: ignore[call-overload]
+
+    def _given(self, slot: _Slot, value, kept: list) -> Any:
+        """An argument or a field for cffi.
+
+        Args:
+            slot: What it is for.
+            value: It.
+            kept: Pointers to arrays, which must live long enough, are added.
+        """
+        name, ctype, kind, array, dtype, written = slot
+        if kind == "primitive":
+            if isinstance(value, np.ndarray):
+                raise TypeError(f"{name} is an array; it must be {ctype.cname}.")
+            return value
+        if kind == "array":
+            slot = slot._replace(ctype=ctype.item, kind=ctype.item.kind)
+            return [self._given(slot, each, kept) for each in value]
+        if kind == "struct":
+            return self._fields(ctype.cname, value, kept)
+        if value is None:
+            return self.ffi.NULL
+        if dtype is None or not isinstance(value, np.ndarray):
+            if isinstance(value, self.ffi.CData) and self.ffi.typeof(value).item is array.item:
+                return value
+            wanted = ctype.cname if dtype is None else f"an array of {dtype}"
+            raise TypeError(f"{name} is of {type(value)}; it must be {wanted}.")
+        if value.dtype != dtype:
+            raise TypeError(f"{name} is of {value.dtype}; it must be of {dtype}.")
+        flags = value.flags
+        if not flags.c_contiguous or (written and not flags.writeable):
+            wanted = "writeable" if flags.c_contiguous else "C-contiguous"
+            raise TypeError(f"{name} isn't {wanted}.")
+        pointer = self.ffi.from_buffer(array, value)
+        kept.append(pointer)
+        return pointer
+
+    def _fields(self, name: str, fields: dict[str, Any], kept: list) -> dict[str, Any]:
+        """The fields of a struct for cffi, likewise."""
+        slots = self._slots.get(name)
+        if slots is None:
+            members = self.ffi.typeof(name).fields
+            slots = self._find_slots(name, [field.type for _, field in members])
+        return {key: self._given(slots[key], value, kept) for key, value in fields.items()}
+
+    def _find_slots(self, name: str, ctypes) -> dict[str, _Slot]:
+        """The parameters of a function or the fields of a struct, by their names in the header."""
+        found = re.search(rf"\b{name}\(([^)]*)\);|\{{([^}}]*)\}} {name};", self._text)
+        assert found is not None
+        names: list[str] = []
+        constant: list[bool] = []
+        for part in re.split("[,;]", found[1] or found[2].strip().rstrip(";")):
+            *words, own = re.findall(r"[A-Za-z_]\w*", part)
+            names.append(own)
+            # int *a, *b: the second one is like the first
+            constant.append("const" in words if words else constant[-1])
+        slots = self._slots[name] = {}
+        for own, ctype, const in zip(names, ctypes, constant, strict=True):
+            pointer = ctype.item if ctype.kind == "array" else ctype
+            array = dtype = None
+            if pointer.kind == "pointer":
+                array = self.ffi.typeof(f"{pointer.item.cname}[]")
+                dtype = self.dtype(pointer.item.cname)
+            slots[own] = _Slot(f"{name}'s {own}", ctype, ctype.kind, array, dtype, not const)
+        return slots
 
 
 @cache
-def library():
-    """The C in ``c/`` as a module: ``lib`` has its functions, ``ffi`` makes their arguments.
-
-    Any number of processes may come here at once: each that finds nothing compiles in a folder of
-    its own, and the file appears under its final name as a whole.
+def library(name: str) -> Library:
+    """A library: that of the plane or that of space.
 
     Raises:
         RuntimeError: There is no C compiler that works.
     """
-    source = "".join((FOLDER / name).read_text() for name in NAMES)
-    declarations = DECLARATIONS + "".join((FOLDER / name).read_text() for name in HEADERS)
-    version = f"{cffi.__version__} {sys.version} {FLAGS}"
-    digest = hashlib.sha256("\n".join((source, declarations, version)).encode()).hexdigest()
-    name = f"hypergap_front_{digest[:16]}"
+    return Library(name)
+
+
+@cache
+def _owner(name: str) -> str:
+    """The library that has a function or a struct."""
+    return next(own for own in HEADERS if re.search(rf"\b{name}(\(|;)", _declarations(own)))
+
+
+@cache
+def _declarations(name: str) -> str:
+    """A library's declarations, without comments and all but numbers for the preprocessor."""
+    text = "".join((FOLDER / header).read_text() for header in HEADERS[name])
+    return re.sub(r"//.*|^#(?!define \w+ \d).*", "", text, flags=re.MULTILINE)
+
+
+def _module(name: str):
+    """A library as cffi makes it."""
+    files = *sorted(FOLDER.glob("*.h")), *(FOLDER / f"{file}.c" for file in SOURCES[name])
+    flags = FLAGS + os.environ.get(MORE_FLAGS, "").split()
+    key = f"{cffi.__version__} {sys.version} {flags}", *(file.read_text() for file in files)
+    digest = hashlib.sha256("\n".join(key).encode()).hexdigest()
+    own = f"hypergap_{name}_{digest[:16]}"
     folder = Path(get_options()["cache_dir"])
-    path = folder / (name + importlib.machinery.EXTENSION_SUFFIXES[0])
+    path = folder / (own + importlib.machinery.EXTENSION_SUFFIXES[0])
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        _compile(name, source, declarations, path)
-    spec = importlib.util.spec_from_file_location(name, path)
+        _compile(own, name, flags, path)
+    spec = importlib.util.spec_from_file_location(own, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-def as_ints(array: npt.NDArray):
-    """An array as C's ``int *``; what it points to lives as long as it does."""
-    array = np.ascontiguousarray(array, dtype=np.int32)
-    return library().ffi.from_buffer("int[]", array)
-
-
-def as_doubles(array: npt.NDArray):
-    """An array as C's ``double *``, likewise."""
-    return library().ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
-
-
-def _compile(name: str, source: str, declarations: str, path: Path):
+def _compile(own: str, name: str, flags: list[str], path: Path):
     builder = cffi.FFI()
-    builder.set_source(name, source, extra_compile_args=FLAGS)
-    builder.cdef(declarations)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=name) as folder:
+    builder.set_source(
+        own,
+        "".join(f'#include "{file}.c"\n' for file in SOURCES[name]),
+        include_dirs=[str(FOLDER)],
+        extra_compile_args=flags,
+        extra_link_args=flags,
+    )
+    builder.cdef(_declarations(name))
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=own) as folder:
         try:
             built = builder.compile(tmpdir=folder)
         except Exception as error:  # setuptools' errors have no class in common

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, areas, single_faces
 from hypergap_dolfinx.gap_mesh.tolerances import (
@@ -106,8 +106,7 @@ class _Behind:
         self.left = np.ones(len(cells), dtype=bool)
         self._offset = np.zeros(num_vertices + 2, dtype=np.int32)
         self._at = np.empty(cells.size, dtype=np.int32)
-        data = (as_ints(a) for a in (cells, self._offset, self._at))
-        library().lib.cells_at_vertices(num_vertices, len(cells), *data)
+        call("cells_at_vertices", num_vertices, len(cells), ints(cells), self._offset, self._at)
 
     def of(self, faces) -> npt.NDArray[np.intp]:
         """Cells that are left and have the faces, −1 where there is none."""
@@ -211,13 +210,9 @@ def _sees_best(mesh: Cells, faces):
 
 def linear_program(A, b, c, bound: float) -> npt.NDArray[np.float64]:
     """Maximise c · z where A z ≤ b and |z_i| ≤ bound; four unknowns at most."""
-    module = library()
     order = np.random.default_rng(0).permutation(len(b))  # any order, but the same on every rank
-    A, b, c = (np.ascontiguousarray(a, dtype=float) for a in (A[order], b[order], c))
     z = np.empty(len(c))
-    data = (module.ffi.from_buffer("double[]", a) for a in (A, b, c))
-    status = module.lib.linear_program(
-        len(c), len(b), *data, bound, module.ffi.from_buffer("double[]", z)
-    )
+    given = doubles(A[order]), doubles(b[order]), doubles(c), bound
+    status = call("linear_program", len(c), len(b), *given, z)
     assert status == 0
     return z

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import library
+from hypergap_dolfinx.core.compiled import call, ints
 from hypergap_dolfinx.gap_mesh import cavity, prisms
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, Workshop
@@ -183,14 +183,7 @@ def advance(
         share: By what share of the problem's shift Γ1 is displaced.
         flat: Up to which D, over its scale, it does without a cell.
     """
-    module, shift = library(), share * problem.shift
-    lib, ffi = module.lib, module.ffi
-
-    def pointer(array):
-        kind = {"f": "double[]", "i": "int[]"}[array.dtype.kind]
-        return ffi.from_buffer(kind, array)
-
-    x, n, n0 = problem.x, len(problem.x), problem.n0
+    x, n, n0, shift = problem.x, len(problem.x), problem.n0, share * problem.shift
     n1, sign = n - n0, -1 if reverse else 1
     order = problem.order
     if reverse:
@@ -213,32 +206,31 @@ def advance(
         if reverse:
             inner = edges[:, 3] >= 0
             edges[inner, :2] = edges[inner, 1::-1]
-        edges = np.ascontiguousarray(edges[np.argsort(edges[:, 0], kind="stable")])
+        edges = ints(edges[np.argsort(edges[:, 0], kind="stable")])
         visits = max(VISITS, VISITS_EACH * len(edges))
-        lib.front_weights(n, pointer(vertices), len(edges), pointer(edges), SWEEPS, visits)
+        call("front_weights", n, vertices, len(edges), edges, SWEEPS, visits)
     sides = (n1, n0) if reverse else (n0, n1)
     if not problem.rims or n > SWEPT:
         vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
     walls = problem.walls(sign * shift, weights)
-    start = np.ascontiguousarray(np.vstack((start, number[walls])))
-    end = np.ascontiguousarray(end)
+    start, end = ints(np.vstack((start, number[walls]))), ints(end)
     max_cells = CELLS * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
     left = np.empty((len(start) + 2 * n + len(end), 3), dtype=np.int32)
     counts, wrong = np.zeros(3, dtype=np.int32), (0, 0)
-    data = (pointer(start), len(end), pointer(end), max_cells, pointer(cells), pointer(left))
-    status = lib.front_fill(*sides, pointer(vertices), flat, len(start), *data, pointer(counts))
+    given = *sides, vertices, flat, len(start), start, len(end), end
+    status = call("front_fill", *given, max_cells, cells, left, counts)
     made = cells[: counts[0]]
     if status < 2 and counts[1] <= LEFT * len(made):
         outer = np.vstack((start, end[:, [1, 0, 2]], left[: counts[1:].sum(), [1, 0, 2]]))
         front, room = made.copy(), min(2 * len(made), max_cells)
-        swaps = ((1 - 1e-9) / EXTRAPOLATE, len(front), room, pointer(cells))
         along = vertices[:, :3] @ GENERIC
         rank = np.empty(n, dtype=np.int32)
         for part in (slice(0, sides[0]), slice(sides[0], n)):
             rank[part][np.argsort(along[part], kind="stable")] = np.arange(n, dtype=np.int32)[part]
-        num = lib.front_swap(sides[0], n, pointer(vertices), pointer(rank), flat, *swaps)
+        limits = flat, (1 - 1e-9) / EXTRAPOLATE
+        num = call("front_swap", sides[0], n, vertices, rank, *limits, len(front), room, cells)
         made, status = cells[:num], status if num > 0 else 2
         wrong = _check(sides[0], vertices, made, outer)
         if any(wrong):
@@ -257,20 +249,9 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
         cells: ``(num_cells, 4)``.
         outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
     """
-    module = library()
     wrong = np.zeros(2, dtype=np.int32)
-    cells, outer = (np.ascontiguousarray(a, dtype=np.int32) for a in (cells, outer))
-    status = module.lib.front_check(
-        n0,
-        len(vertices),
-        module.ffi.from_buffer("double[]", vertices),
-        len(cells),
-        module.ffi.from_buffer("int[]", cells),
-        len(outer),
-        module.ffi.from_buffer("int[]", outer),
-        module.ffi.from_buffer("int[]", wrong),
-    )
-    if status:
+    faces = len(cells), ints(cells), len(outer), ints(outer)
+    if call("front_check", n0, len(vertices), vertices, *faces, wrong):
         raise MemoryError("no memory for the cells of the gap domain")
     return int(wrong[0]), int(wrong[1])
 

@@ -279,7 +279,7 @@ def summary(slabs: Sequence[Slab]) -> str:
 def _no_compiler() -> str | None:
     """Why this rank has no C, if it hasn't: all find facets' neighbours in it."""
     try:
-        library()
+        library("space")
     except RuntimeError as error:
         return str(error)
     return None

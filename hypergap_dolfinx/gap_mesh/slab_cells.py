@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.gap_mesh.cells import Hosts
 from hypergap_dolfinx.gap_mesh.tetrahedra import NONE, find, have
 from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, Outline, in_walls
@@ -81,10 +81,10 @@ class Slab:
         ``(2, num_cells)``.
         """
         bases = np.empty((2, len(self.cells)), dtype=np.int32)
-        sides = [(len(side.triangles), as_ints(side.triangles)) for side in self.sides]
+        sides = [(len(side.triangles), ints(side.triangles)) for side in self.sides]
         num = [len(side.x) for side in self.sides]
-        data = *num, *sides[0], *sides[1], len(self.cells), as_ints(self._cells), as_ints(bases)
-        if library().lib.find_bases(*data):
+        cells = len(self.cells), self._cells
+        if call("find_bases", *num, *sides[0], *sides[1], *cells, bases):
             raise MemoryError("no memory for the cells of the gap domain")
         return bases
 
@@ -95,12 +95,12 @@ class Slab:
         ``(2, num_cells)``.
         """
         beside = np.empty((2, len(self.cells)), dtype=np.int32)
-        cells = len(self.cells), as_ints(self._cells)
+        cells = len(self.cells), self._cells
         for start, side, seeds, own in zip(
             self.offsets, self.sides, self.seeds, beside, strict=True
         ):
             ends = start, start + len(side.x)
-            library().lib.facets_beside(*ends, as_ints(seeds), *cells, as_ints(own))
+            call("facets_beside", *ends, ints(seeds), *cells, own)
         return beside
 
     @cached_property
@@ -118,14 +118,9 @@ class Slab:
     def normal(self) -> npt.NDArray[np.float64]:
         """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
         normal = np.empty((len(self.cells), 3))
-        library().lib.cell_normals(
-            len(self.cells),
-            as_ints(self._cells),
-            as_doubles(self.vertex_normals),
-            as_ints(self.bases),
-            *(as_doubles(side.normals) for side in self.sides),
-            as_doubles(normal),
-        )
+        of_sides = (doubles(side.normals) for side in self.sides)
+        given = self._cells, self.vertex_normals, self.bases, *of_sides
+        call("cell_normals", len(self.cells), *given, normal)
         return normal
 
     @property
@@ -200,22 +195,14 @@ class Slab:
             some: Which points, ``(num_points,)``.
             found: The hosts of all points.
         """
-        module = library()
         at, cells = np.flatnonzero(some), np.ascontiguousarray(cells, dtype=np.int64)
         found.alpha[:, some] = self.alpha[self.cells[cells][:, local[some]]]
-        points = some.size, at.size, as_ints(local[some]), as_ints(at)
+        points = some.size, at.size, ints(local[some]), ints(at)
         for i, side in enumerate(self.sides):
-            module.lib.vertex_hosts(
-                len(cells),
-                module.ffi.from_buffer("int64_t[]", cells),
-                as_ints(self._cells),
-                *points,
-                as_ints(self._vertices.facets[i]),
-                as_doubles(self._vertices.X[i]),
-                as_ints(side.facets[self.beside[i]]),
-                module.ffi.from_buffer("int64_t[]", found.facets[i]),
-                as_doubles(found.X[i]),
-            )
+            vertices = ints(self._vertices.facets[i]), doubles(self._vertices.X[i])
+            beside = ints(side.facets[self.beside[i]])
+            given = len(cells), cells, self._cells, *points, *vertices, beside
+            call("vertex_hosts", *given, found.facets[i], found.X[i])
 
     def _between(self, cells, weights, some, found: Hosts):
         """Fill in the hosts of points between as many vertices each; what cells share once.

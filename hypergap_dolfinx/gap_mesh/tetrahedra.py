@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.core.compiled import call, ints
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
@@ -69,16 +69,9 @@ def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
     num, size = corners.shape
     found = np.full(num, -1, dtype=np.int32)
     if num and size < 4 and len(triangles):
-        status = library().lib.find_facets(
-            int(max(triangles.max(), corners.max())) + 1,
-            len(triangles),
-            as_ints(triangles),
-            size,
-            num,
-            as_ints(corners),
-            as_ints(found),
-        )
-        if status:
+        num_vertices = int(max(triangles.max(), corners.max())) + 1
+        given = num_vertices, len(triangles), ints(triangles), size, num, ints(corners)
+        if call("find_facets", *given, found):
             raise MemoryError("no memory for the cells of the gap domain")
     return found.astype(np.intp)
 
@@ -97,8 +90,8 @@ def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
     faces = np.empty((4 * len(cells) + len(outer), 3), dtype=np.int32)
     counts = np.zeros(2, dtype=np.int32)
     num = int(max(cells.max(initial=-1), outer.max(initial=-1))) + 1
-    data = (len(cells), as_ints(cells), len(outer), as_ints(outer), as_ints(faces), as_ints(counts))
-    if library().lib.single_faces(num, *data):
+    given = num, len(cells), ints(cells), len(outer), ints(outer)
+    if call("single_faces", *given, faces, counts):
         raise MemoryError("no memory for the cells of the gap domain")
     return faces[: counts[1]].astype(np.intp), counts[0] == 0
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def on_loop(points: npt.NDArray[np.float64], loop: npt.NDArray[np.float64]) -> O
     """
     node, edge = np.empty((2, len(points)), dtype=np.int32)
     s = np.empty(len(points))
-    _find(points, loop, node, as_ints(edge), as_doubles(s))
+    _find(points, loop, node, edge, s)
     foot = loop[edge] + s[:, None] * (loop[(edge + 1) % len(loop)] - loop[edge])
     return OnLoop(node, edge, s, points - foot)
 
@@ -54,12 +54,11 @@ def nearest(
         ``(num_points,)``.
     """
     node = np.empty(len(points), dtype=np.int32)
-    ffi = library().ffi
-    _find(points, others, node, ffi.NULL, ffi.NULL)
+    _find(points, others, node, None, None)
     return node
 
 
 def _find(points, others, node, edge, s):
-    data = as_doubles(points), len(others), as_doubles(others)
-    if library().lib.find_nearest(len(points), *data, as_ints(node), edge, s):
+    given = len(points), doubles(points), len(others), doubles(others)
+    if call("find_nearest", *given, node, edge, s):
         raise MemoryError("no memory for what is nearest")

@@ -12,13 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.core.compiled import as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
 from hypergap_dolfinx.surface.polynomials import terms
 from hypergap_dolfinx.surface.tolerances import FURTHER_WALK, NEWTON_PROJECTION
-
-
-def _as_doubles(array: npt.NDArray):
-    return library().ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
 
 
 @dataclass(frozen=True)
@@ -39,23 +35,23 @@ class Curves:
 
     @cached_property
     def pointer(self):
-        """For C, with all that it points to."""
+        """Struct ``Curves`` of ``c/surface.h``."""
         powers, to_terms = terms(self.element)
         first = self.nodes[:, :1]
         factors = to_terms @ (self.nodes - first)
         bends = np.empty((0, 3, 0, 2)) if self.bends is None else self.bends
-        fields = {
-            "num_terms": len(powers),
-            "num_bends": bends.shape[2],
-            "powers": as_ints(powers),
-            "nodes": _as_doubles(np.concatenate((first, factors), axis=1)),
-            "corners": _as_doubles(self.X),
-            "bends": _as_doubles(bends),
-            "normals": _as_doubles(self.normals),
-            "steps": NEWTON_PROJECTION,
-            "further": FURTHER_WALK,
-        }
-        return library().ffi.new("Curves *", fields), fields
+        return struct(
+            "Curves",
+            num_terms=len(powers),
+            num_bends=bends.shape[2],
+            powers=ints(powers),
+            nodes=doubles(np.concatenate((first, factors), axis=1)),
+            corners=doubles(self.X),
+            bends=doubles(bends),
+            normals=doubles(self.normals),
+            steps=NEWTON_PROJECTION,
+            further=FURTHER_WALK,
+        )
 
 
 class Triangles:
@@ -63,8 +59,7 @@ class Triangles:
 
     def __init__(self, x: npt.NDArray, triangles: npt.NDArray, behind: npt.NDArray):
         """By vertex coordinates, vertices of each triangle, and its neighbours."""
-        self._x, self._triangles = _as_doubles(x), as_ints(triangles)
-        self._behind = as_ints(behind)
+        self._x, self._triangles, self._behind = doubles(x), ints(triangles), ints(behind)
 
     def project(self, points, seed, curves: Curves | None = None):
         """Walk from a triangle to the one that each point projects into.
@@ -81,18 +76,9 @@ class Triangles:
             Triangle and reference coordinates in it of each point, ``(num_points,)`` and
             ``(num_points, 2)``.
         """
-        ffi, lib = library().ffi, library().lib
         found, X = np.array(seed, dtype=np.int32), np.zeros((len(points), 2))
-        lib.project(
-            len(points),
-            _as_doubles(points),
-            self._x,
-            self._triangles,
-            self._behind,
-            curves.pointer[0] if curves else ffi.NULL,
-            ffi.from_buffer("int[]", found),
-            ffi.from_buffer("double[]", X),
-        )
+        given = len(points), doubles(points), self._x, self._triangles, self._behind
+        call("project", *given, curves.pointer if curves else None, found, X)
         return found.astype(np.intp), X
 
     def on_curved(self, triangle, points, X, curves: Curves) -> npt.NDArray[np.float64]:
@@ -107,14 +93,7 @@ class Triangles:
             X: Coordinates to start from, which stay where it doesn't converge, ``(num_points, 2)``.
             curves: What triangles are bent like.
         """
-        ffi, X = library().ffi, np.array(X, dtype=float)
-        library().lib.project_on_curved(
-            len(points),
-            _as_doubles(points),
-            self._x,
-            self._triangles,
-            curves.pointer[0],
-            as_ints(triangle),
-            ffi.from_buffer("double[]", X),
-        )
+        X = np.array(X, dtype=float, order="C")
+        given = len(points), doubles(points), self._x, self._triangles, curves.pointer
+        call("project_on_curved", *given, ints(triangle), X)
         return X

@@ -16,7 +16,7 @@ import basix
 from dolfinx import fem
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints
+from hypergap_dolfinx.core.compiled import doubles, ints
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.polynomials import terms
 from hypergap_dolfinx.surface.tolerances import (
@@ -136,15 +136,15 @@ class Surface:
         return {
             "num_facets": len(self.facets),
             "num_corners": len(corners),
-            "vertices": as_ints(self.polygons),
-            "x": as_doubles(self.x),
+            "vertices": ints(self.polygons),
+            "x": doubles(self.x),
             "middle": middle.tolist(),
             "num_terms": len(powers),
-            "powers": as_ints(powers),
-            "origins": as_doubles(origins),
-            "factors": as_doubles(to_terms @ (self.nodes - origins)),
+            "powers": ints(powers),
+            "origins": doubles(origins),
+            "factors": doubles(to_terms @ (self.nodes - origins)),
             "num_dofs": self.element.dim,
-            "functions": as_doubles(to_terms @ tabulate(self.element, self.geometry.points)),
+            "functions": doubles(to_terms @ tabulate(self.element, self.geometry.points)),
         }
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.core.collective import spot
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.nearest import nearest
@@ -45,8 +45,7 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
         InterfaceError: More than two facets meet in an edge, or two that are turned over.
     """
     behind = np.empty(facets.shape, dtype=np.int32)
-    status = library().lib.find_neighbours(len(x), *facets.shape, as_ints(facets), as_ints(behind))
-    if status == 0:
+    if call("find_neighbours", len(x), *facets.shape, ints(facets), behind) == 0:
         return behind.astype(np.intp)
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
@@ -89,20 +88,9 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
         Facet and local number of each such edge (one of its two facets).
     """
     kink = np.empty(behind.shape, dtype=np.int32)
-    status = library().lib.find_kinks(
-        len(surface.x),
-        as_doubles(surface.x),
-        *behind.shape,
-        as_ints(surface.polygons),
-        as_ints(behind),
-        as_doubles(surface.normals),
-        TURN,
-        NOISE * np.abs(surface.x).max(),
-        CORNER,
-        STANDS_OUT,
-        as_ints(kink),
-    )
-    if status:
+    facets = *behind.shape, ints(surface.polygons), ints(behind), doubles(surface.normals)
+    limits = TURN, NOISE * np.abs(surface.x).max(), CORNER, STANDS_OUT
+    if call("find_kinks", len(surface.x), doubles(surface.x), *facets, *limits, kink):
         raise MemoryError("no memory for a surface's corners")
     f, k = np.nonzero(kink)
     g = behind[f, k]

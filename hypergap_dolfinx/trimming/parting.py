@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import as_doubles, as_ints, library
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
@@ -96,8 +96,8 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
 
 def _faces(surface: Surface, behind) -> npt.NDArray[np.int32]:
     """The face between corners that each facet is on."""
-    data = *behind.shape, as_ints(behind), as_doubles(surface.normals), np.cos(CORNER)
-    if not library().lib.has_corner(*data):
+    given = *behind.shape, ints(behind), doubles(surface.normals), np.cos(CORNER)
+    if not call("has_corner", *given):
         return np.zeros(len(behind), dtype=np.int32)
     f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
     sharp = np.einsum("ei,ei->e", surface.normals[f], surface.normals[behind[f, k]])

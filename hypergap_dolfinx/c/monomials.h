@@ -6,8 +6,11 @@
 
 // Terms of polynomials on a reference facet.
 
+#ifndef HYPERGAP_MONOMIALS_H
+#define HYPERGAP_MONOMIALS_H
+
 // Powers of x up to the n-th, and two derivatives, (n + 1, 3).
-static void powers_of(double x, int n, double (*p)[3])
+static inline void powers_of(double x, int n, double (*p)[3])
 {
   p[0][0] = 1, p[0][1] = p[0][2] = 0;
   for (int k = 1; k <= n; ++k)
@@ -24,7 +27,7 @@ static void powers_of(double x, int n, double (*p)[3])
 // powers   (num, 2): that of the first coordinate in the last product is the highest of all
 // rows     1, 3 or 6
 // table    (rows, num)
-static void monomials(int num, const int *powers, const double *X, int rows, double *table)
+static inline void monomials(int num, const int *powers, const double *X, int rows, double *table)
 {
   static const int order[6][2] = {{0, 0}, {1, 0}, {0, 1}, {2, 0}, {1, 1}, {0, 2}};
   int highest = powers[2 * num - 2];
@@ -35,3 +38,5 @@ static void monomials(int num, const int *powers, const double *X, int rows, dou
     for (int t = 0; t < num; ++t)
       table[num * k + t] = a[powers[2 * t]][order[k][0]] * b[powers[2 * t + 1]][order[k][1]];
 }
+
+#endif
