@@ -109,7 +109,7 @@ class Rays:
         call("sum_by_dofs", self.pointer, *given, blocks)
 
     def add_curvatures(self, block, factor, blocks):
-        """Add second derivatives of f, each transposed pair of blocks once (:func:`symmetric`).
+        """Add second derivatives of f, each transposed pair of blocks once.
 
         Args:
             block: Number of each ray's block, ``(num,)``.
@@ -184,7 +184,7 @@ class EdgeRays:
             blocks: Blocks of pieces, ``(num_pieces, num_dofs, 3)``.
         """
         motion, moved = self._motions()[0], self.weights * self.rays.heights[0]
-        self.rays.add_by_dofs(self.piece, moved, motion, blocks)
+        call("sum_by_dofs", self.rays.pointer, ints(self.piece), moved, motion, blocks)
 
     def add_kinks(self, block, factor, blocks):
         """Add what moving edges contribute to ∂²∫f/∂u²: jumps of f's derivatives.
@@ -201,10 +201,10 @@ class EdgeRays:
         if self.outline.any():
             half += (self.outline * factor)[:, None, None] * self.rays.heights[2]
         a, b = by_dofs = np.zeros((2, len(half), blocks.shape[1], 3))
-        each = np.arange(len(half)), np.ones(len(half))
+        each = ints(np.arange(len(half))), np.ones(len(half))
         # a ⊗ b + b ⊗ a
         for by_q, by_dof in zip((half, motion), by_dofs, strict=True):
-            self.rays.add_by_dofs(*each, by_q, by_dof)
+            call("sum_by_dofs", self.rays.pointer, *each, by_q, by_dof)
         call("add_products", len(a), a.shape[1], ints(block), a, b, blocks)
 
 
@@ -227,8 +227,9 @@ def cast(frames: Frames, facets, X) -> Rays:
         np.empty((num, 3, num_dofs)),
         frames.slopes,
     )
-    given = frames.in_c, doubles(frames.tangents), 1 if straight else NEWTON_FACET, LAST
-    call("cast_columns", *given, *map(ints, facets), doubles(X), rays.pointer)
+    sides, pointer = frames.in_c, rays.pointer
+    given = doubles(frames.tangents), 1 if straight else NEWTON_FACET, LAST, *map(ints, facets)
+    call("cast_columns", sides, *given, doubles(X), pointer)
     return rays
 
 
@@ -252,7 +253,14 @@ def directions(frames: Frames) -> npt.NDArray[np.float64]:
     return np.stack((first, cross(normal, first)), axis=1)
 
 
-def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]) -> Sparse:
+def merged(
+    rows,
+    columns,
+    values: npt.NDArray[np.float64],
+    size: tuple[int, int],
+    *,
+    symmetric: bool = False,
+) -> Sparse:
     """The sum of blocks at the same place, as a sparse matrix.
 
     Args:
@@ -260,8 +268,11 @@ def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]
         columns: Columns of groups of blocks, ``(num, b)``.
         values: Blocks of each group, ``(num, a, b, r, c)``; overwritten.
         size: Size of the matrix, in blocks.
+        symmetric: True if each transposed pair of blocks of a group is given only once.
     """
     num, a, b, r, c = values.shape
+    if symmetric:
+        call("complete", num, a, values)
     first = np.empty(num * a * b, dtype=np.int32)
     places = num, a, ints(rows), b, ints(columns), r * c
     found = call("merge_blocks", *size, *places, values, first)
@@ -273,15 +284,3 @@ def merged(rows, columns, values: npt.NDArray[np.float64], size: tuple[int, int]
     j = c * columns[group, at % b, None, None] + np.arange(c)
     i, j = np.broadcast_arrays(i, j)
     return Sparse(i.ravel(), j.ravel(), values.reshape(-1, r * c)[first].ravel())
-
-
-def symmetric(dofs, blocks: npt.NDArray[np.float64], num: int) -> Sparse:
-    """:func:`merged`, of symmetric matrices with each transposed pair of blocks given once.
-
-    Args:
-        dofs: ``(num_blocks, num_dofs)``.
-        blocks: ``(num_blocks, num_dofs, num_dofs, 3, 3)``; overwritten.
-        num: Number of dofs in all.
-    """
-    call("complete", len(blocks), dofs.shape[1], blocks)
-    return merged(dofs, dofs, blocks, (num, num))

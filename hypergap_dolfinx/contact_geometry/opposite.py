@@ -60,6 +60,8 @@ class Frames:
     """Cross product of the tangents, ``(num_facets, 3)``."""
     dual: npt.NDArray[np.float64]
     """Basis dual to the tangents in the plane, ``(num_facets, 2, 3)``."""
+    slopes: npt.NDArray[np.float64]
+    """Slopes of the functions of Γ1's dofs in the facets' middle, ``(2, num_dofs1)``."""
 
     @classmethod
     def of(cls, surfaces: tuple[Surface, Surface]) -> "Frames":
@@ -72,7 +74,8 @@ class Frames:
         normal = cross(a, b)
         square = np.maximum(np.einsum("fi,fi->f", normal, normal), 1e-300)[:, None]
         dual = np.stack((cross(b, normal) / square, cross(normal, a) / square), axis=1)
-        return cls(surfaces, at[:, 0], at[:, 1:], normal, dual)
+        slopes = above.element.tabulate(1, middle)[1:, 0, :, 0]
+        return cls(surfaces, at[:, 0], at[:, 1:], normal, dual, slopes)
 
     def project(self, facet, x) -> npt.NDArray[np.float64]:
         """Coordinates of points in facets' planes, ``(num, ..., 2)``."""
@@ -84,13 +87,6 @@ class Frames:
     def in_c(self) -> Any:
         """Γ0 and Γ1 for C; it lives as long as they do."""
         return structs("Facets", [surface.polynomials for surface in self.surfaces])
-
-    @cached_property
-    def slopes(self) -> npt.NDArray[np.float64]:
-        """Slopes of the functions of Γ1's dofs in the facets' middle, ``(2, num_dofs1)``."""
-        element = self.surfaces[1].element
-        middle = reference_corners(element.cell_type).mean(axis=0)
-        return element.tabulate(1, middle[None])[1:, 0, :, 0]
 
 
 def cross(a, b) -> npt.NDArray[np.float64]:
@@ -234,11 +230,12 @@ def _cut(frames: Frames, parts):
         ``(num_pieces, num_corners)``; corners in the plane and on the reference facet.
     """
     below, above = frames.surfaces
+    sides = frames.in_c
     axes = frames.normal / lengths(frames.normal)[:, None]
     planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = ints(along_curve(below.x[below.facets].mean(axis=1)))
-    given = frames.in_c, order, *map(doubles, (below.normals, planes, reach, parts))
+    given = sides, order, *map(doubles, (below.normals, planes, reach, parts))
     room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
     while True:
         numbers = np.empty((4, room), dtype=np.int32)

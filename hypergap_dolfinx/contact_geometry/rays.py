@@ -114,7 +114,7 @@ class Fans:
     """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
 
     cells: npt.NDArray
-    """Cells as ``Cell`` of ``c/plane.h``, ``(num_cells,)``: base's side, edges of base and apex,
+    """``Cell`` of ``c/plane.h``, ``(num_cells,)``: side of the base, edges of base and apex,
     parameters of the base's start and end and of the apex, and vertices of Γ1 that share the cell,
     half each."""
     whole: npt.NDArray[np.bool_]

@@ -26,7 +26,6 @@ from hypergap_dolfinx.contact_geometry.heights import (
     cast,
     directions,
     merged,
-    symmetric,
 )
 from hypergap_dolfinx.contact_geometry.moments import rule
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
@@ -139,7 +138,7 @@ class SpaceSegments(Segments[_Columns]):
         if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
             factor = pressure[edges.piece] * edges.weights
             edges.add_kinks(pair[edges.piece], factor, blocks)
-        return symmetric(dofs, blocks, self.num_dofs)
+        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs), symmetric=True)
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
