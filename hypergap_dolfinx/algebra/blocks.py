@@ -16,24 +16,23 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
-from hypergap_dolfinx.algebra.tolerances import UNTIED
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, openings
+from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
 from hypergap_dolfinx.multipliers.numbering import prescribed_dofs, values_at
 from hypergap_dolfinx.surface.component import Component
 
 
 class ConstraintBlocks:
-    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
+    """B and C of [K Bᵀ; B −C]: B has a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
     The fields are the bodies' displacements, then the free interior nodes of ties that have them,
-    then the jumps of ties with a law.
-    Rows of prescribed dofs are gone, and so are columns: what they hold is known.
+    then the jumps of ties with a law. Rows and columns of prescribed dofs are left out.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class ConstraintBlocks:
             spaces: Function space of each body.
             bcs: Dirichlet conditions of each body.
             ties: The ties.
-            names: What messages call them; by their numbers if not given.
+            names: Names of the ties in messages; their numbers if not given.
 
         Raises:
             ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
@@ -81,7 +80,9 @@ class ConstraintBlocks:
             for name, unsaid in zip(self._names, choice.unsaid, strict=True)
         ]
         self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
-        self.openings = openings(self._ties, self._rows)
+        self.jump_fields = [
+            JumpField(tie, row) for tie, row in zip(self._ties, self._rows) if tie.law and row
+        ]
         self._full = self._pulled_back()
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self._free = [
@@ -94,17 +95,17 @@ class ConstraintBlocks:
         for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
             if obj is not None:
                 obj.destroy()
-        for owner in (self.compliances, *self.openings):
+        for owner in (self.compliances, *self.jump_fields):
             owner.destroy()
 
     @property
     def conducts(self) -> bool:
-        """Whether a tie has a conductance, which may be 0."""
-        return any(opening.linear for opening in self.openings)
+        """True if a tie has a conductance, which may be 0."""
+        return any(jump.linear for jump in self.jump_fields)
 
     @property
     def free(self) -> list[list[PETSc.Mat | None]]:
-        """B on what is not prescribed, ``[interface][field]``."""
+        """B on dofs that are not prescribed, ``[interface][field]``."""
         return self._free
 
     @property
@@ -132,7 +133,7 @@ class ConstraintBlocks:
         ]
 
     def carried(self) -> list[npt.NDArray[np.bool_]]:
-        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        """Mask of this rank's rows of each interface that tie across a distance. Collective."""
         found = []
         for g, row in enumerate(self._full):
             rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
@@ -144,16 +145,14 @@ class ConstraintBlocks:
 
     @property
     def prescribed(self) -> list[npt.NDArray[np.bool_]]:
-        """Which owned dofs (unrolled) of each body are prescribed."""
+        """Mask of each body's owned dofs (unrolled) that are prescribed."""
         return self._held
 
     @property
     def own(self) -> list[npt.NDArray[np.int64]]:
-        """Global dofs (unrolled) of Γ1's body that answer to this rank's multipliers.
+        """Global dofs (unrolled) of Γ1's body that answer to this rank's rows of each interface.
 
-        Of each interface.
-
-        One a multiplier; fewer than rows where several dofs answer to one together.
+        Fewer than rows if several dofs answer to one row together.
         """
         return self._own
 
@@ -163,13 +162,13 @@ class ConstraintBlocks:
         return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
 
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
-        """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
+        """Compute c = Σ_i B_i u_i − c₀ of an interface, prescribed dofs included. Collective.
 
-        What it is to be, of jumps and of positions, is subtracted, as :meth:`read_jumps` found it.
+        The offset c₀ of jumps and positions is that of the last :meth:`read_jumps`.
 
         Args:
             g: Number of the interface.
-            fields: u_i; of the bodies alone or of all fields.
+            fields: u_i of the bodies alone, or of all fields.
             c: Takes the result.
         """
         c.set(0.0)
@@ -183,7 +182,7 @@ class ConstraintBlocks:
             c.axpy(-1.0, wanted)
 
     def read_jumps(self):
-        """Take the jumps as they are now. Collective."""
+        """Read the offsets c₀ from the jumps and positions as they are now. Collective."""
         for wanted in filter(None, self._wanted or []):
             wanted.destroy()
         self._wanted = [None] * len(self._interfaces)
@@ -201,7 +200,7 @@ class ConstraintBlocks:
             offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
-        """Raise where both sides of a tie are prescribed, and differently. Collective.
+        """Raise if both sides of a tie are prescribed, and differently. Collective.
 
         Args:
             values: The prescribed displacements of each body, zero elsewhere.
@@ -276,7 +275,7 @@ class ConstraintBlocks:
 
     @staticmethod
     def _prescribed(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.bool_]:
-        """Which owned dofs (unrolled) of a body are prescribed."""
+        """Mask of a body's owned dofs (unrolled) that are prescribed."""
         marker = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
         for bc in bcs:
             dofs = bc.dof_indices()[0]  # 0.9 may count ghosts as owned
@@ -318,7 +317,7 @@ class ConstraintBlocks:
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
         """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
         interior = len(self._spaces)
-        num_fields = interior + len(self.interior_sizes) + len(self.openings)
+        num_fields = interior + len(self.interior_sizes) + len(self.jump_fields)
         full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
         for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
@@ -331,8 +330,8 @@ class ConstraintBlocks:
                         before.axpy(1.0, product)
                         product.destroy()
             interior += tie.free_interior
-        for field, opening in enumerate(self.openings, interior):
-            for g, block in opening.blocks.items():
+        for field, jump in enumerate(self.jump_fields, interior):
+            for g, block in jump.blocks.items():
                 full[g][field] = block
         return full
 
@@ -349,23 +348,20 @@ class ConstraintBlocks:
         return B
 
     def _check_lost_rows(self, t: int, lost: npt.NDArray[np.intp]):
-        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
+        """Raise if rows without a multiplier face dofs of Γ0 that can move. Collective."""
         tie = self._ties[t]
         if not len(lost):
             return
         multiplier, component = np.divmod(lost, tie.block_size)
         lost = tie.constraint.rows[multiplier] * tie.block_size + component
-        B0 = tie.blocks()[0].copy()
-        mask = B0.createVecRight()
-        mask.array[:] = ~self._held[self._sides[t][0]]
-        B0.diagonalScale(R=mask)
+        B0 = self._without_prescribed(self._sides[t][0], tie.blocks()[0])
+        assert B0 is not None
         start, end = B0.getOwnershipRange()
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
         largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
-        untied = (size[lost - start] > UNTIED * largest).sum()
-        mask.destroy()
+        untied = (size[lost - start] > NOTHING * largest).sum()
         B0.destroy()
         untied = tie.sigma.comm.allreduce(int(untied))
         if untied:

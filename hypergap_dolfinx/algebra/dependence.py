@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What the values of a compiled form depend on: a linear body's stiffness not on where it is."""
+"""Dependence of a compiled form on data: whether a stiffness is to be assembled anew."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,15 +13,15 @@ from dolfinx import fem
 
 
 class Dependence:
-    """Coefficients, constants and coordinates of a form, and what they were."""
+    """Coefficients, constants and coordinates of a form, and their last values."""
 
     def __init__(self, form: ufl.Form, compiled: fem.Form, u: fem.Function):
         """Find those that are left once derivatives are taken.
 
         Args:
             form: The form.
-            compiled: What FFCx made of it.
-            u: What is solved for.
+            compiled: The form compiled by FFCx.
+            u: The solution function.
         """
         of_ufl, ufcx = form.coefficients(), compiled.ufcx_form
         used = [ufcx.original_coefficient_positions[i] for i in range(ufcx.num_coefficients)]
@@ -32,10 +32,10 @@ class Dependence:
         self._before: tuple[list[npt.NDArray], list[npt.NDArray]] | None = None
 
     def changed(self, slack: float = 0.0) -> bool:
-        """Whether something on this rank isn't what it was when this was said last.
+        """True if something on this rank has changed since the last call that returned True.
 
         Args:
-            slack: Change of what is solved for that is none.
+            slack: Largest change of the solution that counts as no change.
         """
         now = [np.asarray(constant.value) for constant in self._constants]
         now += [f.x.array for f in self._functions]

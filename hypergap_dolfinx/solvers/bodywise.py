@@ -52,13 +52,13 @@ class Bodies(IterativeSolver):
 
     @classmethod
     def why_not(cls, system: System) -> str | None:
-        """Each multiplier needs a free dof of its own, bodies an order. Collective."""
+        """Reason why not, or None: multipliers need own dofs, bodies an order. Collective."""
         constraints, spaces = system.constraints, system.spaces
         if constraints.interior_sizes:
             return "free interior nodes belong to no body"
         if constraints.compliances:
             return "a tie has a compliance"
-        if constraints.openings:
+        if constraints.jump_fields:
             return "a tie has a law or a conductance"
         if any(map(is_mixed, spaces)):
             return "a body may be singular by itself where a space is mixed (a pressure is free)"
@@ -87,7 +87,7 @@ class Bodies(IterativeSolver):
 
 
 def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
-    """Pairs of a body that an interface moves and the body of its Γ1."""
+    """Pairs of bodies: one that an interface moves, and that of its Γ1."""
     pairs = zip(constraints.moved, constraints.bodies, strict=True)
     return [(i, i1) for moved, (_, i1) in pairs for i in moved]
 
@@ -100,7 +100,7 @@ class BodywiseSystem(Substitute):
     """
 
     def __init__(self, system: System):
-        """Scale the ties by the values that K has now. Collective.
+        """Scale the ties by the present values of K. Collective.
 
         Args:
             system: The saddle system.
@@ -129,7 +129,7 @@ class BodywiseSystem(Substitute):
         self.preconditioner = Substructures(K, self._B, sides, columns, order, modes)
 
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Take the stiffness as it is now, if it is of the same size. Collective."""
+        """Take the present stiffness; False if its size has changed. Collective."""
         ratio = self._scales_now() / self.scales
         if not (np.abs(np.log10(ratio)) < RESCALE).all():
             return False

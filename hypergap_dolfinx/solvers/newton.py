@@ -18,12 +18,12 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.algebra.dependence import Dependence
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.multipliers.interface import Pieces
+from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.system import TiedSystem
 
 
 def _check_ranks(forms: Sequence[ufl.Form], rank: int, name: str, wanted: str):
-    """Raise if one isn't a UFL form of a rank."""
+    """Raise if a form isn't a UFL form of this rank."""
     for i, form in enumerate(forms):
         found = len(form.arguments()) if isinstance(form, ufl.Form) else None
         if found != rank:
@@ -42,7 +42,7 @@ class NonlinearSystem(TiedSystem):
         F: Sequence[ufl.Form],
         u: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC],
-        pieces: Pieces,
+        pieces: TiedInterfaces,
         *,
         J: Sequence[ufl.Form] | None = None,
         form_compiler_options: dict | None = None,
@@ -54,7 +54,7 @@ class NonlinearSystem(TiedSystem):
             F: Residual form of each body.
             u: Solution function of each body.
             bcs: Dirichlet conditions of any of the bodies.
-            pieces: The ties, and what they are pieces of.
+            pieces: The ties, and the interfaces that they are pieces of.
             J: Jacobian form of each body; F's derivative if not given.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
@@ -108,18 +108,18 @@ class NonlinearSystem(TiedSystem):
     def _assign(self, x: PETSc.Vec):
         """Copy the bodies' part of a vector into u, and that of jumps into the laws."""
         super()._assign(x)
-        openings = self._constraints.openings
+        jumps = self._constraints.jump_fields
         parts = x.getNestSubVecs()
-        start = len(parts) - len(self._constraints.bodies) - len(openings)
-        for opening, part in zip(openings, parts[start:], strict=False):
-            opening.take(part)
+        start = len(parts) - len(self._constraints.bodies) - len(jumps)
+        for jump, part in zip(jumps, parts[start:], strict=False):
+            jump.take(part)
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         self._assign(x)
         self._evaluate(x, r)
 
     def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
-        """The residual where the bodies are, as x says.
+        """Evaluate the residual at displacements x, which the bodies have already.
 
         Prescribed values are lifted: r is F at displacements that hold them, to first order.
         """
@@ -155,9 +155,9 @@ class NonlinearSystem(TiedSystem):
         of_ties = r_parts[num_bodies : len(r_parts) - num_ties]
         for b in of_ties:
             b.set(0.0)
-        openings = self._constraints.openings
-        for opening, b in zip(openings, of_ties[len(of_ties) - len(openings) :], strict=True):
-            opening.add_force(b)
+        jumps = self._constraints.jump_fields
+        for jump, b in zip(jumps, of_ties[len(of_ties) - len(jumps) :], strict=True):
+            jump.add_force(b)
         fields = [*self._now, *x_parts[num_bodies : len(x_parts) - num_ties]]
         for t, multiplier in enumerate(multipliers):
             for b, B in zip(r_parts, self._constraints.free[t]):

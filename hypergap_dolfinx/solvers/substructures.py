@@ -65,7 +65,7 @@ class Body:
         Args:
             K: Stiffness.
             modes: Its :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
-            prefix: Of the solvers' options.
+            prefix: Prefix of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
             loaded: B₀ of the ties whose Γ0 the body has.
         """
@@ -97,7 +97,7 @@ class Body:
                 obj.destroy()
 
     def set_up(self):
-        """Take the stiffness as it is now. Collective."""
+        """Take the present stiffness. Collective."""
         for obj in (self._matrix, *self._vectors):
             if obj is not None:
                 obj.destroy()
@@ -139,7 +139,7 @@ class Body:
 
         Args:
             r: This rank's loads.
-            constraints: What B₁u shall be, for each tie whose Γ1 the body has.
+            constraints: Right-hand side of B₁u for each tie whose Γ1 the body has.
 
         Returns:
             This rank's displacements, and the multipliers of each tie.
@@ -203,14 +203,14 @@ class Substructures:
         order: Sequence[int],
         modes: Sequence[npt.NDArray[np.float64]],
     ):
-        """Name the parts; solvers are made when they are needed.
+        """Take the blocks; solvers are made on demand.
 
         Args:
             K: Stiffness of each body.
             B: For each tie, its block on each body, or None.
             sides: The bodies that each interface moves besides Γ1's, and Γ1's.
             own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
-            order: Of the bodies, see :func:`order_of_bodies`.
+            order: Order of the bodies, see :func:`order_of_bodies`.
             modes: The bodies' :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
         """
         self._K, self._B, self._sides, self._own = K, B, sides, own
@@ -223,7 +223,7 @@ class Substructures:
         self._loads: dict[tuple[int, int], tuple[PETSc.Vec, PETSc.Vec]] = {}
 
     def setUp(self, pc: PETSc.PC):
-        """Take the bodies' stiffness as it is now. Collective."""
+        """Take the bodies' present stiffness. Collective."""
         if not self._solvers:
             prefix = pc.getOptionsPrefix() or ""
             for i, K in enumerate(self._K):
