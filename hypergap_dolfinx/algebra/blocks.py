@@ -60,20 +60,25 @@ class ConstraintBlocks:
         self._names = names or [f"tie {t}" for t in range(len(self._ties))]
         self._components: list[tuple[int, Component]] = []  # with the numbers of their bodies
         tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
-        self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
-        self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        self.sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
+        """Γ0's and Γ1's body of each tie."""
+        self.prescribed = [self._prescribed(V, b) for V, b in zip(spaces, bcs, strict=True)]
+        """Mask of each body's owned dofs (unrolled) that are prescribed."""
         self._pairs: dict[int, Coincidences] = {}
-        held = [part.of_body(self._held[i]) for i, part in self._components]
+        held = [part.of_body(self.prescribed[i]) for i, part in self._components]
         choice = choose(self._ties, tied, held)
         self._interfaces = choice.interfaces
         self._of_tie = {t: g for g, group in enumerate(choice.interfaces) for t in group}
-        self._bodies = [self._sides[group[0]] for group in self._interfaces]
+        self.bodies = [self.sides[group[0]] for group in self._interfaces]
+        """Γ0's and Γ1's body of each interface."""
         for t, lost in enumerate(choice.lost):
             self._check_lost_rows(t, lost)
-        self._own = [
+        self.own = [
             self._own_dofs(columns, self._ties[group[0]])
             for columns, group in zip(choice.columns, choice.interfaces, strict=True)
         ]
+        """Global dofs (unrolled) of Γ1's body that answer to this rank's rows of each interface;
+        fewer than rows if several dofs answer to one row together."""
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
         unknown = [
             name if unsaid else None
@@ -83,16 +88,18 @@ class ConstraintBlocks:
         self.jump_fields = [
             JumpField(tie, row) for tie, row in zip(self._ties, self._rows) if tie.law and row
         ]
-        self._full = self._pulled_back()
+        self.full = self._pulled_back()
+        """B on all dofs, ``[interface][field]``."""
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
-        self._free = [
-            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
+        self.free = [
+            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self.full
         ]
+        """B on dofs that are not prescribed, ``[interface][field]``."""
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
         wanted = self._wanted or []
-        for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
+        for obj in chain(*(r.values() for r in self._rows), *self.full, *self.free, wanted):
             if obj is not None:
                 obj.destroy()
         for owner in (self.compliances, *self.jump_fields):
@@ -104,57 +111,24 @@ class ConstraintBlocks:
         return any(jump.linear for jump in self.jump_fields)
 
     @property
-    def free(self) -> list[list[PETSc.Mat | None]]:
-        """B on dofs that are not prescribed, ``[interface][field]``."""
-        return self._free
-
-    @property
-    def full(self) -> list[list[PETSc.Mat | None]]:
-        """B on all dofs, ``[interface][field]``."""
-        return self._full
-
-    @property
-    def sides(self) -> list[tuple[int, int]]:
-        """Γ0's and Γ1's body of each tie."""
-        return self._sides
-
-    @property
-    def bodies(self) -> list[tuple[int, int]]:
-        """Γ0's and Γ1's body of each interface."""
-        return self._bodies
-
-    @property
     def moved(self) -> list[list[int]]:
         """The bodies besides Γ1's that each interface moves: Γ0's, and others at cross points."""
         num = len(self._spaces)
         return [
             [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
-            for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
+            for row, (i0, i1) in zip(self.free, self.bodies, strict=True)
         ]
 
     def carried(self) -> list[npt.NDArray[np.bool_]]:
         """Mask of this rank's rows of each interface that tie across a distance. Collective."""
         found = []
-        for g, row in enumerate(self._full):
+        for g, row in enumerate(self.full):
             rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
             for tie, E in zip(self._ties, self._rows, strict=True):
                 if tie.motion is not None and g in E:
                     rows[E[g].reached()] = True
             found.append(rows)
         return found
-
-    @property
-    def prescribed(self) -> list[npt.NDArray[np.bool_]]:
-        """Mask of each body's owned dofs (unrolled) that are prescribed."""
-        return self._held
-
-    @property
-    def own(self) -> list[npt.NDArray[np.int64]]:
-        """Global dofs (unrolled) of Γ1's body that answer to this rank's rows of each interface.
-
-        Fewer than rows if several dofs answer to one row together.
-        """
-        return self._own
 
     @property
     def interior_sizes(self) -> list[tuple[int, int]]:
@@ -172,7 +146,7 @@ class ConstraintBlocks:
             c: Takes the result.
         """
         c.set(0.0)
-        for u, B in zip(fields, self._full[g], strict=False):
+        for u, B in zip(fields, self.full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
         if self._wanted is None:
@@ -193,7 +167,7 @@ class ConstraintBlocks:
             for g, E in row.items():
                 wanted = self._wanted[g]
                 if wanted is None:
-                    wanted = next(B for B in self._full[g] if B).createVecLeft()
+                    wanted = next(B for B in self.full[g] if B).createVecLeft()
                     wanted.set(0.0)
                     self._wanted[g] = wanted
                 E.add_transposed(offset, wanted)
@@ -208,7 +182,7 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
             jump = tie.nodal_jump()
@@ -217,7 +191,7 @@ class ConstraintBlocks:
             pairs, both, given = self._pairs[t], [], []
             for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
                 part = tie.components[i]
-                both.append(prescribed_dofs(tie, i, part.of_body(self._held[body]), dofs))
+                both.append(prescribed_dofs(tie, i, part.of_body(self.prescribed[body]), dofs))
                 owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
                 given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
@@ -319,7 +293,7 @@ class ConstraintBlocks:
         interior = len(self._spaces)
         num_fields = interior + len(self.interior_sizes) + len(self.jump_fields)
         full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
                     product = E.rows_of(B)
@@ -340,9 +314,9 @@ class ConstraintBlocks:
         if B is None:
             return None
         B = B.copy()
-        if i < len(self._held):
+        if i < len(self.prescribed):
             mask = B.createVecRight()
-            mask.array[:] = ~self._held[i]
+            mask.array[:] = ~self.prescribed[i]
             B.diagonalScale(R=mask)
             mask.destroy()
         return B
@@ -354,7 +328,7 @@ class ConstraintBlocks:
             return
         multiplier, component = np.divmod(lost, tie.block_size)
         lost = tie.constraint.rows[multiplier] * tie.block_size + component
-        B0 = self._without_prescribed(self._sides[t][0], tie.blocks()[0])
+        B0 = self._without_prescribed(self.sides[t][0], tie.blocks()[0])
         assert B0 is not None
         start, end = B0.getOwnershipRange()
         lost = lost[(start <= lost) & (lost < end)]

@@ -30,8 +30,9 @@ Three rules lead there:
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -103,45 +104,36 @@ class Choice:
             self.unsaid[t] = other.unsaid[k]
 
 
-class _Smooth:
-    """Smooth pieces of the bodies' surfaces that ties lie on, found on demand."""
+def _smooth_pieces(numbering: Numbering) -> Callable[[int, int], set[int]]:
+    """Smooth pieces of a side's body at a multiplier; on Γ0 the nearest one."""
 
-    def __init__(self, numbering: Numbering):
-        self._numbering = numbering
-        self._pieces: dict[tuple[int, int], list[npt.NDArray]] = {}
+    @cache
+    def on_body(side: int, body: int) -> dict[int, npt.NDArray]:
+        """Piece of each facet of the ties on a body."""
+        on = [s for s, pair in enumerate(numbering.bodies) if pair[side] == body]
+        surfaces = [numbering.ties[s].surfaces[side] for s in on]
+        return dict(zip(on, smooth_pieces(surfaces), strict=True))
 
-    def _piece(self, side: int, t: int) -> npt.NDArray:
-        """Piece of each facet of a tie's side, numbered over all ties on that side of the body."""
-        body = self._numbering.bodies[t][side]
-        on = [s for s, pair in enumerate(self._numbering.bodies) if pair[side] == body]
-        if (side, body) not in self._pieces:
-            surfaces = [self._numbering.ties[s].surfaces[side] for s in on]
-            self._pieces[side, body] = smooth_pieces(surfaces)
-        return self._pieces[side, body][on.index(t)]
+    def at(m: int, side: int) -> set[int]:
+        t, (multipliers, local) = numbering.tie[m], numbering.local(m)
+        facets = multipliers.facets_of(local)[0]
+        if side == 0:
+            x = numbering.ties[t].domain.surfaces[0].nodes.mean(axis=1)
+            facets = np.linalg.norm(x - multipliers.x[local], axis=1).argmin(keepdims=True)
+        return set(on_body(side, numbering.bodies[t][side])[t][facets])
 
-    def on_side1(self, m: int) -> set[int]:
-        """Pieces of Γ1's body at a multiplier."""
-        multipliers, local = self._numbering.local(m)
-        return set(self._piece(1, self._numbering.tie[m])[multipliers.facets_of(local)[0]])
-
-    def on_side0(self, m: int) -> set[int]:
-        """The piece of Γ0's body that is nearest to a multiplier."""
-        multipliers, local = self._numbering.local(m)
-        t = self._numbering.tie[m]
-        x = self._numbering.ties[t].domain.surfaces[0].nodes.mean(axis=1)
-        facet = np.linalg.norm(x - multipliers.x[local], axis=1).argmin()
-        return {self._piece(0, t)[facet]}
+    return at
 
 
 def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
     """Rule 1: number of the class of each multiplier; those of one class are one."""
-    ties, bodies = numbering.ties, numbering.bodies
-    smooth = _Smooth(numbering)
+    ties, bodies, tie = numbering.ties, numbering.bodies, numbering.tie
+    smooth = _smooth_pieces(numbering)
     alike = [(tie.closes_gap, tie.motion and tie.motion.key) for tie in ties]
 
     def may(a: int, b: int, side: int) -> bool:
-        """True if two ties with the same body on one side act as one interface at a place."""
-        s, t = numbering.tie[a], numbering.tie[b]
+        """True if two ties on one smooth piece of a body act as one interface at a place."""
+        s, t = tie[a], tie[b]
         if s == t or alike[s] != alike[t]:
             return False
         if any(ties[i].free_interior or ties[i].discontinuous for i in (s, t)):
@@ -149,30 +141,28 @@ def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
         if numbering.body(s, side) != numbering.body(t, side):
             return False
         opposite = numbering.body(s, 1 - side), numbering.body(t, 1 - side)
-        return opposite[0] == opposite[1] or frozenset(opposite) in numbering.tied
+        if opposite[0] != opposite[1] and frozenset(opposite) not in numbering.tied:
+            return False
+        return bool(smooth(a, side) & smooth(b, side))
 
     pairs = [
         (a, b)
         for same in numbering.places.values()
         for a, b in combinations(same, 2)
-        if may(a, b, 1) and smooth.on_side1(a) & smooth.on_side1(b)
+        if may(a, b, 1)
     ]
     # On one smooth piece of Γ0, bodies on the other side whose corners meet
     by_body = defaultdict(list)
     for m in users:
-        by_body[bodies[numbering.tie[m]][0]].append(m)
+        by_body[bodies[tie[m]][0]].append(m)
     for same in by_body.values():
         x = numbering.x(same)
-        size = min(numbering.lists[numbering.tie[m]].surface.size.min() for m in same)
+        size = min(numbering.lists[tie[m]].surface.size.min() for m in same)
         for i, a in enumerate(same):
             near = np.abs(x[i + 1 :] - x[i]).max(axis=1) <= SAME_PLACE * size
             for b in np.array(same[i + 1 :], dtype=int)[near]:
-                if (
-                    numbering.dof[a] == numbering.dof[b]
-                    and bodies[numbering.tie[a]] == bodies[numbering.tie[b]]
-                ):
-                    continue
-                if may(a, b, 0) and smooth.on_side0(a) & smooth.on_side0(b):
+                same_dof = numbering.dof[a] == numbering.dof[b] and bodies[tie[a]] == bodies[tie[b]]
+                if not same_dof and may(a, b, 0):
                     pairs.append((a, int(b)))
     first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     return components(len(numbering), first, second)
@@ -202,12 +192,8 @@ def _at_cross_points(numbering: Numbering, users, label, members) -> npt.NDArray
 
 def _covered(numbering: Numbering, label, members) -> npt.NDArray[np.bool_]:
     """Mask of the multipliers with a facet that their interface covers enough, ``(num,)``."""
-    enough = np.concatenate(
-        [
-            lists.on_any((lists.covered > COVERED_FACET) & (lists.least > KNOWN))
-            for lists in numbering.lists
-        ]
-    )
+    parts = [m.on_any((m.covered > COVERED_FACET) & (m.least > KNOWN)) for m in numbering.lists]
+    enough = np.concatenate(parts)
     for same in members.values():
         if len(same) > 1 and not enough[same].any():
             total: defaultdict[tuple, float] = defaultdict(float)
@@ -253,14 +239,14 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
         members[int(label[m])].append(m)
     for m in users:
         members.setdefault(int(label[m]), [m])
+    said = [_from_compliance(numbering, t, prescribed) for t in range(len(ties))]
+    parts = zip(ties, bodies, numbering.lists, said, strict=True)
     held = np.vstack(
         [
-            prescribed_dofs(tie, 1, prescribed[pair[1]], lists.dofs)
-            for tie, pair, lists in zip(ties, bodies, numbering.lists, strict=True)
+            prescribed_dofs(tie, 1, prescribed[pair[1]], lists.dofs) & ~determined
+            for tie, pair, lists, (determined, _) in parts
         ]
     )
-    said = [_from_compliance(numbering, t, prescribed) for t in range(len(ties))]
-    held &= ~np.vstack([by_compliance for by_compliance, _ in said])
     gone = _at_cross_points(numbering, users, label, members) | ~_covered(numbering, label, members)
     drop = held | gone[:, None]
     for same in members.values():
@@ -270,9 +256,7 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
     return chosen
 
 
-def _from_compliance(
-    numbering: Numbering, t: int, prescribed
-) -> tuple[npt.NDArray[np.bool_], bool]:
+def _from_compliance(numbering: Numbering, t: int, prescribed) -> tuple[npt.NDArray, bool]:
     """Multipliers that a tie's compliance or law alone determines: the rest of a row is prescribed.
 
     Collective.

@@ -163,7 +163,7 @@ class JumpField:
         assert tie.law is not None
         self._law, self._block_size = tie.law, tie.block_size
         M = self._law.mass()
-        self._P = Extension() if _is_whole(rows) else Extension(_reached(rows, M))
+        self._P = _joined(rows, M)
         MP = self._P.columns_of(M)
         self.blocks: dict[int, PETSc.Mat] = {}
         """−Eᵀ M P, by interface."""
@@ -187,13 +187,13 @@ class JumpField:
         """True if F is linear."""
         return self._law.linear
 
-    def _rows(self) -> npt.NDArray:
-        """w, ``(num_multipliers, block_size)`` of this rank."""
-        return self._w.array_r.reshape(-1, self._block_size)
+    def _at(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Forces F(w) and their slopes."""
+        return self._law.at(self._w.array_r.reshape(-1, self._block_size))
 
     def _tangent(self) -> PETSc.Mat:
         """Pᵀ ∂F/∂w P, a new matrix. Collective."""
-        _, slope = self._law.at(self._rows())
+        _, slope = self._at()
         whole = self._law.tangent(slope)
         left = self._P.rows_of(whole)
         K = self._P.columns_of(left)
@@ -216,18 +216,15 @@ class JumpField:
     def add_force(self, b: PETSc.Vec):
         """Add PᵀF(w) to a vector. Collective."""
         force = self._w.duplicate()
-        force.array[:] = self._law.at(self._rows())[0].ravel()
+        force.array[:] = self._at()[0].ravel()
         self._P.add_transposed(force, b)
         force.destroy()
 
 
-def _is_whole(rows: dict[int, Extension]) -> bool:
-    """True if E is the identity."""
-    return len(rows) == 1 and next(iter(rows.values())).matrix is None
-
-
-def _reached(rows: dict[int, Extension], M: PETSc.Mat) -> PETSc.Mat:
+def _joined(rows: dict[int, Extension], M: PETSc.Mat) -> Extension:
     """P: the nonempty columns of all E_g, side by side on the rank of each. Collective."""
+    if all(E.matrix is None for E in rows.values()):
+        return Extension()
     comm = M.comm.tompi4py()
     mine = {g: nonzero_columns(E.matrix) for g, E in rows.items()}
     counts = np.array(comm.allgather([len(columns) for columns in mine.values()]))  # (rank, g)
@@ -244,4 +241,5 @@ def _reached(rows: dict[int, Extension], M: PETSc.Mat) -> PETSc.Mat:
         has = value != 0
         parts.append((i[has], number[np.searchsorted(used, j[has])], value[has]))
     sizes = M.getLocalSize()[0], int(counts[comm.rank].sum())
-    return coo_matrix(comm, sizes, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+    entries = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Extension(coo_matrix(comm, sizes, *entries))

@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Multipliers of all ties in one numbering, and replacements on pieces that are left with too few.
 
-Where all ends of a small piece are at cross points or prescribed, λ is constant, linear, … in space
+If all ends of a small piece are at cross points or prescribed, λ is constant, linear, … in space
 instead, as far as these rows don't follow from those of other such pieces. A piece so narrow that
 its own multipliers lie on lines gets the slopes of λ across these lines too.
 """

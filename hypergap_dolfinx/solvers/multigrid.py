@@ -32,11 +32,9 @@ from hypergap_dolfinx.algebra.rigid_motions import common_modes
 from hypergap_dolfinx.algebra.saddle import check_solved
 from hypergap_dolfinx.core.sparse import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.solvers.bodywise import LU
+from hypergap_dolfinx.solvers.bodywise import LU, create_solver
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
-from hypergap_dolfinx.solvers.substructures import create_solver
 from hypergap_dolfinx.solvers.tolerances import CONTRAST, ROUND_OFF_PROJECTED, SMALL_FORCES
-from hypergap_dolfinx.surface.trace import is_mixed
 
 
 class _Operator:
@@ -366,14 +364,9 @@ class Multigrid(IterativeSolver):
     @classmethod
     def why_not(cls, system: System) -> str | None:
         """Reason why not, or None: multigrid needs bodies with the same kind of field."""
-        if system.constraints.interior_sizes:
-            return "free interior nodes belong to no body"
-        if system.constraints.compliances:
-            return "a tie has a compliance"
-        if system.constraints.jump_fields:
-            return "a tie has a law or a conductance"
-        if any(map(is_mixed, system.spaces)):
-            return "multigrid is for bodies with one field, and a space is mixed"
+        reason = super().why_not(system)
+        if reason:
+            return reason
         block_sizes = {V.dofmap.index_map_bs for V in system.spaces}
         if len(block_sizes) > 1 or not block_sizes <= {1, system.spaces[0].mesh.geometry.dim}:
             return "multigrid is for bodies that all have displacements, or all have a scalar"

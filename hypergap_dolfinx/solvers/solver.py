@@ -302,6 +302,20 @@ class IterativeSolver(KSPSolver):
     _substitute: Substitute | None = None
     _failure: str | None = None
 
+    @classmethod
+    def why_not(cls, system: System) -> str | None:
+        """Reason why the system can't be solved like this, or None. Collective."""
+        constraints = system.constraints
+        reasons = {
+            "free interior nodes belong to no body": constraints.interior_sizes,
+            "a tie has a compliance": constraints.compliances,
+            "a tie has a law or a conductance": constraints.jump_fields,
+            "a space is mixed: a body may be singular by itself (a pressure is free)": any(
+                map(is_mixed, system.spaces)
+            ),
+        }
+        return next((reason for reason, applies in reasons.items() if applies), None)
+
     @abstractmethod
     def _create(self) -> Substitute:
         """The system that is iterated on, for the present values of K. Collective."""
