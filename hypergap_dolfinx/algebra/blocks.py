@@ -81,8 +81,8 @@ class ConstraintBlocks:
         fewer than rows if several dofs answer to one row together."""
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
         unknown = [
-            name if unsaid else None
-            for name, unsaid in zip(self._names, choice.unsaid, strict=True)
+            name if undetermined else None
+            for name, undetermined in zip(self._names, choice.undetermined, strict=True)
         ]
         self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
         self.jump_fields = [

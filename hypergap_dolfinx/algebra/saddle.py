@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED
 from hypergap_dolfinx.core.sparse import row_length
-from hypergap_dolfinx.errors import SolveError
 
 
 def saddle_matrix(
@@ -125,20 +124,6 @@ def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
         for obj in (r, product):
             obj.destroy()
     return worst
-
-
-def check_solved(ksp: PETSc.KSP):
-    """Raise if a solve did not converge. Collective.
-
-    Args:
-        ksp: The solver.
-
-    Raises:
-        SolveError: With the message of :func:`failure`.
-    """
-    message = failure(ksp)
-    if message:
-        raise SolveError(message)
 
 
 def failure(

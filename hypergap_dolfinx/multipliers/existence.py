@@ -89,7 +89,7 @@ class Choice:
     """True for a tie of which each multiplier exists by itself."""
     lost: list[npt.NDArray[np.intp]]
     """Rows of each tie without a multiplier in reach, because everything there is prescribed."""
-    unsaid: list[bool] = field(default_factory=list)
+    undetermined: list[bool] = field(default_factory=list)
     """True for a tie with a compliance that is 0 at rows with nothing free."""
 
     def add(self, of: Sequence[int], other: "Choice"):
@@ -101,7 +101,7 @@ class Choice:
             self.entries[t] = row, group + start, column, value
         for k, t in enumerate(of):
             self.complete[t], self.lost[t] = other.complete[k], other.lost[k]
-            self.unsaid[t] = other.unsaid[k]
+            self.undetermined[t] = other.undetermined[k]
 
 
 def _smooth_pieces(numbering: Numbering) -> Callable[[int, int], set[int]]:
@@ -239,8 +239,8 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
         members[int(label[m])].append(m)
     for m in users:
         members.setdefault(int(label[m]), [m])
-    said = [_from_compliance(numbering, t, prescribed) for t in range(len(ties))]
-    parts = zip(ties, bodies, numbering.lists, said, strict=True)
+    by_compliance = [_from_compliance(numbering, t, prescribed) for t in range(len(ties))]
+    parts = zip(ties, bodies, numbering.lists, by_compliance, strict=True)
     held = np.vstack(
         [
             prescribed_dofs(tie, 1, prescribed[pair[1]], lists.dofs) & ~determined
@@ -252,7 +252,7 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
     for same in members.values():
         drop[same] = held[same].all(axis=0) | gone[same].any()
     chosen = _Assembly(numbering, groups, label, held, drop, prescribed).choice()
-    chosen.unsaid = [unsaid for _, unsaid in said]
+    chosen.undetermined = [undetermined for _, undetermined in by_compliance]
     return chosen
 
 
@@ -335,9 +335,8 @@ class _Assembly:
             weights, others, beside = self._follow(m, component)
             if not beside and self._all_held(m, component):
                 self._lost.append((m, component))
-            at = column[others, component]
-            num = len(others)
-            self._entries.append((np.full(num, m), np.full(num, component), at, weights))
+            of = np.full((2, len(others)), ((m,), (component,)))
+            self._entries.append((*of, column[others, component], weights))
         for piece in new + slopes(numbering, self._drop, self._entries, self._prescribed, new):
             self._add_replacement(piece)
         return self._numbered()
@@ -383,11 +382,9 @@ class _Assembly:
         start = sum(len(columns) for columns in self._columns)
         at = np.repeat(numbers[:1], len(piece.taken))
         self._add_columns(at, np.full(len(at), component), np.full(len(at), -1))
-        for i, values in enumerate(piece.taken):
-            num = len(numbers)
-            self._entries.append(
-                (numbers, np.full(num, component), np.full(num, start + i), values)
-            )
+        of = np.full(len(numbers), component)
+        for column, values in enumerate(piece.taken, start):
+            self._entries.append((numbers, of, np.full(len(numbers), column), values))
         if not piece.complete:
             self._lost += [(m, component) for m in numbers if self._all_held(m, component)]
 
@@ -405,9 +402,7 @@ class _Assembly:
         starts = np.searchsorted(interface[order], np.arange(len(groups) + 1))
         number = np.empty(len(order), dtype=np.intp)
         number[order] = np.arange(len(order)) - starts[interface[order]]
-        m, component, column, value = (
-            np.concatenate(part) for part in zip(*self._entries, strict=True)
-        )
+        m, component, column, value = map(np.concatenate, zip(*self._entries, strict=True))
         m, column = m.astype(np.intp), column.astype(np.intp)
         tie = numbering.tie[m]
         row = (m - numbering.starts[tie]) * block_size + component.astype(np.intp)

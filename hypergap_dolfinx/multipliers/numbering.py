@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 from mpi4py import MPI
 
@@ -26,7 +27,6 @@ from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import (
     CONSISTENT,
-    FEW_MULTIPLIERS,
     INDEPENDENT_ROWS,
     SAME_PLACE,
 )
@@ -141,12 +141,11 @@ class Numbering:
         found = defaultdict(set)
         for t, pair in enumerate(self.bodies):
             mine = slice(self.starts[t], self.starts[t + 1])
-            for s, other in enumerate(self.bodies):
-                for side in (0, 1):
-                    if other[side] != pair[1] or (s, side) == (t, 1):
-                        continue
-                    for m in np.flatnonzero(np.isin(self.dof[mine], self.touched[s][side])):
-                        found[int(m + self.starts[t])].add((s, side))
+            for (s, other), side in product(enumerate(self.bodies), (0, 1)):
+                if other[side] != pair[1] or (s, side) == (t, 1):
+                    continue
+                for m in np.flatnonzero(np.isin(self.dof[mine], self.touched[s][side])):
+                    found[int(m + self.starts[t])].add((s, side))
         return found
 
 
@@ -334,8 +333,9 @@ def replacements(numbering: Numbering, label, held, drop, prescribed) -> list[Re
     patches = _short_patches(numbering, label, drop, prescribed)
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
     _take_in_turn(patches, accepted)
+    few = 32  # rows that are tried one by one, at a cost that grows with the cube of their number
     for patch in patches:
-        if held[patch.numbers, patch.component].all() and len(patch.units) <= FEW_MULTIPLIERS:
+        if held[patch.numbers, patch.component].all() and len(patch.units) <= few:
             # A small piece that is prescribed all over takes all independent rows, so that the
             # dofs of Γ0 that face it follow
             for unit in (*(value for value, _ in patch.values), *patch.units):
@@ -356,17 +356,12 @@ def slopes(
     Along the lines λ follows from what is left; it gets polynomials across them, of all of a tie
     (which a patch test needs) and of each facet, as far as opposite dofs answer to them.
 
-    Args:
-        numbering: The multipliers.
-        drop: Mask of those that are dropped, ``(num_multipliers, block_size)``.
-        entries: Multiplier, component, column and value of each nonzero of E, in parts.
-        prescribed: Mask of each body's owned dofs that are prescribed.
-        instead: Replacements on pieces with too few.
+    ``entries`` are multiplier, component, column and value of each nonzero of E, in parts;
+    ``instead`` are the :func:`replacements`, the rest is as there.
     """
     found = []
-    for component in range(drop.shape[1]):
-        for t in range(len(numbering.lists)):
-            found += _across(numbering, t, component, drop, entries, prescribed)
+    for component, t in product(range(drop.shape[1]), range(len(numbering.lists))):
+        found += _across(numbering, t, component, drop, entries, prescribed)
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
     # All others have dofs of Γ1 that answer to them
     known = [(piece, piece.taken) for piece in instead] + [(piece, piece.units) for piece in found]
@@ -388,7 +383,7 @@ def _across(
     lacking = [(at + mine.start, values) for at, values in lacking]
     narrow = np.unique(np.concatenate([at for at, _ in lacking]))
     # E of what these follow
-    m, of, column, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
+    m, of, column, weights = map(np.concatenate, zip(*entries, strict=True))
     use = np.isin(column, column[np.isin(m, narrow) & (of == component)])
     m, weights = m[use], weights[use]
     numbers = np.union1d(m, narrow)

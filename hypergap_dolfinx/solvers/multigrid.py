@@ -26,10 +26,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
-from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import common_modes
-from hypergap_dolfinx.algebra.saddle import check_solved
+from hypergap_dolfinx.algebra.saddle import failure
 from hypergap_dolfinx.core.sparse import mean_diagonal, nonzero_columns
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.bodywise import LU, create_solver
@@ -56,29 +54,17 @@ def _nest(blocks: Sequence[Sequence[PETSc.Mat | None]], comm) -> PETSc.Mat:
     return nest
 
 
-def _merge(nest: PETSc.Mat) -> PETSc.Mat:
-    """A copy of all blocks in one AIJ matrix. Collective."""
-    return nest.convert("aij", PETSc.Mat())
-
-
 class ProjectedSystem(Substitute):
     """The projected system for a KSP, and the way back to displacements and multipliers."""
 
-    def __init__(
-        self,
-        K: Sequence[PETSc.Mat],
-        constraints: ConstraintBlocks,
-        spaces: Sequence[fem.FunctionSpace],
-        prefix: str,
-    ):
+    def __init__(self, system: System, prefix: str):
         """Join the bodies' and the ties' blocks. Collective.
 
         Args:
-            K: Stiffness of each body.
-            constraints: The ties' blocks.
-            spaces: Space of each body.
+            system: The saddle system.
             prefix: Prefix of the solvers' options.
         """
+        K, constraints = system.K, system.constraints
         comm, num = K[0].comm, range(len(K))
         B = constraints.free
         self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
@@ -103,7 +89,7 @@ class ProjectedSystem(Substitute):
         self._rigid: PETSc.NullSpace | None = None
         self._block_size = K[0].getBlockSize()
         if self._block_size > 1:
-            modes = np.vstack(common_modes(spaces))
+            modes = np.vstack(common_modes(system.spaces))
             vectors = [self.matrix.createVecRight() for _ in modes.T]
             for vector, mode in zip(vectors, modes.T, strict=True):
                 vector.array[:] = mode
@@ -124,7 +110,7 @@ class ProjectedSystem(Substitute):
                     row = [*row[:i], zeros[-1], *row[i + 1 :]]
             rows.append(row)
         nest = _nest(rows, K[0].comm)
-        joined = _merge(nest)
+        joined = nest.convert("aij", PETSc.Mat())  # a copy in one matrix
         for obj in (nest, *zeros):
             obj.destroy()
         return joined
@@ -193,7 +179,9 @@ class ProjectedSystem(Substitute):
         if self._B is not None:
             self._c.array[:] = np.concatenate([part.array_r for part in given])
             self._solver.solve(self._c, self._y)
-            check_solved(self._solver)
+            message = failure(self._solver)
+            if message:
+                raise SolveError(message)
             self._DBt.mult(self._y, u)
         self._load(loads, u, self.b)
         size = self.b.norm()
@@ -259,7 +247,7 @@ class ProjectedSystem(Substitute):
         """Take the present stiffness; always possible. Collective."""
         for obj in self._of_values:
             obj.destroy()
-        A = _merge(self._K)
+        A = self._K.convert("aij", PETSc.Mat())  # a copy in one matrix
         A.getDiagonal(self._diagonal)
         self._of_values = [A]
         if self._B is not None:
@@ -373,5 +361,4 @@ class Multigrid(IterativeSolver):
         return None
 
     def _create(self) -> Substitute:
-        system = self._system
-        return ProjectedSystem(system.K, system.constraints, system.spaces, self._prefix)
+        return ProjectedSystem(self._system, self._prefix)

@@ -158,7 +158,7 @@ class NonlinearSystem(TiedSystem):
         self._evaluate(x, r)
 
     def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Evaluate the residual at displacements x, which the bodies have already.
+        """Evaluate the residual r at x, whose displacements are assigned to u already.
 
         Prescribed values are lifted: r is F at displacements that hold them, to first order.
         """
@@ -209,11 +209,10 @@ class NonlinearSystem(TiedSystem):
 
     def _lifted(self) -> list[npt.NDArray]:
         """Each body's displacements with those that are prescribed, ghosts included."""
-        lifted = []
-        for u, bcs in zip(self._u, self._bcs, strict=True):
-            lifted.append(u.x.array.copy())
+        lifted = [u.x.array.copy() for u in self._u]
+        for values, bcs in zip(lifted, self._bcs, strict=True):
             for bc in bcs:
-                bc.set(lifted[-1])
+                bc.set(values)
         return lifted
 
     def assemble_matrix(self):
