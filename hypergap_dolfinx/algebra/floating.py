@@ -156,7 +156,7 @@ class RigidBodyDiagnostics:
         left = combinations[values <= max(MOVES, values[-1])].T
         moving = [self._free.at(i, part) @ left for i, part in enumerate(u)]
         sizes = np.sqrt(self._comm.allreduce(np.array([(v**2).sum(axis=0) for v in moving])))
-        told = []
+        messages = []
         for i, (V, some) in enumerate(zip(self._spaces, sizes > MOVES * sizes.max(), strict=True)):
             if not some.any():
                 continue
@@ -164,8 +164,8 @@ class RigidBodyDiagnostics:
             v = moving[i][:, some.argmax()].reshape(x.shape)
             x, v = self._those_that_move(x + u[i].reshape(x.shape), v)
             how = f", {in_words(self._comm, x, v)}" if some.sum() == 1 else ""
-            told.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
-        return "; ".join(told)
+            messages.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
+        return "; ".join(messages)
 
     def _those_that_move(self, x, v):
         """Positions and velocities of a body's nodes in the parts that move. Collective."""
@@ -177,14 +177,14 @@ class RigidBodyDiagnostics:
         self,
         before: Sequence[npt.NDArray[np.float64]],
         now: Sequence[npt.NDArray[np.float64]],
-        told: str,
+        message: str,
     ) -> str:
         """Sentence about where a failed load step led bodies that only contact holds. Collective.
 
         Args:
             before: This rank's owned displacements of each body at its start.
             now: Those where it failed.
-            told: Message about the failure.
+            message: Message about the failure.
         """
         only, off = [], []
         for i, (V, start, end) in enumerate(zip(self._spaces, before, now, strict=True)):
@@ -201,7 +201,7 @@ class RigidBodyDiagnostics:
                 )
         if off:
             return f" Then {'; '.join(off)}."
-        known = not only or any(f"{one.split(' at ')[0]}," in told for one in only)
+        known = not only or any(f"{one.split(' at ')[0]}," in message for one in only)
         return "" if known else f" Only contact holds {', '.join(only)}."
 
     def of(self, bodies: Sequence[int | None]) -> str:

@@ -53,12 +53,12 @@ class LoadPath:
         self._start = [np.array(a) for a in self._arrays]
         self._end = self._start
 
-    def set_out(self):
+    def start_step(self):
         """Take the present values for the end."""
         self._end = [np.array(a) for a in self._arrays]
 
-    def go(self, s: float):
-        """Set all values.
+    def interpolate(self, s: float):
+        """Set all values between start and end.
 
         Args:
             s: 0 at the start, 1 at the end.
@@ -66,15 +66,15 @@ class LoadPath:
         for a, start, end in zip(self._arrays, self._start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
 
-    def stop(self, s: float = 1.0):
+    def commit(self, s: float = 1.0):
         """Start the next path here, and set the values of the end.
 
         Args:
             s: Part of this path that was reached.
         """
-        self.go(s)
+        self.interpolate(s)
         self._start = [np.array(a) for a in self._arrays]
-        self.go(1)
+        self.interpolate(1)
 
     @property
     def changes(self) -> bool:

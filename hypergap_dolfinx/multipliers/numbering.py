@@ -163,13 +163,7 @@ class Rows:
         self._column: dict[Pair, int] = {}
         self._basis = np.zeros((0, 0))
 
-    def add(
-        self,
-        columns: Sequence[Pair],
-        values: npt.NDArray,
-        size: float,
-        sine: float = INDEPENDENT_ROWS,
-    ) -> bool:
+    def add(self, columns: Sequence[Pair], values, size: float, sine=INDEPENDENT_ROWS) -> bool:
         """Add a row unless it is small or follows from the others; True if it was added."""
         at = [self._column.setdefault(column, len(self._column)) for column in columns]
         basis = np.zeros((len(self._basis), len(self._column)))
@@ -253,10 +247,8 @@ def _rows(tie: Interface, side: int, multipliers) -> tuple[npt.NDArray, npt.NDAr
 def pieces(numbering: Numbering, label, drop) -> npt.NDArray[np.int32]:
     """Piece of each multiplier: patches of ties that share a multiplier that exists.
 
-    Args:
-        numbering: The multipliers.
-        label: Class of each; those of one class are one.
-        drop: Mask of those that are dropped, of one component.
+    ``label`` is the class of each, those of one class are one; ``drop`` is the mask of those that
+    are dropped, of one component.
     """
     num = int(numbering.patch.max()) + 1
     patch = np.unique(numbering.tie * num + numbering.patch, return_inverse=True)[1].ravel()

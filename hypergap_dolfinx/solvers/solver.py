@@ -83,12 +83,6 @@ class Options:
                     database[key] = before[key]
 
 
-PRESSURE = (
-    "; in mixed spaces a pressure that is known up to a constant only makes a matrix singular too: "
-    "hold it at a node"
-)
-
-
 @dataclass(frozen=True)
 class System:
     """[K Bᵀ; B −C] and its blocks."""
@@ -248,7 +242,12 @@ class KSPSolver(Solver):
 
     def _advice(self) -> str:
         """End of the message on a failure."""
-        return self.ADVICE + (PRESSURE if any(map(is_mixed, self._system.spaces)) else "")
+        if not any(map(is_mixed, self._system.spaces)):
+            return self.ADVICE
+        return (
+            f"{self.ADVICE}; in mixed spaces a pressure that is known up to a constant only makes "
+            "a matrix singular too: hold it at a node"
+        )
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
