@@ -410,6 +410,8 @@ class _Assembly:
         lost_tie = numbering.tie[lost[:, 0]]
         lost_row = (lost[:, 0] - numbering.starts[lost_tie]) * block_size + lost[:, 1]
         each = range(len(numbering.ties))
+        # A tie is complete if all its multipliers exist, and none is shared with another tie
+        whole = (np.bincount(self._label)[self._label] == 1) & ~self._drop.any(axis=1)
         return Choice(
             groups,
             [Columns(rank[order[a:b]], own[order[a:b]]) for a, b in pairwise(starts)],
@@ -417,11 +419,6 @@ class _Assembly:
                 (row[mine], interface[column[mine]], number[column[mine]], value[mine])
                 for mine in (tie == t for t in each)
             ],
-            [self._is_complete(slice(*numbering.starts[t : t + 2])) for t in each],
+            [bool(part.all()) for part in np.split(whole, numbering.starts[1:-1])],
             [lost_row[lost_tie == t] for t in each],
         )
-
-    def _is_complete(self, mine: slice) -> bool:
-        """True if all multipliers exist, and none is shared with another tie."""
-        alone = np.bincount(self._label)[self._label[mine]] == 1
-        return bool(alone.all() and not self._drop[mine].any())

@@ -25,11 +25,7 @@ from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.tolerances import (
-    CONSISTENT,
-    INDEPENDENT_ROWS,
-    SAME_PLACE,
-)
+from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS, SAME_PLACE
 
 Pair = tuple[int, int]
 """Two bodies, or a body and a dof (block) of it."""

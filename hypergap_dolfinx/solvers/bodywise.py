@@ -116,27 +116,17 @@ class BodywiseSystem(Substitute):
             system: The saddle system.
         """
         self._A, self._K = system.A, system.K
-        K, constraints, spaces = system.K, system.constraints, system.spaces
         self.scales = self._scales_now()
-        self._B = [[b and b.copy() for b in row] for row in constraints.free]
+        self._B = [[b and b.copy() for b in row] for row in system.constraints.free]
         for row, scale in zip(self._B, self.scales, strict=True):
             for b in row:
                 if b is not None:
                     b.scale(scale)
-        self.matrix, self._Bt = saddle.saddle_matrix(K, self._B)
+        self.matrix, self._Bt = saddle.saddle_matrix(self._K, self._B)
         self.matrix.setNestVecType("standard")  # KSPs that make vectors want no nested ones
         self.matrix.assemble()
         self.x, self.b = self.matrix.createVecs()
-        modes = [
-            rigid_modes(V, held, *parts(V))
-            for V, held in zip(spaces, constraints.prescribed, strict=True)
-        ]
-        order = order_of_bodies(len(K), _directions(constraints))
-        assert order is not None
-        moved = zip(constraints.moved, constraints.bodies, strict=True)
-        sides = [(others, i1) for others, (_, i1) in moved]
-        columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, sides, columns, order, modes)
+        self.preconditioner = Substructures(system, self._B)
 
     def update(self, ksp: PETSc.KSP) -> bool:
         """Take the present stiffness; False if its size has changed. Collective."""
@@ -233,11 +223,14 @@ class Body:
         self._vectors: tuple[PETSc.Vec, ...] = ()
         self._squares = {}
         for t, (B, own) in held.items():
-            square = square_part(B, own)
+            rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, B.comm)
+            columns = PETSc.IS().createGeneral(own, comm=B.comm)
+            square = B.createSubMatrix(rows, columns)
             solver = create_solver(f"{prefix}square_", K.comm)
             solver.setOperators(square)
             self._squares[t] = solver, *square.createVecs()
-            square.destroy()
+            for obj in (rows, columns, square):
+                obj.destroy()
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -324,16 +317,6 @@ class Body:
         return u.array_r, multipliers
 
 
-def square_part(B: PETSc.Mat, own: npt.NDArray) -> PETSc.Mat:
-    """Columns of B₁ under its rows' multipliers. Collective."""
-    rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, B.comm)
-    columns = PETSc.IS().createGeneral(own.astype(PETSc.IntType), comm=B.comm)
-    square = B.createSubMatrix(rows, columns)
-    for obj in (rows, columns):
-        obj.destroy()
-    return square
-
-
 def create_solver(prefix: str, comm) -> PETSc.KSP:
     """A KSP with the options of a prefix. Collective."""
     solver = PETSc.KSP().create(comm)
@@ -345,29 +328,26 @@ def create_solver(prefix: str, comm) -> PETSc.KSP:
 class Substructures:
     """The preconditioner, as the context of a PCPYTHON."""
 
-    def __init__(
-        self,
-        K: Sequence[PETSc.Mat],
-        B: Sequence[Sequence[PETSc.Mat | None]],
-        sides: Sequence[tuple[Sequence[int], int]],
-        own: Sequence[npt.NDArray[np.int32]],
-        order: Sequence[int],
-        modes: Sequence[npt.NDArray[np.float64]],
-    ):
-        """Take the blocks; solvers are made on demand.
+    def __init__(self, system: System, B: Sequence[Sequence[PETSc.Mat | None]]):
+        """Take the blocks; solvers are made on demand. Collective.
 
         Args:
-            K: Stiffness of each body.
-            B: For each tie, its block on each body, or None.
-            sides: The bodies that each interface moves besides Γ1's, and Γ1's.
-            own: Global dofs under this rank's multipliers of each tie, in B₁'s order of rows.
-            order: Order of the bodies, see :func:`order_of_bodies`.
-            modes: The bodies' :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
+            system: The saddle system.
+            B: Its constraints, scaled.
         """
-        self._K, self._B, self._sides, self._own = K, B, sides, own
-        self._order, self._modes = order, modes
-        sizes = [k.getLocalSize()[0] for k in K]
-        sizes += [len(columns) for columns in own]
+        constraints = system.constraints
+        self._K, self._B = system.K, B
+        # Global dofs under this rank's multipliers of each tie, in B₁'s order of rows
+        self._own = [own.astype(PETSc.IntType) for own in constraints.own]
+        # The bodies that each interface moves besides Γ1's, and Γ1's
+        moved = zip(constraints.moved, constraints.bodies, strict=True)
+        self._sides = [(others, i1) for others, (_, i1) in moved]
+        order = order_of_bodies(len(self._K), _directions(constraints))
+        assert order is not None
+        self._order = order
+        spaces = zip(system.spaces, constraints.prescribed, strict=True)
+        self._modes = [rigid_modes(V, held, *parts(V)) for V, held in spaces]
+        sizes = [k.getLocalSize()[0] for k in self._K] + [len(own) for own in self._own]
         ends = np.cumsum([0, *sizes])
         self._parts = [slice(*pair) for pair in pairwise(ends)]
         self._solvers: list[Body] = []
