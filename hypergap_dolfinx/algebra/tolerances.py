@@ -7,11 +7,11 @@
 
 MOVES = 1e-3
 """Part of the largest motion below which messages leave a body's motion out.
-Measured: –"""
+Measured: 0.1× and 10× change nothing in test_contact_input."""
 
 ROTATES = 0.1
 """Speed of rotation over that of translation from which messages call a motion a rotation.
-Measured: –"""
+Measured: 0.1× and 10× change nothing in test_contact_input."""
 
 ASTRAY = 0.5
 """Displacement of a body in a failed load step, over its extent, that a message mentions.
@@ -36,7 +36,7 @@ Measured: polygons in rings up to 0.28, blocks a cell apart from 0.74."""
 
 DEPENDENT = 1e-5
 """Sine of the angle between motions up to which they are the same.
-Measured: the same motions 1e-8 (eigenvalue of their Gram matrix 1e-16)."""
+Measured: the same motions 4e-8 by their Gram matrix (eigenvalue 1.6e-15), 2e-15 by an SVD."""
 
 RESIDUAL_ACCEPTED = 1e-3
 """Residual of a direct solve, over the loads, that is a failure.
