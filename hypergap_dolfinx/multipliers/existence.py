@@ -220,8 +220,7 @@ def choose(
     """
     sizes = [tie.block_size for tie in ties]
     none, num = np.empty(0, dtype=np.intp), len(ties)
-    entries = [(none, none, none, none)] * num
-    chosen = Choice([], [], entries, [True] * num, [none] * num, [False] * num)
+    chosen = Choice([], [], [(none,) * 4] * num, [True] * num, [none] * num, [False] * num)
     for size in dict.fromkeys(sizes):
         of = [t for t, other in enumerate(sizes) if other == size]
         chosen.add(of, _choose([ties[t] for t in of], [bodies[t] for t in of], prescribed))

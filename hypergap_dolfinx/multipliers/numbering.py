@@ -74,12 +74,7 @@ class Numbering:
     """All ties' multipliers in one numbering."""
 
     def __init__(self, ties: Sequence[Interface], bodies: Sequence[Pair]):
-        """Number them. Collective.
-
-        Args:
-            ties: The ties.
-            bodies: Numbers of the bodies on both sides of each.
-        """
+        """Number the multipliers of ties, between bodies of these numbers. Collective."""
         self.ties, self.bodies = ties, bodies
         self.lists = [Multipliers.of(tie.constraint, tie.domain) for tie in ties]
         sizes = [len(m.dofs) for m in self.lists]

@@ -71,14 +71,7 @@ class FallingBack(Solver):
     """A solver that is replaced by ``"direct"`` for good if it fails: Γ1 is much the stiffer."""
 
     def __init__(self, system: System, first: type[KSPSolver], prefix: str, options: dict | None):
-        """Create the first one. Collective.
-
-        Args:
-            system: The system.
-            first: The solver to begin with.
-            prefix: Prefix of all PETSc options.
-            options: The user's, for the first one only.
-        """
+        """Create the first solver, for which alone the user's options are. Collective."""
         self._system, self._prefix = system, prefix
         self._solver: KSPSolver = first(system, prefix, options)
         self._given_up: PETSc.KSP | None = None

@@ -68,16 +68,14 @@ class ProjectedSystem(Substitute):
         comm, num = K[0].comm, range(len(K))
         B = constraints.free
         self._K = _nest([[k if i == j else None for j in num] for i, k in enumerate(K)], comm)
-        self._u, self._r = self._K.createVecs()
-        self._diagonal = self._K.createVecRight()
+        (self._u, self._r), self._diagonal = self._K.createVecs(), self._K.createVecRight()
         self._B = self._join(K, B) if B else None
         self._sides = self._find_sides(K, B, constraints.bodies, constraints.own)
         self._solver = create_solver(f"{prefix}interface_", comm)
         self._of_values: list = []  # matrices that are made anew when K changes
         if self._B is not None:
             self._Bt = self._B.copy().transpose()
-            self._c = self._B.createVecLeft()
-            self._y = self._B.createVecLeft()
+            self._c, self._y = self._B.createVecLeft(), self._B.createVecLeft()
             self._squares = self._B.copy()
             rows, columns, values = self._B.getValuesCSR()
             self._squares.setValuesCSR(rows, columns, values**2)

@@ -139,11 +139,7 @@ class Solver(ABC):
         """Destroy the PETSc objects."""
 
     def as_ksp(self, prefix: str) -> PETSc.KSP:
-        """A KSP for a SNES: it updates when SNES rebuilds its preconditioner, and solves.
-
-        Args:
-            prefix: Prefix of its options.
-        """
+        """A KSP for a SNES: it updates when SNES rebuilds its preconditioner, and solves."""
         shell = PETSc.KSP().create(self.ksp.comm)
         shell.setOptionsPrefix(prefix)
         shell.setType(PETSc.KSP.Type.PREONLY)
@@ -274,21 +270,11 @@ class Substitute(ABC):
 
     @abstractmethod
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Set a KSP's operators for the present values of K.
-
-        Returns:
-            False if that isn't possible and the system is to be made anew.
-        """
+        """Set a KSP's operators for the present K; False if the system is to be made anew."""
 
     @abstractmethod
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve for nested vectors of the saddle system with the present K as operator.
-
-        Args:
-            ksp: The KSP, with the preconditioner of the last :meth:`update`.
-            b: The right-hand side.
-            x: Takes the solution.
-        """
+        """Solve for nested vectors with the present K, and the last update's preconditioner."""
 
     @abstractmethod
     def destroy(self):

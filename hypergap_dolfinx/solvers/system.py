@@ -31,12 +31,8 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
 
     Neither K nor B alone shows these: a pressure (a scalar of a mixed space) whose forces on the
     two sides of a tie λ balances, if displacements are prescribed all around; or a body that only a
-    tie would hold whose conductance is 0, if the loads balance each other.
-
-    Args:
-        system: The saddle system.
-        solver: The solver, with factors.
-        b: A vector of the system, for its layout only.
+    tie would hold whose conductance is 0, if the loads balance each other. The solver has factors;
+    b is for its layout only.
     """
     conducts = system.constraints.conducts
     if solver.ksp.getPC().getType() != "lu" or not (conducts or any(map(is_mixed, system.spaces))):
