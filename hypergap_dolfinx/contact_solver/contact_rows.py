@@ -24,7 +24,7 @@ from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, un
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, lenders
 from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, FREE
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
-from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface, WeightedGaps
+from hypergap_dolfinx.multipliers.interface import ContactInterface, Gaps, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
@@ -45,7 +45,7 @@ class Touching:
 class Pressed:
     """What a load step changes, and gives back if it fails."""
 
-    opening: WeightedGaps | None
+    opening: Gaps | None
     p: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
     on: npt.NDArray[np.bool_]
@@ -98,7 +98,7 @@ class ContactRows:
         self._contact, self.fields, self.bodies = touching.contact, touching.u, touching.bodies
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
-        self._first: tuple[WeightedGaps, npt.NDArray, npt.NDArray, Sparse] | None = None
+        self._first: tuple[Gaps, npt.NDArray, npt.NDArray, Sparse] | None = None
         self.apart: npt.NDArray[np.float64] | None = None
         """:attr:`distance` where the load step starts, if nothing pushes there."""
         self.start: Displacements | None = None

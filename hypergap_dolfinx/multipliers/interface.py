@@ -123,7 +123,7 @@ class TiedInterfaces(Protocol):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
 
 
-class WeightedGaps(Protocol):
+class Gaps(Protocol):
     """Weighted gaps between two sides, on which a contact's multipliers act."""
 
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
@@ -141,7 +141,7 @@ class WeightedGaps(Protocol):
     def slip_slopes(
         self, u: Displacements, since: Displacements, lender: npt.NDArray, on: npt.NDArray
     ) -> Sparse:
-        """∂s/∂u of those in a mask ``on``, ``(num_multipliers,)``."""
+        """∂s/∂u of those that are asked for, ``(num_multipliers,)``."""
 
     def slip_curvature(self, u: Displacements, q: npt.NDArray, lender: npt.NDArray) -> Sparse:
         """∂(Tᵀq)/∂u."""
@@ -193,5 +193,5 @@ class ContactInterface(Protocol):
     def depth(self) -> float:
         """Overlap beyond which a vertex of Γ1 counts as on the other side of Γ0's body."""
 
-    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> WeightedGaps:
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Gaps:
         """Find the gaps where the bodies are, of which some displacements are prescribed."""
