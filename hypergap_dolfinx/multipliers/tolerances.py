@@ -21,9 +21,10 @@ Measured: 0.1× and 10× change nothing in test_multipliers, test_pieces and tes
 
 INDEPENDENT_ROWS = 0.3
 """Sine of the angle between a row and those taken before it from which it is independent.
-Measured: 0.03 and 0.9 change nothing in test_pieces, test_cross_points and test_multipliers but its
+Measured: 0.03 and 0.9 change nothing in test_pieces, test_cross_points, test_multipliers but its
 test_rows, which checks the meaning."""
 
 CONSISTENT = 0.03
 """Sine from which a row that a patch test needs is independent.
-Measured: 0.003 and 0.3 change nothing in test_pieces, test_cross_points, test_ends, test_property."""
+Measured: 0.003 and 0.3 change nothing in test_pieces, test_cross_points, test_ends and
+test_property."""
