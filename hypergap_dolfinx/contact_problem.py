@@ -238,7 +238,7 @@ class ContactProblem(ContactSystem):
         """
         self._check_usable()
         comm = self._u[0].function_space.mesh.comm
-        self._path.set_out()
+        self._path.start_step()
         wrong = self._path.wrong
         raise_on_all(comm, wrong and f"{wrong} is no number.", SolveError)
         changes = comm.allreduce(self._path.changes, MPI.LOR)
@@ -250,14 +250,14 @@ class ContactProblem(ContactSystem):
         while done < 1:
             before = self._state()
             s = min(done + size, 1.0)
-            self._path.go(s)
+            self._path.interpolate(s)
             try:
                 steps = self._newton()
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
                 self._restore(before)
                 if not isinstance(error, SolveError) and not self._iterations:
-                    self._path.stop(done)
+                    self._path.commit(done)
                     raise  # surfaces without a Σ where the bodies were
                 if not changes:
                     raise SolveError(
@@ -267,7 +267,7 @@ class ContactProblem(ContactSystem):
                 size /= 2
                 self._halvings += 1
                 if size < 0.5**HALVINGS:
-                    self._path.stop(done)
+                    self._path.commit(done)
                     if done or self._solved:
                         for rows in self._rows:
                             rows.look()
@@ -280,7 +280,7 @@ class ContactProblem(ContactSystem):
                     rows.accept()
                 done, size = s, min(2 * size, 1.0)
                 progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
-        self._path.stop()
+        self._path.commit()
         self._num_steps += 1
         self._solved = True
         progress.show(comm, self._summary(), keep=True)

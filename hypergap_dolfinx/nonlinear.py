@@ -27,14 +27,14 @@ class NonlinearTiedProblem(NonlinearSystem):
     Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
     displacements and hold whatever rotation the bodies make together.
 
-    What is costly in a step can be kept for later ones, and for later calls of :meth:`solve`, by
-    PETSc's own options. The Jacobian, and so its factors: Newton's steps are cheap then, but
-    there are more of them, and load steps are to be small::
+    PETSc's own options keep costly parts of a step for later ones and later calls of :meth:`solve`.
+    With the Jacobian, and so its factors, kept, Newton's steps are cheap, but there are more of
+    them, and load steps are to be small::
 
         petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
 
-    Only the factors: ``solver="bodies"`` and ``"iterative"`` take as many of Newton's steps as
-    before then, with more iterations in each (``"direct"`` takes as many as with one Jacobian)::
+    With only the factors kept, ``solver="bodies"`` and ``"iterative"`` take as many of Newton's
+    steps as before, with more iterations in each (``"direct"`` as many as with one Jacobian)::
 
         petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
 
@@ -72,11 +72,11 @@ class NonlinearTiedProblem(NonlinearSystem):
 
         Args:
             F: Residual form of each body.
-            u: Solution function of each body, as used in F; what it holds is the first guess.
+            u: Solution function of each body, as used in F; its values are the first guess.
             bcs: Dirichlet conditions of any of the bodies.
             ties: The ties between them.
             J: Jacobian form of each body; F's derivative if not given.
-            solver: Of Newton's steps, as for :class:`TiedProblem`; ``"direct"`` if not given.
+            solver: Solver of Newton's steps as for :class:`TiedProblem`; default ``"direct"``.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the SNES, and of the solver as for :class:`TiedProblem`.
             form_compiler_options: Options of FFCx.
@@ -116,7 +116,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         return [self.__dict__.pop("_snes", None), *super()._release()]
 
     def solve(self) -> list[fem.Function]:
-        """Solve, from what u holds and the multipliers of the last solve. Collective.
+        """Solve, starting from u and the multipliers of the last solve. Collective.
 
         Returns:
             The solution of each body, the same functions as in ``u``.
@@ -140,7 +140,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._snes.solve(None, self._x)
         try:
             self._check_solved()
-        except SolveError:  # users set u back, but have no way to set back these
+        except SolveError:  # users can reset u, but not the multipliers
             for part, values in zip(of_ties, before, strict=True):
                 part.array[:] = values
             raise
@@ -160,7 +160,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         if failure:
             raise SolveError(failure)
         if self._snes.getLinearSolveIterations() and np.isfinite(self._snes.getFunctionNorm()):
-            self._check_constants()  # what isn't held fails here
+            self._check_constants()  # an undetermined constant fails here
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
             f"Newton's iteration failed after {self._snes.getIterationNumber()} steps: SNES "

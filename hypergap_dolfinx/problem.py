@@ -23,7 +23,7 @@ from hypergap_dolfinx.tie import Tie
 
 
 def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
-    """The linear form of a body, zero if there is none; checks that it goes with the other one."""
+    """The linear form of a body, zero if there is none; checks that it matches the bilinear one."""
     if len(a.arguments()) != 2:
         raise ValueError(
             f"a[{i}] has {len(a.arguments())} arguments, not a trial and a test function; "
@@ -44,7 +44,7 @@ class TiedProblem(TiedSystem):
     """Linear problem a_i(u_i, v_i) = L_i(v_i) on several bodies, tied to each other.
 
     Solves the saddle system [K Bᵀ; B −C] [u; λ] = [f; g] with K and f from the forms and B from
-    the ties; g is 0 but for jumps and prescribed displacements, C but for compliances.
+    the ties; g is 0 without jumps and prescribed displacements, C without compliances.
 
     Example:
         Temperatures 0 at y = 0 and 2 at y = 2, around the tie of :class:`Tie`'s example:
@@ -176,7 +176,7 @@ class TiedProblem(TiedSystem):
         return self.solve_system()
 
     def solve_system(self) -> list[fem.Function]:
-        """Solve with A and b as they are; an A that didn't change is not factorised again.
+        """Solve with the present A and b; an A that didn't change is not factorised again.
 
         For time loops: assemble A once, then assemble b and solve in each step. Collective.
 

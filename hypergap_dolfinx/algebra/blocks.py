@@ -16,24 +16,23 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
-from hypergap_dolfinx.algebra.tolerances import UNTIED
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
-from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, openings
+from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
 from hypergap_dolfinx.multipliers.numbering import prescribed_dofs, values_at
 from hypergap_dolfinx.surface.component import Component
 
 
 class ConstraintBlocks:
-    """B and C of [K Bᵀ; B −C]: of B a row of blocks for each interface, a column for each field.
+    """B and C of [K Bᵀ; B −C]: B has a row of blocks for each interface, a column for each field.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
     The fields are the bodies' displacements, then the free interior nodes of ties that have them,
-    then the jumps of ties with a law.
-    Rows of prescribed dofs are gone, and so are columns: what they hold is known.
+    then the jumps of ties with a law. Rows and columns of prescribed dofs are left out.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class ConstraintBlocks:
             spaces: Function space of each body.
             bcs: Dirichlet conditions of each body.
             ties: The ties.
-            names: What messages call them; by their numbers if not given.
+            names: Names of the ties in messages; their numbers if not given.
 
         Raises:
             ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
@@ -61,66 +60,55 @@ class ConstraintBlocks:
         self._names = names or [f"tie {t}" for t in range(len(self._ties))]
         self._components: list[tuple[int, Component]] = []  # with the numbers of their bodies
         tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
-        self._sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
-        self._held = [self._prescribed(V, b) for V, b in zip(self._spaces, bcs, strict=True)]
+        self.sides = [(self._components[f0][0], self._components[f1][0]) for f0, f1 in tied]
+        """Γ0's and Γ1's body of each tie."""
+        self.prescribed = [self._prescribed(V, b) for V, b in zip(spaces, bcs, strict=True)]
+        """Mask of each body's owned dofs (unrolled) that are prescribed."""
         self._pairs: dict[int, Coincidences] = {}
-        held = [part.of_body(self._held[i]) for i, part in self._components]
+        held = [part.of_body(self.prescribed[i]) for i, part in self._components]
         choice = choose(self._ties, tied, held)
         self._interfaces = choice.interfaces
         self._of_tie = {t: g for g, group in enumerate(choice.interfaces) for t in group}
-        self._bodies = [self._sides[group[0]] for group in self._interfaces]
+        self.bodies = [self.sides[group[0]] for group in self._interfaces]
+        """Γ0's and Γ1's body of each interface."""
         for t, lost in enumerate(choice.lost):
             self._check_lost_rows(t, lost)
-        self._own = [
+        self.own = [
             self._own_dofs(columns, self._ties[group[0]])
             for columns, group in zip(choice.columns, choice.interfaces, strict=True)
         ]
+        """Global dofs (unrolled) of Γ1's body that answer to this rank's rows of each interface;
+        fewer than rows if several dofs answer to one row together."""
         self._rows = [self._extensions(t, choice) for t in range(len(self._ties))]
         unknown = [
-            name if unsaid else None
-            for name, unsaid in zip(self._names, choice.unsaid, strict=True)
+            name if undetermined else None
+            for name, undetermined in zip(self._names, choice.undetermined, strict=True)
         ]
         self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
-        self.openings = openings(self._ties, self._rows)
-        self._full = self._pulled_back()
-        self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
-        self._free = [
-            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self._full
+        self.jump_fields = [
+            JumpField(tie, row) for tie, row in zip(self._ties, self._rows) if tie.law and row
         ]
+        self.full = self._pulled_back()
+        """B on all dofs, ``[interface][field]``."""
+        self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
+        self.free = [
+            [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self.full
+        ]
+        """B on dofs that are not prescribed, ``[interface][field]``."""
 
     def destroy(self):
         """Destroy the PETSc matrices. Collective."""
         wanted = self._wanted or []
-        for obj in chain(*(r.values() for r in self._rows), *self._full, *self._free, wanted):
+        for obj in chain(*(r.values() for r in self._rows), *self.full, *self.free, wanted):
             if obj is not None:
                 obj.destroy()
-        for owner in (self.compliances, *self.openings):
+        for owner in (self.compliances, *self.jump_fields):
             owner.destroy()
 
     @property
     def conducts(self) -> bool:
-        """Whether a tie has a conductance, which may be 0."""
-        return any(opening.linear for opening in self.openings)
-
-    @property
-    def free(self) -> list[list[PETSc.Mat | None]]:
-        """B on what is not prescribed, ``[interface][field]``."""
-        return self._free
-
-    @property
-    def full(self) -> list[list[PETSc.Mat | None]]:
-        """B on all dofs, ``[interface][field]``."""
-        return self._full
-
-    @property
-    def sides(self) -> list[tuple[int, int]]:
-        """Γ0's and Γ1's body of each tie."""
-        return self._sides
-
-    @property
-    def bodies(self) -> list[tuple[int, int]]:
-        """Γ0's and Γ1's body of each interface."""
-        return self._bodies
+        """True if a tie has a conductance, which may be 0."""
+        return any(jump.linear for jump in self.jump_fields)
 
     @property
     def moved(self) -> list[list[int]]:
@@ -128,13 +116,13 @@ class ConstraintBlocks:
         num = len(self._spaces)
         return [
             [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
-            for row, (i0, i1) in zip(self._free, self._bodies, strict=True)
+            for row, (i0, i1) in zip(self.free, self.bodies, strict=True)
         ]
 
     def carried(self) -> list[npt.NDArray[np.bool_]]:
-        """Which of this rank's rows of each interface tie across a distance. Collective."""
+        """Mask of this rank's rows of each interface that tie across a distance. Collective."""
         found = []
-        for g, row in enumerate(self._full):
+        for g, row in enumerate(self.full):
             rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
             for tie, E in zip(self._ties, self._rows, strict=True):
                 if tie.motion is not None and g in E:
@@ -143,37 +131,22 @@ class ConstraintBlocks:
         return found
 
     @property
-    def prescribed(self) -> list[npt.NDArray[np.bool_]]:
-        """Which owned dofs (unrolled) of each body are prescribed."""
-        return self._held
-
-    @property
-    def own(self) -> list[npt.NDArray[np.int64]]:
-        """Global dofs (unrolled) of Γ1's body that answer to this rank's multipliers.
-
-        Of each interface.
-
-        One a multiplier; fewer than rows where several dofs answer to one together.
-        """
-        return self._own
-
-    @property
     def interior_sizes(self) -> list[tuple[int, int]]:
         """Local and global numbers of free interior dofs, of the ties that have them."""
         return [tie.blocks()[2].getSizes()[1] for tie in self._ties if tie.free_interior]
 
     def apply(self, g: int, fields: Sequence[PETSc.Vec], c: PETSc.Vec):
-        """Compute c = Σ_i B_i u_i of an interface, prescribed dofs included. Collective.
+        """Compute c = Σ_i B_i u_i − c₀ of an interface, prescribed dofs included. Collective.
 
-        What it is to be, of jumps and of positions, is subtracted, as :meth:`read_jumps` found it.
+        The offset c₀ of jumps and positions is that of the last :meth:`read_jumps`.
 
         Args:
             g: Number of the interface.
-            fields: u_i; of the bodies alone or of all fields.
+            fields: u_i of the bodies alone, or of all fields.
             c: Takes the result.
         """
         c.set(0.0)
-        for u, B in zip(fields, self._full[g], strict=False):
+        for u, B in zip(fields, self.full[g], strict=False):
             if B is not None:
                 B.multAdd(u, c, c)
         if self._wanted is None:
@@ -183,7 +156,7 @@ class ConstraintBlocks:
             c.axpy(-1.0, wanted)
 
     def read_jumps(self):
-        """Take the jumps as they are now. Collective."""
+        """Read the offsets c₀ from the jumps and positions as they are now. Collective."""
         for wanted in filter(None, self._wanted or []):
             wanted.destroy()
         self._wanted = [None] * len(self._interfaces)
@@ -194,14 +167,14 @@ class ConstraintBlocks:
             for g, E in row.items():
                 wanted = self._wanted[g]
                 if wanted is None:
-                    wanted = next(B for B in self._full[g] if B).createVecLeft()
+                    wanted = next(B for B in self.full[g] if B).createVecLeft()
                     wanted.set(0.0)
                     self._wanted[g] = wanted
                 E.add_transposed(offset, wanted)
             offset.destroy()
 
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
-        """Raise where both sides of a tie are prescribed, and differently. Collective.
+        """Raise if both sides of a tie are prescribed, and differently. Collective.
 
         Args:
             values: The prescribed displacements of each body, zero elsewhere.
@@ -209,7 +182,7 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
             jump = tie.nodal_jump()
@@ -218,7 +191,7 @@ class ConstraintBlocks:
             pairs, both, given = self._pairs[t], [], []
             for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
                 part = tie.components[i]
-                both.append(prescribed_dofs(tie, i, part.of_body(self._held[body]), dofs))
+                both.append(prescribed_dofs(tie, i, part.of_body(self.prescribed[body]), dofs))
                 owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
                 given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
@@ -276,7 +249,7 @@ class ConstraintBlocks:
 
     @staticmethod
     def _prescribed(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.bool_]:
-        """Which owned dofs (unrolled) of a body are prescribed."""
+        """Mask of a body's owned dofs (unrolled) that are prescribed."""
         marker = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
         for bc in bcs:
             dofs = bc.dof_indices()[0]  # 0.9 may count ghosts as owned
@@ -318,9 +291,9 @@ class ConstraintBlocks:
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
         """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
         interior = len(self._spaces)
-        num_fields = interior + len(self.interior_sizes) + len(self.openings)
+        num_fields = interior + len(self.interior_sizes) + len(self.jump_fields)
         full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
-        for t, (tie, bodies) in enumerate(zip(self._ties, self._sides, strict=True)):
+        for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
                     product = E.rows_of(B)
@@ -331,8 +304,8 @@ class ConstraintBlocks:
                         before.axpy(1.0, product)
                         product.destroy()
             interior += tie.free_interior
-        for field, opening in enumerate(self.openings, interior):
-            for g, block in opening.blocks.items():
+        for field, jump in enumerate(self.jump_fields, interior):
+            for g, block in jump.blocks.items():
                 full[g][field] = block
         return full
 
@@ -341,31 +314,28 @@ class ConstraintBlocks:
         if B is None:
             return None
         B = B.copy()
-        if i < len(self._held):
+        if i < len(self.prescribed):
             mask = B.createVecRight()
-            mask.array[:] = ~self._held[i]
+            mask.array[:] = ~self.prescribed[i]
             B.diagonalScale(R=mask)
             mask.destroy()
         return B
 
     def _check_lost_rows(self, t: int, lost: npt.NDArray[np.intp]):
-        """Rows without a multiplier are harmless where nothing of Γ0 faces them that can move."""
+        """Raise if rows without a multiplier face dofs of Γ0 that can move. Collective."""
         tie = self._ties[t]
         if not len(lost):
             return
         multiplier, component = np.divmod(lost, tie.block_size)
         lost = tie.constraint.rows[multiplier] * tie.block_size + component
-        B0 = tie.blocks()[0].copy()
-        mask = B0.createVecRight()
-        mask.array[:] = ~self._held[self._sides[t][0]]
-        B0.diagonalScale(R=mask)
+        B0 = self._without_prescribed(self.sides[t][0], tie.blocks()[0])
+        assert B0 is not None
         start, end = B0.getOwnershipRange()
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
         largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
-        untied = (size[lost - start] > UNTIED * largest).sum()
-        mask.destroy()
+        untied = (size[lost - start] > NOTHING * largest).sum()
         B0.destroy()
         untied = tie.sigma.comm.allreduce(int(untied))
         if untied:

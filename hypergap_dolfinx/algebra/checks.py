@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Input that no solver would complain about: tangled cells, numbers that are none, contradictions.
+"""Checks of input that no solver would refuse: tangled cells, NaN, contradicting conditions.
 
 Every check is collective and raises the same exception on every rank.
 """
@@ -20,13 +20,7 @@ import basix
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.algebra.tolerances import (
-    CHECKED_AT_ONCE,
-    CONTRADICT,
-    FLAT_CELL,
-    INVERTED_CORNER,
-    NO_LENGTH,
-)
+from hypergap_dolfinx.algebra.tolerances import CONTRADICT, INVERTED_CORNER, NOTHING
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError
@@ -34,15 +28,17 @@ from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 
+_chunk = 100_000  # cells that are checked at a time, to bound the memory
+
 
 def check_cells(mesh: Mesh, name: str):
-    """Raise where a cell has no volume or is turned over somewhere. Collective.
+    """Raise if a cell has no volume or is turned over somewhere. Collective.
 
     DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part.
 
     Args:
         mesh: Mesh of a body.
-        name: What the message calls it.
+        name: Its name in the message.
 
     Raises:
         ValueError: With the place of the first such cell.
@@ -61,8 +57,8 @@ def check_cells(mesh: Mesh, name: str):
         cells = cells[~straight]
     else:
         lots = []
-    # On simplices det J is a polynomial of this degree. It is looked at in as many points as it has
-    # coefficients: where it is negative anywhere, it mostly is in one of these too
+    # On simplices det J is a polynomial of this degree. It is evaluated in as many points as it has
+    # coefficients: if it is negative anywhere, it mostly is in one of these too
     degree = n * (cmap.degree - 1) if simplex else 2 * cmap.degree
     inside, _ = basix.make_quadrature(cell_type, 2 * cmap.degree)
     lattice = basix.create_lattice(cell_type, max(degree, 1), basix.LatticeType.equispaced, True)
@@ -73,10 +69,10 @@ def check_cells(mesh: Mesh, name: str):
     ):
         size = np.ptp(x, axis=1).max(axis=1) ** n
         sign = np.sign(det[:, :1])
-        bad = ~(sign * det[:, :num_inside] > FLAT_CELL * size[:, None]).all(axis=1)
+        bad = ~(sign * det[:, :num_inside] > NOISE * size[:, None]).all(axis=1)
         # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
         bad |= (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
-        # NaN and infinity in coordinates are told by others, with the name of the surface or body
+        # NaN and infinity in coordinates are left to checks that name the surface or body
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
             i = int(bad.argmax())
@@ -89,23 +85,22 @@ def check_cells(mesh: Mesh, name: str):
 
 
 def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
-    """Which simplices' geometry nodes lie where straight edges have them, ``(num_cells,)``."""
+    """Mask of simplices whose geometry nodes are those of straight edges, ``(num_cells,)``."""
     n = x.shape[1]
     straight = np.ones(len(cells), dtype=bool)
     if cells.shape[1] == n + 1:
         return straight
     weights = np.column_stack((1 - points.sum(axis=1), points))
-    for start in range(0, len(cells), CHECKED_AT_ONCE):
-        nodes = x[cells[start : start + CHECKED_AT_ONCE]]
+    for start in range(0, len(cells), _chunk):
+        nodes = x[cells[start : start + _chunk]]
         deviation = np.abs(weights @ nodes[:, : n + 1] - nodes).max(axis=(1, 2))
-        straight[start : start + CHECKED_AT_ONCE] = ~(
-            deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2))
-        )
+        bent = deviation > STRAIGHT * np.abs(nodes).max(axis=(1, 2))
+        straight[start : start + _chunk] = ~bent
     return straight
 
 
 def _determinants(x, element, cells, inside, boundary):
-    """Values of det J at points, a chunk of the cells at a time.
+    """Yield a chunk's nodes (cell, node, n), det J (cell, point) and the number of points inside.
 
     Args:
         x: Geometry nodes, ``(num_nodes, n)``.
@@ -113,15 +108,12 @@ def _determinants(x, element, cells, inside, boundary):
         cells: Nodes of each cell.
         inside: Reference points, ``(num_inside, n)``.
         boundary: More of them.
-
-    Yields:
-        Nodes of the chunk's cells, det J ``(num_cells, num_points)``, and num_inside.
     """
     dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
-    for start in range(0, len(cells), CHECKED_AT_ONCE):
-        nodes = x[cells[start : start + CHECKED_AT_ONCE]]  # (cell, node, n)
+    for start in range(0, len(cells), _chunk):
+        nodes = x[cells[start : start + _chunk]]
         J = np.einsum("cmi,jpm->cpij", nodes, dpsi, optimize=True)
-        with np.errstate(invalid="ignore"):  # NaN in coordinates are told by others
+        with np.errstate(invalid="ignore"):  # NaN in coordinates are left to other checks
             det = _det(J)
         yield nodes, det, len(inside)
 
@@ -135,11 +127,11 @@ def _det(J: npt.NDArray) -> npt.NDArray:
 
 
 def check_finite(objects: Sequence[PETSc.Object], what: str):
-    """Raise where a body's matrix or vector has a NaN or an infinity. Collective.
+    """Raise if a body's matrix or vector has a NaN or an infinity. Collective.
 
     Args:
         objects: Matrices or vectors of the bodies.
-        what: What the message calls them.
+        what: Their name in the message.
 
     Raises:
         ValueError: Names the body.
@@ -155,15 +147,15 @@ def check_finite(objects: Sequence[PETSc.Object], what: str):
 def check_scalars(
     forms: Sequence[ufl.Form | None], functions: Sequence[fem.Function], bcs: Sequence = ()
 ):
-    """Raise where something is real and PETSc's scalars are complex, or the other way round.
+    """Raise if an object is real and PETSc's scalars are complex, or the other way round.
 
     Args:
-        forms: UFL forms of the bodies; None has nothing.
+        forms: UFL forms of the bodies; None for no form.
         functions: Solutions of the bodies.
-        bcs: Dirichlet conditions; what is none is left to others.
+        bcs: Dirichlet conditions; other objects are ignored.
 
     Raises:
-        ValueError: Says what it is.
+        ValueError: Names the object.
     """
     found: list[tuple[str, npt.DTypeLike]] = []
     for form in forms:
@@ -185,7 +177,7 @@ def check_scalars(
 
 
 def check_apart(ties: Sequence[Interface]):
-    """Raise where two ties tie the same field on the same facets to each other.
+    """Raise if two ties tie the same field on the same facets to each other.
 
     Args:
         ties: The ties.
@@ -193,10 +185,10 @@ def check_apart(ties: Sequence[Interface]):
     Raises:
         InterfaceError: Names the ties.
     """
-    every = [part for tie in ties for part in tie.components]
+    known = [part for tie in ties for part in tie.components]
     sides = []
     for tie in ties:
-        fields = [next(f for f, other in enumerate(every) if other.same(p)) for p in tie.components]
+        fields = [next(f for f, other in enumerate(known) if other.same(p)) for p in tie.components]
         sides.append(
             [
                 {(field, row.tobytes()) for row in np.sort(surface.dofs, axis=1)}
@@ -218,10 +210,10 @@ class Coincidences:
         """Find them, on every rank alike."""
         x, dofs = [], []
         for surface in tie.domain.surfaces:
-            every, first = np.unique(surface.dofs, return_index=True)
+            unique, first = np.unique(surface.dofs, return_index=True)
             facet, local = np.divmod(first, surface.dofs.shape[1])
             x.append(surface.points(facet, surface.element.points[local]))
-            dofs.append(every)
+            dofs.append(unique)
         h = min(surface.size.min() for surface in tie.surfaces)
         cell = SAME_PLACE * h + NOISE * np.abs(x[0]).max()
         keys = [np.rint((p - x[0].min(axis=0)) / cell).astype(np.int64) for p in x]
@@ -231,27 +223,27 @@ class Coincidences:
         self.dofs = dofs[0][i], dofs[1][j]
         """Global dofs (blocks) of both sides, ``(num_pairs,)`` each."""
         self.x: npt.NDArray[np.float64] = x[0][i]
-        """Where they are, ``(num_pairs, n)``."""
+        """Their positions, ``(num_pairs, n)``."""
         self.extent = float(np.ptp(x[0], axis=0).max())
         """Size of Γ0."""
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
-        """Whether the values are displacements."""
+        """True if the values are displacements."""
 
     def check(self, name: str, prescribed, values, size: float, jump=None):
-        """Raise where both sides are prescribed, and differently.
+        """Raise if both sides are prescribed, and differently.
 
         Args:
-            name: What the message calls the tie.
-            prescribed: Which components are prescribed on both sides, ``(num_pairs, block_size)``.
+            name: Name of the tie in the message.
+            prescribed: Masks of prescribed components on both sides, ``(num_pairs, block_size)``.
             values: The prescribed values.
-            size: Of displacements, the largest that either body has prescribed anywhere.
-            jump: What u₁ − u₀ is to be, as the values; nothing if not given.
+            size: Largest displacement that is prescribed anywhere on either body.
+            jump: Prescribed u₁ − u₀, as the values; zero if not given.
 
         Raises:
             InterfaceError: With the place and the values.
         """
         both = prescribed[0] & prescribed[1]
-        noise = NO_LENGTH * self.extent if self.lengths else 0.0
+        noise = NOTHING * self.extent if self.lengths else 0.0
         difference = values[1] - values[0] - (0 if jump is None else jump)
         wrong = both & (np.abs(difference) > CONTRADICT * size + noise)
         if wrong.any():

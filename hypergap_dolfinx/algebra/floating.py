@@ -3,11 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Rigid motions of bodies that nothing but contact can hold."""
+"""Rigid motions of bodies that only contact can hold, and messages about bodies that it doesn't."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -23,7 +24,8 @@ from hypergap_dolfinx.algebra.rigid_motions import (
     tied_groups,
     unhindered,
 )
-from hypergap_dolfinx.algebra.tolerances import SAME
+from hypergap_dolfinx.algebra.tolerances import ASTRAY, DEPENDENT, MOVES, ROTATES
+from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import parts
 
 
@@ -42,7 +44,7 @@ class FreeMotions:
         """
         self._spaces, self._parts = spaces, [parts(V) for V in spaces]
         self.places = [places(V) for V in spaces]
-        """Where this rank's owned nodes of each body were first, ``(num_nodes, n)`` each."""
+        """Initial positions of this rank's owned nodes of each body, ``(num_nodes, n)`` each."""
         self._centre = mean(spaces[0].mesh.comm, self.places)
         self._sizes: list[npt.NDArray[np.float64] | None] = [None] * len(spaces)
         modes = [self._modes(i, x) for i, x in enumerate(self.places)]
@@ -50,7 +52,7 @@ class FreeMotions:
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         fields = fields_of(spaces)
         alone = unhindered(fields, K, ties, [{i: part} for i, part in enumerate(modes)], rows)
-        # What ties connect moves as one, even if that strains a tie that is no better than its mesh
+        # Tied bodies move as one, even if that strains a tie by an error of its mesh
         groups, apart = tied_groups(fields, self._parts, ties)
         together = np.zeros((0, ends[-1]))
         for g in range(max(int(group.max()) for group in groups) + 1):
@@ -59,11 +61,11 @@ class FreeMotions:
             found = unhindered(fields, K, ties, [moved], apart)
             together = np.vstack((together, found @ common.T))
         _, values, found = np.linalg.svd(np.vstack((alone, together)), full_matrices=False)
-        found = found[values > SAME]
+        found = found[values > DEPENDENT]
         self._combinations = [found[:, a:b].T for a, b in pairwise(ends)]
 
     def _common(self, groups, g: int) -> npt.NDArray[np.float64]:
-        """What the parts' modes are in those of a group, of length 1, ``(num_modes, num)``."""
+        """A group's modes as combinations of its parts' ones, of length 1, ``(num_modes, num)``."""
         columns = []
         for group, size in zip(groups, self._sizes, strict=True):
             assert size is not None
@@ -74,11 +76,11 @@ class FreeMotions:
 
     @property
     def num(self) -> int:
-        """How many there are."""
+        """Number of free motions."""
         return self._combinations[0].shape[1]
 
     def at(self, i: int, u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """The motions of a body where it is now. Collective.
+        """The motions of a body at its present position. Collective.
 
         Args:
             i: Number of the body.
@@ -93,7 +95,7 @@ class FreeMotions:
         return self._modes(i, x + u.reshape(x.shape)) @ self._combinations[i]
 
     def _modes(self, i: int, x) -> npt.NDArray[np.float64]:
-        """Rigid motions of a body's parts, of length 1 where the body was first. Collective."""
+        """Rigid motions of a body's parts, of length 1 in its initial position. Collective."""
         V, (part, num_parts) = self._spaces[i], self._parts[i]
         comm, part = V.mesh.comm, np.repeat(part, V.dofmap.index_map_bs)[:, None]
         modes = motions(V, self._centre, x)
@@ -103,3 +105,133 @@ class FreeMotions:
             size = np.sqrt(np.maximum(comm.allreduce((modes**2).sum(axis=0)), 1e-300))
             self._sizes[i] = size
         return modes / size
+
+
+class RigidBodyDiagnostics:
+    """Messages about bodies that only contact holds: which ones move, and how."""
+
+    def __init__(
+        self, spaces: Sequence[fem.FunctionSpace], free: FreeMotions, names: Sequence[str]
+    ):
+        """Find the bodies that can move.
+
+        Args:
+            spaces: Space of each body.
+            free: The motions that nothing but contact holds.
+            names: Names of the bodies in messages.
+        """
+        self._spaces, self._free, self._names = spaces, free, names
+        self._comm = spaces[0].mesh.comm
+        sizes = [(free.at(i, 0 * places(V).ravel()) ** 2).sum() for i, V in enumerate(spaces)]
+        sizes = np.sqrt(self._comm.allreduce(np.array(sizes)))
+        self._moves = sizes > MOVES * sizes.max()
+
+    def unheld(
+        self,
+        u: Sequence[npt.NDArray[np.float64]],
+        holds: npt.NDArray[np.float64],
+        num: int,
+        friction: bool,
+    ) -> str:
+        """Message about motions that not even contact holds. Collective.
+
+        Args:
+            u: This rank's owned displacements of each body, ``(num_dofs,)``.
+            holds: Active rows of contact times the free motions, ``(num_rows, num_free)``.
+            num: Number of motions that nothing holds.
+            friction: True if there is friction.
+        """
+        slid = ": it fell or slid away, its load may be more than friction can hold"
+        return (
+            f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
+            f"by nothing, not even by contact{slid if friction else ' without friction'}: "
+            f"{self._moving(u, holds)}; hold them by boundary conditions."
+        )
+
+    def _moving(self, u, holds) -> str:
+        """The bodies that nothing holds, and how each moves if that is one motion. Collective."""
+        size = np.maximum(np.linalg.norm(holds, axis=1), 1e-300)
+        rows = np.vstack((holds / size[:, None], np.zeros((self._free.num,) * 2)))
+        _, values, combinations = np.linalg.svd(rows)
+        left = combinations[values <= max(MOVES, values[-1])].T
+        moving = [self._free.at(i, part) @ left for i, part in enumerate(u)]
+        sizes = np.sqrt(self._comm.allreduce(np.array([(v**2).sum(axis=0) for v in moving])))
+        messages = []
+        for i, (V, some) in enumerate(zip(self._spaces, sizes > MOVES * sizes.max(), strict=True)):
+            if not some.any():
+                continue
+            x = places(V)
+            v = moving[i][:, some.argmax()].reshape(x.shape)
+            x, v = self._those_that_move(x + u[i].reshape(x.shape), v)
+            how = f", {in_words(self._comm, x, v)}" if some.sum() == 1 else ""
+            messages.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
+        return "; ".join(messages)
+
+    def _those_that_move(self, x, v):
+        """Positions and velocities of a body's nodes in the parts that move. Collective."""
+        speed = np.linalg.norm(v, axis=1)
+        on = speed > MOVES * self._comm.allreduce(speed.max(initial=0), MPI.MAX)
+        return x[on], v[on]
+
+    def lost(
+        self,
+        before: Sequence[npt.NDArray[np.float64]],
+        now: Sequence[npt.NDArray[np.float64]],
+        message: str,
+    ) -> str:
+        """Sentence about where a failed load step led bodies that only contact holds. Collective.
+
+        Args:
+            before: This rank's owned displacements of each body at its start.
+            now: Those where it failed.
+            message: Message about the failure.
+        """
+        only, off = [], []
+        for i, (V, start, end) in enumerate(zip(self._spaces, before, now, strict=True)):
+            if not self._moves[i]:
+                continue
+            x = places(V)
+            x, way = x + start.reshape(x.shape), (end - start).reshape(x.shape)
+            middle, shift = mean(self._comm, [x]), mean(self._comm, [way])
+            extent = 2 * np.sqrt(mean(self._comm, [(x - middle) ** 2]).sum())
+            only.append(f"{self._names[i]} at {spot(middle)}")
+            if np.isfinite(shift).all() and np.linalg.norm(shift) > ASTRAY * extent:
+                off.append(
+                    f"{only[-1]} had gone by {spot(shift)}: it falls, slides off or is ejected"
+                )
+        if off:
+            return f" Then {'; '.join(off)}."
+        known = not only or any(f"{one.split(' at ')[0]}," in message for one in only)
+        return "" if known else f" Only contact holds {', '.join(only)}."
+
+    def of(self, bodies: Sequence[int | None]) -> str:
+        """Names of those among some bodies that only contact holds."""
+        some = [self._names[i] for i in bodies if i is not None and self._moves[i]]
+        return " or ".join(some) or "a body"
+
+
+def in_words(comm: MPI.Comm, x: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> str:
+    """A rigid motion in words. Collective.
+
+    Args:
+        comm: Communicator.
+        x: This rank's places, ``(num, n)``.
+        v: Their velocities, ``(num, n)``.
+    """
+    n, middle, shift = x.shape[1], mean(comm, [x]), mean(comm, [v])
+    r, w = (np.pad(part, ((0, 0), (0, 3 - n))) for part in (x - middle, v - shift))
+    square, num = comm.allreduce((r**2).sum()), comm.allreduce(len(x))
+    inertia = square * np.eye(3) - comm.allreduce(r.T @ r)
+    spin = np.linalg.pinv(inertia) @ comm.allreduce(np.cross(r, w).sum(axis=0))
+    rate = np.linalg.norm(spin)
+    if rate * np.sqrt(square / num) <= ROTATES * np.linalg.norm(shift):
+        return f"along {_direction(shift)}"
+    around = middle + (np.cross(spin, np.pad(shift, (0, 3 - n))) / rate**2)[:n]
+    axis = f" on the axis {_direction(spin)}" if n == 3 else ""
+    return f"that turns around {spot(around)}{axis}"
+
+
+def _direction(v: npt.NDArray[np.float64]) -> str:
+    """A unit vector to three digits, with a fixed sign: that of a motion is arbitrary."""
+    v = np.round(v / np.linalg.norm(v), 3)
+    return spot(v * np.sign(v[v != 0][0]))

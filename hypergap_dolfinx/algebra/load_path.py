@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What a load step changes: values of forms and boundary conditions, and the way between two."""
+"""Interpolation of the loads, values of forms and boundary conditions, within a load step."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from dolfinx import fem
 
 
 class LoadPath:
-    """The straight way from the values of the last load step to those that a user has set since."""
+    """Linear path from the values of the last load step to those that a user has set since."""
 
     def __init__(
         self,
@@ -29,10 +29,10 @@ class LoadPath:
 
         Args:
             F: Residual forms.
-            u: What is solved for.
+            u: Solution functions.
             bcs: Boundary conditions.
             moved: Displacements that the user prescribes as a whole.
-            arrays: Others, of ties and contacts.
+            arrays: Values of ties and contacts.
         """
         of_forms: list[npt.NDArray] = []
         for form in F:
@@ -53,12 +53,12 @@ class LoadPath:
         self._start = [np.array(a) for a in self._arrays]
         self._end = self._start
 
-    def set_out(self):
-        """Take the values as they are now for the end."""
+    def start_step(self):
+        """Take the present values for the end."""
         self._end = [np.array(a) for a in self._arrays]
 
-    def go(self, s: float):
-        """Set all values.
+    def interpolate(self, s: float):
+        """Set all values between start and end.
 
         Args:
             s: 0 at the start, 1 at the end.
@@ -66,23 +66,23 @@ class LoadPath:
         for a, start, end in zip(self._arrays, self._start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
 
-    def stop(self, s: float = 1.0):
-        """The next way starts here, with the values of the end set.
+    def commit(self, s: float = 1.0):
+        """Start the next path here, and set the values of the end.
 
         Args:
-            s: How far it went.
+            s: Part of this path that was reached.
         """
-        self.go(s)
+        self.interpolate(s)
         self._start = [np.array(a) for a in self._arrays]
-        self.go(1)
+        self.interpolate(1)
 
     @property
     def changes(self) -> bool:
-        """Whether any of this rank's values changes on the way."""
+        """True if any of this rank's values changes on the path."""
         return not all(map(np.array_equal, self._start, self._end))
 
     @property
     def wrong(self) -> str | None:
-        """What kind of this rank's values at the end are no numbers."""
+        """Kind of this rank's values at the end that aren't finite, or None."""
         ends = zip(self._kinds, self._end, strict=True)
         return next((kind for kind, a in ends if not np.isfinite(a).all()), None)

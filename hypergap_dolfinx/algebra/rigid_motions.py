@@ -3,10 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Rigid motions that neither boundary conditions nor ties hinder.
-
-Rigid motions of bodies, as columns over their dofs: what a stiffness alone doesn't see.
-"""
+"""Rigid motions of bodies, as columns over their dofs, and those that nothing hinders."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -32,7 +29,7 @@ from hypergap_dolfinx.surface.component import Component, lagrange_components
 
 
 def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Where this rank's owned nodes are, ``(num_nodes, n)``."""
+    """Positions of this rank's owned nodes, ``(num_nodes, n)``."""
     return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : V.mesh.geometry.dim]
 
 
@@ -45,8 +42,8 @@ def motions(
 
     Args:
         V: Its space.
-        centre: Of the rotations; the mean of the dofs' places if not given.
-        x: Where this rank's owned nodes are now; their :func:`places` if not given.
+        centre: Centre of the rotations; the mean of the nodes if not given.
+        x: Present positions of this rank's owned nodes; their :func:`places` if not given.
 
     Returns:
         This rank's owned rows, ``(num_dofs, num_modes)``.
@@ -73,7 +70,7 @@ def rigid_modes(
 
     Args:
         V: Its space.
-        prescribed: Which owned dofs (unrolled) are prescribed.
+        prescribed: Mask of the owned dofs (unrolled) that are prescribed.
         part: The part of each node, from :func:`hypergap_dolfinx.core.graph.parts`.
         num_parts: Number of parts.
 
@@ -93,7 +90,7 @@ def common_modes(
 
     Args:
         spaces: Their spaces.
-        moved: Which of each body's owned nodes move, ``(num_nodes,)``; all if not given.
+        moved: Mask of each body's owned nodes that move, ``(num_nodes,)``; all if not given.
 
     Returns:
         For each body this rank's owned rows, ``(num_dofs, num_modes)``; columns that are
@@ -115,18 +112,18 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
     """Orthonormal columns that span those of R, with rows on all ranks. Collective."""
     R = R / np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))
     values, vectors = np.linalg.eigh(comm.allreduce(R.T @ R))
-    keep = values > DEPENDENT
+    keep = values > DEPENDENT**2
     return R @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
 def mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
-    """The mean of places on all ranks. Collective."""
+    """Mean of positions on all ranks. Collective."""
     total = sum(part.sum(axis=0) for part in x)
     return comm.allreduce(total) / comm.allreduce(sum(len(part) for part in x))
 
 
 Field = tuple[int, Component]
-"""A body, and one of its fields: of a mixed space each has motions of its own."""
+"""A body and one of its fields: each field of a mixed space has motions of its own."""
 Modes = dict[int, npt.NDArray[np.float64]]
 """By a field's number, this rank's rows of motions that fields make together,
 ``(num_dofs, num_modes)``."""
@@ -142,11 +139,11 @@ def free_motions(
 ) -> int:
     """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
 
-    Parts of a mesh that aren't connected count as bodies, unless there are many. What ties connect
-    moves together if nothing else holds it. Where tied surfaces nearly coincide, such a rotation
-    strains the tie a little; that is an error of the meshes and holds nothing. Where they are apart
-    (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie whose
-    motion carries one side to the other is across a distance, however short.
+    Parts of a mesh that aren't connected count as bodies, unless there are many. Bodies that ties
+    connect move together if nothing else holds them. If tied surfaces nearly coincide, such a
+    rotation strains the tie a little; that is an error of the meshes and holds nothing. If they are
+    apart (:data:`APART`), a rotation moves one side past the other, and the tie does hold it; a tie
+    whose motion carries one side to the other is across a distance, however short.
 
     Args:
         spaces: Space of each body.
@@ -161,7 +158,7 @@ def free_motions(
     for f, ((i, part), numbered) in enumerate(zip(fields, in_part, strict=True)):
         nothing = np.zeros_like(part.of_body(constraints.prescribed[i]))
         alone.append({f: rigid_modes(part.space, nothing, *numbered)})
-    every = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
+    all_rows = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
     groups, apart = tied_groups(fields, in_part, constraints)
     together: list[Modes] = []
     for g in range(max(int(group.max()) for group in groups) + 1):
@@ -169,7 +166,7 @@ def free_motions(
         modes = common_modes([fields[f][1].space for f in nodes], list(nodes.values()))
         together.append(dict(zip(nodes, modes, strict=True)))
     free = (
-        unhindered(fields, K, constraints, alone, every),
+        unhindered(fields, K, constraints, alone, all_rows),
         unhindered(fields, K, constraints, together, apart),
     )
     return max(map(len, free))
@@ -181,7 +178,7 @@ def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:
 
 
 def _rotates(V: fem.FunctionSpace) -> bool:
-    """Whether a body's field is a displacement."""
+    """True if a body's field is a displacement."""
     return V.value_shape == (V.mesh.geometry.dim,)
 
 
@@ -191,9 +188,9 @@ def _apart(
     sizes: Sequence[npt.NDArray[np.float64] | None],
     row: Sequence[PETSc.Mat | None],
 ) -> npt.NDArray[np.bool_]:
-    """Which of a tie's rows tie what is apart, ``(num_rows,)``. Collective.
+    """Mask of a tie's rows that tie surfaces which are apart, ``(num_rows,)``. Collective.
 
-    A row makes nothing of constants; so what it makes of positions is its weight times a distance.
+    A row's product with constants is 0, so that with positions is its weight times a distance.
 
     Args:
         fields: The bodies' fields.
@@ -203,7 +200,7 @@ def _apart(
     """
     first = fields[0][1].space
     n, num_rows = first.mesh.geometry.dim, _num_rows(row)
-    # Nobody here knows where free interior nodes are
+    # The positions of free interior nodes are not known here
     if any(B is not None for B in row[num_bodies:]):
         return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
@@ -252,8 +249,8 @@ def tied_groups(
         constraints: The ties.
 
     Returns:
-        The group of each part of each field, the same on every rank; and which of this rank's rows
-        of each tie tie what is apart.
+        The group of each part of each field, the same on every rank; and a mask of this rank's rows
+        of each tie whose surfaces are apart.
     """
     num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
     num_places = num_bodies + len(constraints.interior_sizes)
@@ -299,17 +296,17 @@ def unhindered(
         K: Stiffness of each body.
         constraints: The ties.
         moved: The motions.
-        rows: Which rows of each tie hinder them.
+        rows: Mask of each tie's rows that hinder them.
 
     Returns:
         Orthonormal, ``(num_free, num_motions)``.
     """
     comm, prescribed = K[0].comm.tompi4py(), constraints.prescribed
     ends = np.cumsum([0, *(next(iter(modes.values())).shape[1] for modes in moved)])
-    found = [np.zeros((1, ends[-1]))]  # of this rank: what holds the motions
+    found = [np.zeros((1, ends[-1]))]  # on this rank: rows whose null space is free motions
 
     def add(parts: dict[int, npt.NDArray]):
-        """As few rows as some motions are say as much."""
+        """Add rows, compressed to at most as many as there are motions."""
         if parts:
             R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
             found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
@@ -334,7 +331,7 @@ def unhindered(
         )
     for row, hinder in zip(constraints.free, rows, strict=True):
         blocks = {i: B for i, B in enumerate(row[: len(K)]) if B is not None}
-        # One for all: what the bodies' motions make together is to vanish as it does
+        # One for all blocks: the sum of the bodies' contributions is to vanish
         size = max(row_length(B) for B in blocks.values()) or 1.0
         parts = {}
         for m, modes in enumerate(moved):

@@ -3,7 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The saddle system [K Bᵀ; B −C] as a PETSc MatNest, and how it is solved."""
+"""The saddle system [K Bᵀ; B −C] as a PETSc MatNest, its solution by a KSP, and its errors.
+
+A compliance enters as the block −C in place of the zero; without one a stored diagonal of zeros
+stands there, since factorisations need the entries.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -12,9 +16,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED, RETRIES
+from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED
 from hypergap_dolfinx.core.sparse import row_length
-from hypergap_dolfinx.errors import SolveError
 
 
 def saddle_matrix(
@@ -27,7 +30,7 @@ def saddle_matrix(
     Args:
         K: Stiffness of each body.
         B: For each tie, its block on each body, or None.
-        C: For each tie, its block −C for each tie; None, or nothing given, for zero.
+        C: Blocks −C for each pair of ties; None, or nothing given, for zero.
 
     Returns:
         [K Bᵀ; B −C], and the transposes that it is made of.
@@ -39,20 +42,15 @@ def saddle_matrix(
     ]
     for t, row in enumerate(B):
         last = list(C[t]) if C else [None] * len(B)
-        last[t] = last[t] or _zero_diagonal(row)
+        last[t] = last[t] or zero_matrix(next(b for b in row if b).getSizes()[0], K[0].comm)
         blocks.append([*row, *last])
     # Not assembled here: that would drop the entries that K has room for but no values yet
     A = PETSc.Mat().createNest(blocks, comm=K[0].comm)
     return A, [b for row in transposes for b in row if b]
 
 
-def _zero_diagonal(row: Sequence[PETSc.Mat | None]) -> PETSc.Mat:
-    block = next(b for b in row if b)
-    return zero_matrix(block.getSizes()[0], block.comm)
-
-
 def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
-    """A square matrix with nothing but a stored diagonal of zeros. Collective.
+    """A square matrix with a stored diagonal of zeros. Collective.
 
     Args:
         size: Local and global number of rows.
@@ -62,10 +60,10 @@ def zero_matrix(size: tuple[int, int], comm) -> PETSc.Mat:
 
 
 def destroy_parts(parts: Iterable[PETSc.Vec]):
-    """Let go of a nested vector's parts, before it is destroyed itself. Collective.
+    """Destroy a nested vector's parts before it is destroyed itself. Collective.
 
-    On several ranks Python's garbage collection destroys no PETSc object: what is the last to know
-    of a part would keep it, and its communicator, of which there are 2000.
+    On several ranks Python's garbage collection destroys no PETSc object: a part that is only
+    referenced here would remain, with its communicator, of which there are 2000.
 
     Args:
         parts: From ``getNestSubVecs()``.
@@ -75,14 +73,14 @@ def destroy_parts(parts: Iterable[PETSc.Vec]):
 
 
 def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-    """Solve; with more workspace where MUMPS runs out of it, as with many pivots. Collective."""
+    """Solve; with more workspace if MUMPS runs out of it, as with many pivots. Collective."""
     ksp.solve(b, x)
     pc = ksp.getPC()
     if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
         return
     database, key = PETSc.Options(), f"{ksp.getOptionsPrefix() or ''}mat_mumps_icntl_14"
     before = database.getAll().get(key)
-    for _ in range(RETRIES):
+    for _ in range(4):  # three times the workspace each time: 100 % to 8100 %
         factor = pc.getFactorMatrix()
         if factor.getMumpsInfog(1) not in (-8, -9):
             break
@@ -100,7 +98,7 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
 def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     """Largest residual of the rows of blocks, each relative to the size of its terms. Collective.
 
-    Forces in a body as of :data:`BACKWARD` times the displacements beside it count as round-off.
+    Forces that :data:`BACKWARD` times the displacements beside a body make in it are round-off.
 
     Args:
         A: The nested matrix.
@@ -128,35 +126,21 @@ def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
     return worst
 
 
-def check_solved(ksp: PETSc.KSP):
-    """Raise if a solve did not converge. Collective.
-
-    Args:
-        ksp: The solver.
-
-    Raises:
-        SolveError: With what :func:`failure` says.
-    """
-    message = failure(ksp)
-    if message:
-        raise SolveError(message)
-
-
 def failure(
     ksp: PETSc.KSP,
     advice: str = "",
     units: npt.NDArray | None = None,
     bound: float = RESIDUAL_ACCEPTED,
 ) -> str | None:
-    """Why a solve did not converge, or None if it did. Collective.
+    """Reason why a solve did not converge, or None if it did. Collective.
 
-    A singular matrix makes MUMPS return NaN without an exception; or, where round-off hides that a
-    pivot is zero, a huge multiple of what the matrix does not see, far from solving the system.
+    A singular matrix makes MUMPS return NaN without an exception; or, if round-off hides a zero
+    pivot, a huge multiple of a null vector, far from solving the system.
 
     Args:
         ksp: The solver.
-        advice: What else the message says.
-        units: Of this rank's rows, if the matrix isn't nested and they differ.
+        advice: End of the message.
+        units: Units of this rank's rows, if the matrix isn't nested and they differ.
         bound: Largest residual of a direct solve, relative to the right-hand side.
 
     Returns:
@@ -165,7 +149,7 @@ def failure(
     reason = ksp.getConvergedReason()
     residual = None
     if reason > 0:
-        # Solvers that look at their residual know themselves
+        # Solvers that compute their residual have checked it
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
             return None
         residual, size = _residual(ksp, units)
@@ -193,7 +177,7 @@ def failure(
 
 
 def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
-    """|b − Ax| and |b|; rows of ties count as the forces that K makes of their gaps."""
+    """|b − Ax| and |b|, with rows of ties in units of K (forces)."""
     A, b = ksp.getOperators()[0], ksp.getRhs()
     r = b.duplicate()
     A.mult(ksp.getSolution(), r)
@@ -215,7 +199,7 @@ def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
 
 
 def scales(A: PETSc.Mat) -> list[float]:
-    """Units of the rows of blocks: 1, of ties the size of the softest body's K over that of B."""
+    """Units of the rows of blocks: 1 for bodies, for ties the size of the softest K over B's."""
     num = A.getNestSize()[0]
 
     def size(i: int, j: int) -> float:

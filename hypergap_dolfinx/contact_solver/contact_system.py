@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
-from hypergap_dolfinx.algebra.diagnostics import Strays
-from hypergap_dolfinx.algebra.floating import FreeMotions
+from hypergap_dolfinx.algebra.floating import FreeMotions, RigidBodyDiagnostics
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactRows,
@@ -44,7 +43,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.multipliers.interface import Pieces
+from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements
 
@@ -57,7 +56,7 @@ class ContactSystem(NonlinearSystem):
         F: Sequence[ufl.Form],
         u: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC],
-        pieces: Pieces,
+        pieces: TiedInterfaces,
         touching: Sequence[Touching],
         *,
         names: Sequence[str],
@@ -118,7 +117,7 @@ class ContactSystem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
-            self._strays = Strays(self._system.spaces, self._free, self._names)
+            self._strays = RigidBodyDiagnostics(self._system.spaces, self._free, self._names)
 
     def _state(self) -> State:
         parts = self._x.getNestSubVecs()

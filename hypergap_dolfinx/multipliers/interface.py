@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What the solvers need to know of an interface, whoever made it."""
+"""The properties of ties and contacts that solvers use, as protocols."""
 
 from collections.abc import Hashable, Sequence
 from typing import Protocol
@@ -35,7 +35,7 @@ class Interface(Protocol):
 
     @property
     def components(self) -> tuple[Component, Component]:
-        """What these are among the dofs of their bodies."""
+        """V₀ and V₁ among the dofs of their bodies."""
 
     @property
     def sigma(self) -> Mesh:
@@ -59,34 +59,34 @@ class Interface(Protocol):
 
     @property
     def free_interior(self) -> bool:
-        """Whether Σ's interior nodes are unknowns."""
+        """True if Σ's interior nodes are unknowns."""
 
     @property
     def closes_gap(self) -> bool:
-        """Whether the constraint is on positions."""
+        """True if the constraint is on positions."""
 
     @property
     def discontinuous(self) -> bool:
-        """Whether λ ends where Γ1 does, though other ties go on there."""
+        """True if λ ends at the ends of Γ1, though other ties go on there."""
 
     @property
     def motion(self) -> Motion | None:
-        """What carries Γ0 to Γ1, of a tie across a distance."""
+        """Motion that carries Γ0 to Γ1, of a tie across a distance."""
 
     @property
     def turn(self) -> npt.NDArray | None:
-        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+        """Rotation R in u₁ = R u₀, ``(block_size, block_size)``; None for the identity."""
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
 
     @property
     def compliance(self) -> Compliance | None:
-        """What the interface gives way by: the matrix C of Σ_i B_i u_i − C λ = c."""
+        """Compliance of the interface: the matrix C of Σ_i B_i u_i − C λ = c."""
 
     @property
     def law(self) -> Response | Conductance | None:
-        """What λ is of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
+        """Law λ = f(w) of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
 
     @property
     def gives_way(self) -> Hashable:
@@ -99,20 +99,20 @@ class Interface(Protocol):
         """A side, and u₁ − u₀ now at its dofs, this rank's owned rows; None if 0. Collective."""
 
 
-class Pieces(Protocol):
-    """What users tied, and the interfaces that these are pieces of."""
+class TiedInterfaces(Protocol):
+    """The ties that users give, and the interfaces that these are pieces of."""
 
     @property
     def ties(self) -> Sequence[Interface]:
-        """What users tied."""
+        """The ties as users give them."""
 
     @property
     def interfaces(self) -> Sequence[Interface]:
-        """What is solved."""
+        """The interfaces that are solved for."""
 
     @property
     def names(self) -> Sequence[str]:
-        """What messages call the interfaces."""
+        """Names of the interfaces in messages."""
 
     def find(self, tie) -> int:
         """Number of the interface that a tie is a piece of."""
@@ -125,7 +125,7 @@ class Pieces(Protocol):
 
 
 class AtVertices(Protocol):
-    """What a contact has at each place of Γ1."""
+    """A coefficient of a contact that may vary along Γ1."""
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """Numbers ≥ 0 at Γ1's vertices now, the same on every rank. Collective."""
@@ -160,15 +160,15 @@ class ContactInterface(Protocol):
 
     @property
     def compliance(self) -> AtVertices | None:
-        """By how much surfaces overlap under a pressure of 1, if they do."""
+        """Overlap of the surfaces under a pressure of 1; None if they are hard."""
 
     @property
     def follows(self) -> bool:
-        """Whether gaps are to be found anew where the bodies are, or stay what they were first."""
+        """True if gaps are found anew where the bodies are, False if Σ keeps its first place."""
 
     @property
     def depth(self) -> float:
-        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+        """Overlap beyond which a vertex of Γ1 counts as on the other side of Γ0's body."""
 
     def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
         """Find the gaps where the bodies are, of which some displacements are prescribed."""

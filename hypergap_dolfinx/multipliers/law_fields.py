@@ -3,11 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Jumps w of interfaces with a law λ = f(w): fields beside the bodies', with a stiffness each.
+"""Compliances and laws of ties as blocks of the saddle system, with λ = E λ' of its multipliers.
 
-A tie's multipliers as those that an interface has: λ = E λ'.
-
-The compliances of several ties, as blocks in the place of the zero in [K Bᵀ; B 0].
+A compliance enters as the block −C in place of the zero, [K Bᵀ; B −C], with C = Σ_t E_tᵀ C_t E_t.
+A law λ = f(w) makes the jump w a field beside the bodies', with a stiffness ∂F/∂w and a coupling
+−M to λ: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from hypergap_dolfinx.multipliers.interface import Interface
 
 
 class Extension:
-    """E, mostly the identity, of which there is no matrix then."""
+    """E in λ = E λ': λ of a tie, λ' of an interface; without a matrix if it is the identity."""
 
     def __init__(self, matrix: PETSc.Mat | None = None):
-        """With a matrix, which it owns, or as the identity without one."""
+        """Take a matrix, which is owned here; without one it is the identity."""
         self.matrix = matrix
 
     def destroy(self):
@@ -57,12 +57,12 @@ class Extension:
         return C.copy() if self.matrix is None else C.matMult(self.matrix)
 
     def reached(self) -> slice | npt.NDArray[np.intp]:
-        """Which of the interface's multipliers on this rank the tie has. Collective."""
+        """This rank's multipliers of the interface that the tie uses. Collective."""
         return slice(None) if self.matrix is None else nonzero_columns(self.matrix)
 
 
 class Compliances:
-    """−C of all interfaces: Σ_t E_tgᵀ C_t E_th, with values that may change."""
+    """Blocks −C_gh = −Σ_t E_tgᵀ C_t E_th of interfaces g and h, with values that may change."""
 
     def __init__(
         self,
@@ -71,17 +71,17 @@ class Compliances:
         num: int,
         unknown: Sequence[str | None],
     ):
-        """Make the blocks, with the values of now. Collective.
+        """Make the blocks with the present values. Collective.
 
         Args:
             ties: The ties.
             rows: E of each tie by interface.
             num: Number of interfaces.
-            unknown: What messages call ties whose λ is left out somewhere: both sides are
-                prescribed there, and they don't give way. None for others.
+            unknown: Names, for messages, of ties with places without λ: both sides are
+                prescribed there, and the compliance is 0. None for other ties.
         """
         self._soft: list[tuple[Compliance, dict[int, Extension]]] = []
-        self._unknown: list[tuple[Compliance, str, npt.NDArray]] = []  # where it gave way before
+        self._unknown: list[tuple[Compliance, str, npt.NDArray]] = []  # and mask of nonzeros
         for tie, row, name in zip(ties, rows, unknown, strict=True):
             if tie.compliance is not None:
                 self._soft.append((tie.compliance, row))
@@ -94,7 +94,7 @@ class Compliances:
         self.update()
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """True if any tie has a compliance."""
         return bool(self._soft)
 
     def destroy(self):
@@ -103,10 +103,10 @@ class Compliances:
             block.destroy()
 
     def update(self):
-        """Take the compliances as they are now. Collective.
+        """Update the blocks if a compliance has changed. Collective.
 
         Raises:
-            ValueError: A tie gives way that was to tie where both sides are prescribed.
+            ValueError: A compliance is no longer 0 where both sides are prescribed.
         """
         if not self._soft:
             return
@@ -126,23 +126,18 @@ class Compliances:
             block.zeroEntries()
         for (soft, row), values in zip(self._soft, self._values, strict=True):
             C = soft.matrix(values)
+            C.scale(-1.0)
             for g, E in row.items():
                 left = E.rows_of(C)
                 for h, F in row.items():
-                    product = F.columns_of(left)
-                    self._subtract(g, h, product)
-                    product.destroy()
+                    product, before = F.columns_of(left), self.blocks[g][h]
+                    if before is None:
+                        self.blocks[g][h] = product
+                    else:
+                        before.axpy(1.0, product)
+                        product.destroy()
                 left.destroy()
             C.destroy()
-
-    def _subtract(self, g: int, h: int, C: PETSc.Mat):
-        """Subtract from a block. Collective."""
-        before = self.blocks[g][h]
-        if before is None:
-            before = self.blocks[g][h] = C.copy()
-            before.scale(-1.0)
-        else:
-            before.axpy(-1.0, C, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
     def apply(self, g: int, multipliers: Sequence[PETSc.Vec], c: PETSc.Vec):
         """Subtract Σ_h C_gh λ_h from c. Collective."""
@@ -151,15 +146,15 @@ class Compliances:
                 block.multAdd(multiplier, c, c)
 
 
-class Opening:
-    """The jump w = P w' of one tie, in the space that its λ = Σ_g E_g λ'_g has left.
+class JumpField:
+    """The jump w = P w' of one tie, in the same space as its λ = Σ_g E_g λ'_g.
 
-    Where multipliers are missing, λ follows its neighbours, and the jump does too: so the law is
-    never asked for a traction that it doesn't have there.
+    If multipliers are missing, λ follows its neighbours, and so does the jump: the law never gives
+    a traction that no multiplier can balance.
     """
 
     def __init__(self, tie: Interface, rows: dict[int, Extension]):
-        """Make the blocks, with the tangent where nothing has opened. Collective.
+        """Make the blocks, with the tangent for a jump of zero. Collective.
 
         Args:
             tie: The tie.
@@ -168,7 +163,7 @@ class Opening:
         assert tie.law is not None
         self._law, self._block_size = tie.law, tie.block_size
         M = self._law.mass()
-        self._P = Extension() if _is_whole(rows) else Extension(_reached(rows, M))
+        self._P = _joined(rows, M)
         MP = self._P.columns_of(M)
         self.blocks: dict[int, PETSc.Mat] = {}
         """−Eᵀ M P, by interface."""
@@ -180,7 +175,7 @@ class Opening:
             obj.destroy()
         self._w.set(0.0)
         self.K: PETSc.Mat = self._tangent()
-        """∂F/∂w'."""
+        """Tangent stiffness ∂F/∂w'."""
 
     def destroy(self):
         """Destroy the PETSc objects, but the blocks. Collective."""
@@ -189,16 +184,16 @@ class Opening:
 
     @property
     def linear(self) -> bool:
-        """Whether F is."""
+        """True if F is linear."""
         return self._law.linear
 
-    def _rows(self) -> npt.NDArray:
-        """w, ``(num_multipliers, block_size)`` of this rank."""
-        return self._w.array_r.reshape(-1, self._block_size)
+    def _at(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Forces F(w) and their slopes."""
+        return self._law.at(self._w.array_r.reshape(-1, self._block_size))
 
     def _tangent(self) -> PETSc.Mat:
         """Pᵀ ∂F/∂w P, a new matrix. Collective."""
-        _, slope = self._law.at(self._rows())
+        _, slope = self._at()
         whole = self._law.tangent(slope)
         left = self._P.rows_of(whole)
         K = self._P.columns_of(left)
@@ -206,13 +201,13 @@ class Opening:
             obj.destroy()
         return K
 
-    def take(self, opening: PETSc.Vec):
-        """Take w' as it is now. Collective."""
+    def take(self, jump: PETSc.Vec):
+        """Take w'. Collective."""
         self._w.set(0.0)
-        self._P.add(opening, self._w)
+        self._P.add(jump, self._w)
 
     def update(self):
-        """The tangent of the law as it is now, for what was taken. Collective."""
+        """Update the tangent to w', for the parameters that the law has now. Collective."""
         now = self._tangent()
         self.K.zeroEntries()
         self.K.axpy(1.0, now, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -221,18 +216,15 @@ class Opening:
     def add_force(self, b: PETSc.Vec):
         """Add PᵀF(w) to a vector. Collective."""
         force = self._w.duplicate()
-        force.array[:] = self._law.at(self._rows())[0].ravel()
+        force.array[:] = self._at()[0].ravel()
         self._P.add_transposed(force, b)
         force.destroy()
 
 
-def _is_whole(rows: dict[int, Extension]) -> bool:
-    """Whether E is the identity."""
-    return len(rows) == 1 and next(iter(rows.values())).matrix is None
-
-
-def _reached(rows: dict[int, Extension], M: PETSc.Mat) -> PETSc.Mat:
-    """The columns of all E that aren't empty, side by side on the rank of each. Collective."""
+def _joined(rows: dict[int, Extension], M: PETSc.Mat) -> Extension:
+    """P: the nonempty columns of all E_g, side by side on the rank of each. Collective."""
+    if all(E.matrix is None for E in rows.values()):
+        return Extension()
     comm = M.comm.tompi4py()
     mine = {g: nonzero_columns(E.matrix) for g, E in rows.items()}
     counts = np.array(comm.allgather([len(columns) for columns in mine.values()]))  # (rank, g)
@@ -241,26 +233,13 @@ def _reached(rows: dict[int, Extension], M: PETSc.Mat) -> PETSc.Mat:
     for k, (g, columns) in enumerate(mine.items()):
         E = rows[g].matrix
         assert E is not None
-        every = np.concatenate(comm.allgather(columns + E.getOwnershipRangeColumn()[0]))
+        used = np.concatenate(comm.allgather(columns + E.getOwnershipRangeColumn()[0]))
         number = np.concatenate(
             [np.arange(num) + at for num, at in zip(counts[:, k], before[:, k])]
         )
         i, j, value = triplets(E)
         has = value != 0
-        parts.append((i[has], number[np.searchsorted(every, j[has])], value[has]))
+        parts.append((i[has], number[np.searchsorted(used, j[has])], value[has]))
     sizes = M.getLocalSize()[0], int(counts[comm.rank].sum())
-    return coo_matrix(comm, sizes, *(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-
-def openings(ties: Sequence[Interface], rows: Sequence[dict[int, Extension]]) -> list[Opening]:
-    """Those of all ties with a law that has multipliers. Collective.
-
-    Args:
-        ties: The ties.
-        rows: E of each tie by interface.
-    """
-    return [
-        Opening(tie, row)
-        for tie, row in zip(ties, rows, strict=True)
-        if tie.law is not None and row
-    ]
+    entries = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Extension(coo_matrix(comm, sizes, *entries))

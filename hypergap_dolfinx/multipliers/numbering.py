@@ -3,21 +3,29 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""All ties' multipliers in one numbering, and what uses the dofs under them."""
+"""Multipliers of all ties in one numbering, and replacements on pieces that are left with too few.
+
+If all ends of a small piece are at cross points or prescribed, λ is constant, linear, … in space
+instead, as far as these rows don't follow from those of other such pieces. A piece so narrow that
+its own multipliers lie on lines gets the slopes of λ across these lines too.
+"""
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.graph import PartsOf
+from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
+from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS, SAME_PLACE
 
 Pair = tuple[int, int]
 """Two bodies, or a body and a dof (block) of it."""
@@ -43,9 +51,9 @@ def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArra
 
 
 def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:
-    """Which components of dofs of one side are prescribed, on every rank. Collective.
+    """Mask of prescribed components of one side's dofs, on every rank. Collective.
 
-    Of Γ0's that turn, the components of R u₀.
+    On Γ0 of a tie with a rotation, the components of R u₀.
     """
     owned = prescribed.reshape(-1, tie.block_size).astype(np.int8)
     offset = tie.spaces[side].dofmap.index_map.local_range[0]
@@ -62,16 +70,11 @@ def values_at(tie: Interface, side: int, owned: npt.NDArray, dofs) -> npt.NDArra
     return values if side or tie.turn is None else values @ tie.turn.T
 
 
-class Every:
+class Numbering:
     """All ties' multipliers in one numbering."""
 
     def __init__(self, ties: Sequence[Interface], bodies: Sequence[Pair]):
-        """Number them. Collective.
-
-        Args:
-            ties: The ties.
-            bodies: Numbers of the bodies on both sides of each.
-        """
+        """Number the multipliers of ties, between bodies of these numbers. Collective."""
         self.ties, self.bodies = ties, bodies
         self.lists = [Multipliers.of(tie.constraint, tie.domain) for tie in ties]
         sizes = [len(m.dofs) for m in self.lists]
@@ -84,16 +87,16 @@ class Every:
         self._bodies: dict[tuple[int, int], tuple[int, frozenset[int]]] = {}
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of multipliers."""
         return int(self.starts[-1])
 
     def local(self, m: int) -> tuple[Multipliers, int]:
-        """A multiplier's tie's list, and its number there."""
+        """Multipliers of the tie that a multiplier belongs to, and its number among them."""
         t = self.tie[m]
         return self.lists[t], int(m - self.starts[t])
 
     def body(self, t: int, side: int) -> tuple[int, frozenset[int]]:
-        """What a tie has on a side: a body, and the parts of its mesh. Collective when it is new.
+        """A tie's body on a side: its number and the parts of its mesh. Collective when new.
 
         Parts of one mesh that aren't connected are bodies of their own here.
         """
@@ -110,7 +113,7 @@ class Every:
         return {frozenset((self.body(t, 0), self.body(t, 1))) for t in each}
 
     def x(self, numbers) -> npt.NDArray[np.float64]:
-        """Where the dofs under some multipliers lie, ``(num, n)``."""
+        """Positions of the dofs under some multipliers, ``(num, n)``."""
         return np.array([lists.x[local] for lists, local in map(self.local, numbers)])
 
     @cached_property
@@ -129,12 +132,11 @@ class Every:
         found = defaultdict(set)
         for t, pair in enumerate(self.bodies):
             mine = slice(self.starts[t], self.starts[t + 1])
-            for s, other in enumerate(self.bodies):
-                for side in (0, 1):
-                    if other[side] != pair[1] or (s, side) == (t, 1):
-                        continue
-                    for m in np.flatnonzero(np.isin(self.dof[mine], self.touched[s][side])):
-                        found[int(m + self.starts[t])].add((s, side))
+            for (s, other), side in product(enumerate(self.bodies), (0, 1)):
+                if other[side] != pair[1] or (s, side) == (t, 1):
+                    continue
+                for m in np.flatnonzero(np.isin(self.dof[mine], self.touched[s][side])):
+                    found[int(m + self.starts[t])].add((s, side))
         return found
 
 
@@ -142,3 +144,250 @@ def _touched(tie: Interface) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int6
     """Dofs (blocks) of both sides that the tie's Σ reaches, on every rank. Collective."""
     columns = np.unique(triplets(tie.constraint.B[0])[1]).astype(np.int64)
     return np.unique(np.concatenate(tie.sigma.comm.allgather(columns))), tie.constraint.dofs
+
+
+class Rows:
+    """Linearly independent rows; a column is a body's dof, given by two numbers."""
+
+    def __init__(self):
+        """Start without rows."""
+        self._column: dict[Pair, int] = {}
+        self._basis = np.zeros((0, 0))
+
+    def add(self, columns: Sequence[Pair], values, size: float, sine=INDEPENDENT_ROWS) -> bool:
+        """Add a row unless it is small or follows from the others; True if it was added."""
+        at = [self._column.setdefault(column, len(self._column)) for column in columns]
+        basis = np.zeros((len(self._basis), len(self._column)))
+        basis[:, : self._basis.shape[1]] = self._basis
+        row = np.zeros(len(self._column))
+        np.add.at(row, at, values)
+        for _ in range(2):  # twice is enough
+            row -= (basis @ row) @ basis
+        rest = np.linalg.norm(row)
+        independent = bool(rest > sine * size)
+        self._basis = np.vstack((basis, row[None] / rest)) if independent else basis
+        return independent
+
+
+@dataclass
+class Replacement:
+    """A component of λ on a smooth piece that is left with too few multipliers."""
+
+    component: int
+    numbers: npt.NDArray[np.intp]
+    """The piece's multipliers, in the numbering of all ties, ``(num_multipliers,)``."""
+    columns: list[Pair]
+    """Body and dof (block) of the columns."""
+    free: npt.NDArray[np.bool_]
+    """Mask of the columns that aren't prescribed, ``(num_columns,)``."""
+    B: npt.NDArray[np.float64]
+    """The rows, ``(num_multipliers, num_columns)``."""
+    units: npt.NDArray[np.float64]
+    """λ that is 1 at one place and 0 at the others, ``(num_places, num_multipliers)``."""
+    values: list[tuple[npt.NDArray, float]]
+    """λ at the multipliers to try, and the sine of the angle from which each is taken."""
+    wanted: int
+    taken: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    complete: bool = False
+    """True if the rows taken constrain all that the piece's own multipliers would."""
+
+    def add(self, rows: Rows, value: npt.NDArray, sine: float):
+        """Take a multiplier if its row doesn't follow from others."""
+        row = value @ self.B
+        if rows.add(self.columns, row * self.free, float(np.linalg.norm(row)), sine):
+            self.taken.append(value)
+
+
+def _polynomials(x: npt.NDArray, degree: int) -> list[tuple[npt.NDArray, float]]:
+    """Values of λ to try at places: polynomials of degree k − 1, and linear ones."""
+    x = x - x.mean(axis=0)
+    _, size, axes = np.linalg.svd(x)
+    along = (x @ axes.T).T[: len(size)][size > SAME_PLACE * size.max(initial=0)]
+    along = along / np.abs(along).max(axis=1, keepdims=True)
+    exponents = np.indices((max(degree, 2),) * len(along)).reshape(len(along), -1)
+    total = exponents.sum(axis=0) if len(along) else np.zeros(1, dtype=int)
+    return [
+        (
+            np.prod(along ** powers[:, None], axis=0) * np.ones(len(x)),
+            CONSISTENT if p < degree else INDEPENDENT_ROWS,
+        )
+        for p in range(max(degree, 2))
+        for powers in exponents.T[total == p]
+    ]
+
+
+def _rows(tie: Interface, side: int, multipliers) -> tuple[npt.NDArray, npt.NDArray]:
+    """Rows of B_i of some multipliers, on every rank. Collective.
+
+    Returns:
+        The dofs (blocks) of the columns, and the dense rows, ``(num_multipliers, num_columns)``.
+    """
+    rows = tie.constraint.rows[multipliers]
+    i, j, value = triplets(tie.constraint.B[side])
+    use = np.isin(i, rows)
+    order = np.argsort(rows)
+    entries = np.column_stack((order[np.searchsorted(rows, i[use], sorter=order)], j[use]))
+    comm = tie.sigma.comm
+    entries = np.concatenate(comm.allgather(entries.astype(np.int64)))
+    columns, at = np.unique(entries[:, 1], return_inverse=True)
+    B = np.zeros((len(rows), len(columns)))
+    B[entries[:, 0], at] = np.concatenate(comm.allgather(value[use]))
+    return columns, B
+
+
+def pieces(numbering: Numbering, label, drop) -> npt.NDArray[np.int32]:
+    """Piece of each multiplier: patches of ties that share a multiplier that exists.
+
+    ``label`` is the class of each, those of one class are one; ``drop`` is the mask of those that
+    are dropped, of one component.
+    """
+    num = int(numbering.patch.max()) + 1
+    patch = np.unique(numbering.tie * num + numbering.patch, return_inverse=True)[1].ravel()
+    first = np.full(len(numbering), -1)
+    kept = np.flatnonzero(~drop)[::-1]
+    first[label[kept]] = kept  # some multiplier of each class
+    joined = patch[first[label[kept]]]
+    return components(int(patch.max()) + 1, patch[kept], joined)[patch]
+
+
+def _gathered(numbering: Numbering, numbers, prescribed, component: int):
+    """Columns of some multipliers' rows, the mask of free ones, and the rows. Collective."""
+    columns: dict[Pair, int] = {}
+    free: list[bool] = []
+    parts = []
+    for t in np.unique(numbering.tie[numbers]):
+        local = numbers[numbering.tie[numbers] == t] - numbering.starts[t]
+        tie = numbering.ties[t]
+        for side, body in enumerate(numbering.bodies[t]):
+            dofs, part = _rows(tie, side, local)
+            held = prescribed_dofs(tie, side, prescribed[body], dofs)[:, component]
+            for dof, is_held in zip(dofs.tolist(), held.tolist(), strict=True):
+                if columns.setdefault((body, dof), len(columns)) == len(free):
+                    free.append(not is_held)
+            at = [columns[body, dof] for dof in dofs.tolist()]
+            parts.append((np.flatnonzero(numbering.tie[numbers] == t), at, part))
+    B = np.zeros((len(numbers), len(columns)))
+    for rows, at, part in parts:
+        B[np.ix_(rows, at)] += part
+    return list(columns), np.array(free, dtype=bool), B
+
+
+def _short_patches(numbering: Numbering, label, drop, prescribed) -> list[Replacement]:
+    """Pieces that are left with too few multipliers. Collective."""
+    n, found = numbering.ties[0].surfaces[1].gdim, []
+    for component in range(drop.shape[1]):
+        piece = pieces(numbering, label, drop[:, component])
+        order = np.argsort(piece, kind="stable")
+        for numbers in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):
+            places, first, at = np.unique(label[numbers], return_index=True, return_inverse=True)
+            degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
+            polynomials = degree if n == 2 else degree * (degree + 1) // 2
+            wanted = min(len(places), max(n, polynomials))
+            kept = ~drop[numbers[first], component]
+            if kept.sum() >= wanted:
+                continue
+            columns, free, B = _gathered(numbering, numbers, prescribed, component)
+            units = (at.ravel() == np.arange(len(places))[:, None]).astype(float)
+            values = _polynomials(numbering.x(numbers), degree) + [
+                (unit, INDEPENDENT_ROWS) for unit in units[kept]
+            ]
+            found.append(Replacement(component, numbers, columns, free, B, units, values, wanted))
+    return found
+
+
+def _take_in_turn(patches: Sequence[Replacement], accepted: defaultdict[int, Rows]):
+    """Take one multiplier for each piece, then a second, …, so that none remains without."""
+    for number in range(1, max((patch.wanted for patch in patches), default=0) + 1):
+        for patch in patches:
+            while patch.values and len(patch.taken) < min(number, patch.wanted):
+                patch.add(accepted[patch.component], *patch.values.pop(0))
+
+
+def replacements(numbering: Numbering, label, held, drop, prescribed) -> list[Replacement]:
+    """Choose other multipliers for pieces with too few; drops these. Collective.
+
+    Args:
+        numbering: The multipliers.
+        label: Class of each; those of one class are one.
+        held: Mask of prescribed components of their dofs, ``(num_multipliers, block_size)``.
+        drop: Mask of components that are dropped, of the same shape; changed here.
+        prescribed: Mask of each body's owned dofs that are prescribed.
+    """
+    patches = _short_patches(numbering, label, drop, prescribed)
+    accepted: defaultdict[int, Rows] = defaultdict(Rows)
+    _take_in_turn(patches, accepted)
+    # Rows that are tried one by one: the cost grows with the cube of their number. 3 and 10⁹ change
+    # nothing in test_multipliers, test_pieces, test_cross_points, test_ends and test_property
+    few = 32
+    for patch in patches:
+        if held[patch.numbers, patch.component].all() and len(patch.units) <= few:
+            # A small piece that is prescribed all over takes all independent rows, so that the
+            # dofs of Γ0 that face it follow
+            for unit in (*(value for value, _ in patch.values), *patch.units):
+                patch.add(accepted[patch.component], unit, INDEPENDENT_ROWS)
+            patch.complete = True
+        else:
+            rank = np.linalg.matrix_rank(patch.B * patch.free)
+            patch.complete = len(patch.taken) == rank
+        drop[patch.numbers, patch.component] = True
+    return patches
+
+
+def slopes(
+    numbering: Numbering, drop, entries, prescribed, instead: Sequence[Replacement]
+) -> list[Replacement]:
+    """Additional multipliers of narrow pieces whose own ones lie on lines. Collective.
+
+    Along the lines λ follows from what is left; it gets polynomials across them, of all of a tie
+    (which a patch test needs) and of each facet, as far as opposite dofs answer to them.
+
+    ``entries`` are multiplier, component, column and value of each nonzero of E, in parts;
+    ``instead`` are the :func:`replacements`, the rest is as there.
+    """
+    found = []
+    for component, t in product(range(drop.shape[1]), range(len(numbering.lists))):
+        found += _across(numbering, t, component, drop, entries, prescribed)
+    accepted: defaultdict[int, Rows] = defaultdict(Rows)
+    # All others have dofs of Γ1 that answer to them
+    known = [(piece, piece.taken) for piece in instead] + [(piece, piece.units) for piece in found]
+    for piece, values in known:
+        for value in values:
+            accepted[piece.component].add(piece.columns, value @ piece.B * piece.free, 0.0)
+    _take_in_turn(found, accepted)
+    return found
+
+
+def _across(
+    numbering: Numbering, t: int, component: int, drop, entries, prescribed
+) -> list[Replacement]:
+    """Slopes to try on one tie, if its multipliers lie on lines. Collective."""
+    lists, mine = numbering.lists[t], slice(*numbering.starts[t : t + 2])
+    lacking = lists.lacking(drop[mine, component])
+    if not lacking:
+        return []
+    lacking = [(at + mine.start, values) for at, values in lacking]
+    narrow = np.unique(np.concatenate([at for at, _ in lacking]))
+    # E of what these follow
+    m, of, column, weights = map(np.concatenate, zip(*entries, strict=True))
+    use = np.isin(column, column[np.isin(m, narrow) & (of == component)])
+    m, weights = m[use], weights[use]
+    numbers = np.union1d(m, narrow)
+    row = np.searchsorted(numbers, m)
+    own, at = np.unique(column[use], return_inverse=True)
+    E = np.zeros((len(numbers), len(own)))
+    E[row, at] = weights
+    stands = ~drop[m, component]  # for itself: where a column's value is λ
+    place = np.zeros(len(own), dtype=np.intp)
+    place[at[stands]] = row[stands]
+    values = []
+    for value, sine in _polynomials(numbering.x(numbers), lists.surface.element.degree):
+        rest = np.isin(numbers, narrow) * (value - E @ value[place])
+        if np.abs(rest).max() > SAME_PLACE:
+            values.append((rest, sine))
+    for at, part in lacking:
+        value = np.zeros(len(numbers))
+        value[np.searchsorted(numbers, at)] = part / np.abs(part).max()
+        values.append((value, INDEPENDENT_ROWS))
+    columns, free, B = _gathered(numbering, numbers, prescribed, component)
+    num = len(values)
+    return [Replacement(component, numbers, columns, free, B, E.T, values, num, complete=True)]

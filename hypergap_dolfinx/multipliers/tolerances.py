@@ -7,36 +7,24 @@
 
 COVERED_FACET = 0.3
 """Part of a facet that Σ must reach for multipliers of its own.
-
-Measured: –"""
+Measured: 0.03 and 0.9 change nothing in test_multipliers, test_pieces, test_cross_points, test_ends
+and test_property; λ's round-off is what :data:`KNOWN` bounds."""
 
 KNOWN = 1e-4
 """Least share of a function's square in that part for them.
-
 Measured: round-off of λ: a corner with 30 % of a Q2 facet (2e-5) 1.1e-9, 1.3e-11 without; an end
 with 31 % of an edge of degree 3 (2e-6) 1.1e-11, 7e-14 without."""
 
 SAME_PLACE = 1e-6
-"""Distance of two bodies' dofs at one place, in facet lengths.
-
-Measured: –"""
-
-FEW_MULTIPLIERS = 32
-"""Multipliers of a piece whose rows are looked at one by one.
-
-Measured: –"""
-
-NARROW_PIECE = 1e-6
-"""Extent of a piece in a direction, over its largest, that is none.
-
-Measured: –"""
+"""Distance of dofs at one place, in facet lengths, and thickness of a flat piece, in its extents.
+Measured: 0.1× and 10× change nothing in test_multipliers, test_pieces and test_cross_points."""
 
 INDEPENDENT_ROWS = 0.3
-"""Sine between a row and those taken before it.
-
-Measured: –"""
+"""Sine of the angle between a row and those taken before it from which it is independent.
+Measured: 0.03 and 0.9 change nothing in test_pieces, test_cross_points, test_multipliers but its
+test_rows, which checks the meaning."""
 
 CONSISTENT = 0.03
-"""The same where a patch test needs the row.
-
-Measured: –"""
+"""Sine from which a row that a patch test needs is independent.
+Measured: 0.003 and 0.3 change nothing in test_pieces, test_cross_points, test_ends and
+test_property."""

@@ -3,7 +3,22 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The saddle system solved with factors of one body at a time, and an iteration over the ties."""
+r"""The saddle system solved with factors of one body at a time, and an iteration over the ties.
+
+The factors of the bodies are several times cheaper than those of all of them together. The
+preconditioner takes a tie in one direction, from Γ0 to Γ1 (Dirichlet–Neumann). A step
+
+1. finds Γ1's displacements from the tie, with a factor of the square part of B₁,
+2. solves Γ1's body under these displacements, and reads the multipliers off its residual,
+3. loads Γ0's body with them and solves it.
+
+It neglects that Γ0 moves Γ1. So the preconditioned operator is :math:`I + S_0^{-1} P^T S_1 P` on
+Γ0, with the bodies' Schur complements :math:`S_i` and :math:`P = -B_1^{-1}B_0`: the number of
+iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ0's.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
 
 from petsc4py import PETSc
 
@@ -13,11 +28,11 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import rigid_modes
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.graph import parts
+from hypergap_dolfinx.core.sparse import column_sums, mean_diagonal, product
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
-from hypergap_dolfinx.solvers.substructures import Substructures, order_of_bodies
 from hypergap_dolfinx.solvers.tolerances import FIRST, RESCALE
-from hypergap_dolfinx.surface.trace import is_mixed
 
 LU = {
     "ksp_type": "preonly",
@@ -52,16 +67,11 @@ class Bodies(IterativeSolver):
 
     @classmethod
     def why_not(cls, system: System) -> str | None:
-        """Each multiplier needs a free dof of its own, bodies an order. Collective."""
+        """Reason why not, or None: multipliers need own dofs, bodies an order. Collective."""
         constraints, spaces = system.constraints, system.spaces
-        if constraints.interior_sizes:
-            return "free interior nodes belong to no body"
-        if constraints.compliances:
-            return "a tie has a compliance"
-        if constraints.openings:
-            return "a tie has a law or a conductance"
-        if any(map(is_mixed, spaces)):
-            return "a body may be singular by itself where a space is mixed (a pressure is free)"
+        reason = super().why_not(system)
+        if reason:
+            return reason
         if order_of_bodies(len(spaces), _directions(constraints)) is None:
             return "the ties lead round in a circle, or from a body to itself"
         ties, wrong = range(len(constraints.bodies)), 0
@@ -87,7 +97,7 @@ class Bodies(IterativeSolver):
 
 
 def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
-    """Pairs of a body that an interface moves and the body of its Γ1."""
+    """Pairs of bodies: one that an interface moves, and that of its Γ1."""
     pairs = zip(constraints.moved, constraints.bodies, strict=True)
     return [(i, i1) for moved, (_, i1) in pairs for i in moved]
 
@@ -100,36 +110,26 @@ class BodywiseSystem(Substitute):
     """
 
     def __init__(self, system: System):
-        """Scale the ties by the values that K has now. Collective.
+        """Scale the ties by the present values of K. Collective.
 
         Args:
             system: The saddle system.
         """
         self._A, self._K = system.A, system.K
-        K, constraints, spaces = system.K, system.constraints, system.spaces
         self.scales = self._scales_now()
-        self._B = [[b and b.copy() for b in row] for row in constraints.free]
+        self._B = [[b and b.copy() for b in row] for row in system.constraints.free]
         for row, scale in zip(self._B, self.scales, strict=True):
             for b in row:
                 if b is not None:
                     b.scale(scale)
-        self.matrix, self._Bt = saddle.saddle_matrix(K, self._B)
+        self.matrix, self._Bt = saddle.saddle_matrix(self._K, self._B)
         self.matrix.setNestVecType("standard")  # KSPs that make vectors want no nested ones
         self.matrix.assemble()
         self.x, self.b = self.matrix.createVecs()
-        modes = [
-            rigid_modes(V, held, *parts(V))
-            for V, held in zip(spaces, constraints.prescribed, strict=True)
-        ]
-        order = order_of_bodies(len(K), _directions(constraints))
-        assert order is not None
-        moved = zip(constraints.moved, constraints.bodies, strict=True)
-        sides = [(others, i1) for others, (_, i1) in moved]
-        columns = [own.astype(PETSc.IntType) for own in constraints.own]
-        self.preconditioner = Substructures(K, self._B, sides, columns, order, modes)
+        self.preconditioner = Substructures(system, self._B)
 
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Take the stiffness as it is now, if it is of the same size. Collective."""
+        """Take the present stiffness; False if its size has changed. Collective."""
         ratio = self._scales_now() / self.scales
         if not (np.abs(np.log10(ratio)) < RESCALE).all():
             return False
@@ -168,3 +168,231 @@ class BodywiseSystem(Substitute):
         scales = [*np.ones(num_bodies), *self.scales]
         for part, value, scale in zip(x.getNestSubVecs(), values, scales, strict=True):
             part.array[:] = scale * value
+
+
+def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:
+    """Order bodies such that those with Γ1 of a tie come before those with its Γ0.
+
+    Args:
+        num_bodies: Number of bodies.
+        bodies: Γ0's and Γ1's body of each tie.
+
+    Returns:
+        The bodies, or None if the ties lead round in a circle.
+    """
+    left, order = list(range(num_bodies)), []
+    while left:
+        ready = [i for i in left if not any(i == i0 and i1 in left for i0, i1 in bodies)]
+        if not ready:
+            return None
+        order += ready
+        left = [i for i in left if i not in ready]
+    return order
+
+
+class Body:
+    """A body's part in a step: its solver, with Γ1's own dofs held if it has any."""
+
+    def __init__(
+        self,
+        K: PETSc.Mat,
+        modes: npt.NDArray[np.float64],
+        prefix: str,
+        held: dict[int, tuple[PETSc.Mat, npt.NDArray[np.int32]]],
+        loaded: Sequence[PETSc.Mat],
+    ):
+        """Set up the solvers, without values yet. Collective.
+
+        Args:
+            K: Stiffness.
+            modes: Its :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
+            prefix: Prefix of the solvers' options.
+            held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
+            loaded: B₀ of the ties whose Γ0 the body has.
+        """
+        self._K, self._modes, self._loaded = K, modes, loaded
+        start, end = K.getOwnershipRange()
+        own = np.concatenate([[], *(own for _, own in held.values())])
+        free = np.setdiff1d(np.arange(start, end), own).astype(PETSc.IntType)
+        self._own = {t: own - start for t, (_, own) in held.items()}
+        self._part = free - start
+        self._is = PETSc.IS().createGeneral(free, comm=K.comm) if held else None
+        self._u, self._r = K.createVecs()
+        self._solver = create_solver(f"{prefix}body_", K.comm)
+        self._matrix: PETSc.Mat | None = None
+        self._vectors: tuple[PETSc.Vec, ...] = ()
+        self._squares = {}
+        for t, (B, own) in held.items():
+            rows = PETSc.IS().createStride(B.getLocalSize()[0], B.getOwnershipRange()[0], 1, B.comm)
+            columns = PETSc.IS().createGeneral(own, comm=B.comm)
+            square = B.createSubMatrix(rows, columns)
+            solver = create_solver(f"{prefix}square_", K.comm)
+            solver.setOperators(square)
+            self._squares[t] = solver, *square.createVecs()
+            for obj in (rows, columns, square):
+                obj.destroy()
+
+    def destroy(self):
+        """Destroy the PETSc objects. Collective."""
+        objects = [obj for triple in self._squares.values() for obj in triple]
+        objects += [self._solver, self._matrix, self._is, self._u, self._r, *self._vectors]
+        for obj in objects:
+            if obj is not None:
+                obj.destroy()
+
+    def set_up(self):
+        """Take the present stiffness. Collective."""
+        for obj in (self._matrix, *self._vectors):
+            if obj is not None:
+                obj.destroy()
+        if self._is is not None:
+            self._matrix = self._K.createSubMatrix(self._is, self._is)
+        else:
+            self._matrix = self._K.copy()
+            self._pin(self._matrix)
+        self._vectors = self._matrix.createVecs()
+        self._solver.setOperators(self._matrix)
+        self._solver.setUp()
+
+    def _pin(self, matrix: PETSc.Mat):
+        """Hold a body that floats by springs at as many dofs of Γ0 as it has rigid motions."""
+        K, Q, comm = self._K, self._modes, self._K.comm.tompi4py()
+        stiffness = mean_diagonal(K)
+        _, force, vectors = np.linalg.svd(comm.allreduce(Q.T @ product(K, Q)) / stiffness)
+        floating = Q @ vectors[force < NOTHING].conj().T
+        if not floating.shape[1] or not self._loaded:
+            return
+        sums = sum(column_sums(B).array_r.real for B in self._loaded)
+        on = np.flatnonzero(sums > 0)
+        dofs = np.concatenate(comm.allgather(on + K.getOwnershipRange()[0]))
+        rows = np.concatenate(comm.allgather(floating[on]))
+        springs = K.createVecRight()
+        springs.set(0.0)
+        for _ in range(floating.shape[1]):  # Gram and Schmidt, the largest first
+            k = np.linalg.norm(rows, axis=1).argmax()
+            direction = rows[k] / np.linalg.norm(rows[k])
+            rows = rows - np.outer(rows @ direction.conj(), direction)
+            if comm.rank == 0:
+                springs.setValue(int(dofs[k]), stiffness)
+        springs.assemble()
+        matrix.setDiagonal(matrix.getDiagonal() + springs)
+        springs.destroy()
+
+    def solve(self, r: npt.NDArray, constraints: Sequence[npt.NDArray]):
+        """Displacements, and the multipliers that hold Γ1's. Collective.
+
+        Args:
+            r: This rank's loads.
+            constraints: Right-hand side of B₁u for each tie whose Γ1 the body has.
+
+        Returns:
+            This rank's displacements, and the multipliers of each tie.
+        """
+        u, b, x = self._u, *self._vectors[::-1]
+        if not self._own:
+            b.array[:] = r
+            self._solver.solve(b, x)
+            return x.array_r, []
+        u.set(0.0)
+        for (t, own), value in zip(self._own.items(), constraints, strict=True):
+            solver, x1, b1 = self._squares[t]
+            b1.array[:] = value
+            solver.solve(b1, x1)
+            u.array[own] = x1.array_r
+        known = u.array_r.copy()
+        self._K.mult(u, self._r)
+        rest = r - self._r.array_r
+        b.array[:] = rest[self._part]
+        self._solver.solve(b, x)
+        u.array[:] = known
+        u.array[self._part] += x.array_r
+        self._K.mult(u, self._r)
+        rest = r - self._r.array_r
+        multipliers = []
+        for t, own in self._own.items():
+            solver, x1, b1 = self._squares[t]
+            x1.array[:] = rest[own]
+            solver.solveTranspose(x1, b1)
+            multipliers.append(b1.array_r.copy())
+        return u.array_r, multipliers
+
+
+def create_solver(prefix: str, comm) -> PETSc.KSP:
+    """A KSP with the options of a prefix. Collective."""
+    solver = PETSc.KSP().create(comm)
+    solver.setOptionsPrefix(prefix)
+    solver.setFromOptions()
+    return solver
+
+
+class Substructures:
+    """The preconditioner, as the context of a PCPYTHON."""
+
+    def __init__(self, system: System, B: Sequence[Sequence[PETSc.Mat | None]]):
+        """Take the blocks; solvers are made on demand. Collective.
+
+        Args:
+            system: The saddle system.
+            B: Its constraints, scaled.
+        """
+        constraints = system.constraints
+        self._K, self._B = system.K, B
+        # Global dofs under this rank's multipliers of each tie, in B₁'s order of rows
+        self._own = [own.astype(PETSc.IntType) for own in constraints.own]
+        # The bodies that each interface moves besides Γ1's, and Γ1's
+        moved = zip(constraints.moved, constraints.bodies, strict=True)
+        self._sides = [(others, i1) for others, (_, i1) in moved]
+        order = order_of_bodies(len(self._K), _directions(constraints))
+        assert order is not None
+        self._order = order
+        spaces = zip(system.spaces, constraints.prescribed, strict=True)
+        self._modes = [rigid_modes(V, held, *parts(V)) for V, held in spaces]
+        sizes = [k.getLocalSize()[0] for k in self._K] + [len(own) for own in self._own]
+        ends = np.cumsum([0, *sizes])
+        self._parts = [slice(*pair) for pair in pairwise(ends)]
+        self._solvers: list[Body] = []
+        self._loads: dict[tuple[int, int], tuple[PETSc.Vec, PETSc.Vec]] = {}
+
+    def setUp(self, pc: PETSc.PC):
+        """Take the bodies' present stiffness. Collective."""
+        if not self._solvers:
+            prefix = pc.getOptionsPrefix() or ""
+            for i, K in enumerate(self._K):
+                held = {
+                    t: (self._B[t][i], self._own[t])
+                    for t, (_, i1) in enumerate(self._sides)
+                    if i1 == i
+                }
+                loaded = [self._B[t][i] for t, (moved, _) in enumerate(self._sides) if i in moved]
+                self._solvers.append(Body(K, self._modes[i], prefix, held, loaded))
+            for t, (moved, _) in enumerate(self._sides):
+                for i in moved:
+                    self._loads[t, i] = self._B[t][i].createVecs()  # type: ignore[union-attr]
+        for body in self._solvers:
+            body.set_up()
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec):
+        """A step. Collective."""
+        num_bodies = len(self._K)
+        r = [x.array_r[part] for part in self._parts]
+        result = y.array
+        for i in self._order:
+            ties = [t for t, (_, i1) in enumerate(self._sides) if i1 == i]
+            u, multipliers = self._solvers[i].solve(r[i], [r[num_bodies + t] for t in ties])
+            result[self._parts[i]] = u
+            for t, value in zip(ties, multipliers, strict=True):
+                result[self._parts[num_bodies + t]] = value
+                for j in self._sides[t][0]:
+                    load, multiplier = self._loads[t, j]
+                    multiplier.array[:] = value
+                    self._B[t][j].multTranspose(multiplier, load)  # type: ignore[union-attr]
+                    r[j] = r[j] - load.array_r
+
+    def destroy(self, pc: PETSc.PC | None = None):
+        """Destroy the PETSc objects. Collective."""
+        for body in self._solvers:
+            body.destroy()
+        for vectors in self._loads.values():
+            for vector in vectors:
+                vector.destroy()
+        self._solvers, self._loads = [], {}

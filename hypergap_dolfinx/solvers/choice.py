@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The ways to solve the saddle system, and which one is taken if the user names none."""
+"""Choice of the solver: by name, or by the system if none is named."""
 
 from petsc4py import PETSc
 
@@ -20,7 +20,7 @@ from hypergap_dolfinx.solvers.solver import (
 from hypergap_dolfinx.solvers.tolerances import LARGE_SYSTEM
 
 SOLVERS: dict[str, type[KSPSolver]] = {cls.name: cls for cls in (Direct, Bodies, Multigrid)}
-"""What a user can name."""
+"""Solvers by their names for users."""
 
 
 def create(
@@ -29,14 +29,14 @@ def create(
     """The solver that a user names, or the one for the system if they name none. Collective.
 
     Args:
-        system: What is to be solved; K needs no values yet.
+        system: The system; K needs no values yet.
         solver: One of :data:`SOLVERS`, or None.
-        prefix: Of all PETSc options.
+        prefix: Prefix of all PETSc options.
         options: The user's PETSc options.
-        newton: Whether it solves for Newton's steps; the default is ``"direct"`` then.
+        newton: True if it solves for Newton's steps; the default is ``"direct"`` then.
 
     Raises:
-        ValueError: A name that isn't one, or a solver that the system is not for.
+        ValueError: An unknown name, or a solver that isn't possible for the system.
     """
     if solver is None and (newton or names_types(options)):
         solver = "direct"
@@ -55,7 +55,7 @@ def create(
 
 
 def default(system: System) -> type[KSPSolver]:
-    """The solver that is taken if the user names none. Collective.
+    """The default solver. Collective.
 
     In the plane, and for small bodies, factors of the whole system cost no more than those of the
     parts and an iteration. In space they soon do: with 56 000 displacements of degree 2 the whole
@@ -68,17 +68,10 @@ def default(system: System) -> type[KSPSolver]:
 
 
 class FallingBack(Solver):
-    """A solver that gives way to ``"direct"`` for good where it fails: Γ1 is much the stiffer."""
+    """A solver that is replaced by ``"direct"`` for good if it fails: Γ1 is much the stiffer."""
 
     def __init__(self, system: System, first: type[KSPSolver], prefix: str, options: dict | None):
-        """Create the first one. Collective.
-
-        Args:
-            system: What is to be solved.
-            first: The solver to begin with.
-            prefix: Of all PETSc options.
-            options: The user's, for the first one only.
-        """
+        """Create the first solver, for which alone the user's options are. Collective."""
         self._system, self._prefix = system, prefix
         self._solver: KSPSolver = first(system, prefix, options)
         self._given_up: PETSc.KSP | None = None
@@ -99,7 +92,7 @@ class FallingBack(Solver):
         return self._solver.iterations
 
     def update(self):
-        """Take the values of K as they are now. Collective."""
+        """Take the present values of K. Collective."""
         self._solver.update()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec):
@@ -112,7 +105,7 @@ class FallingBack(Solver):
             self._solver.solve(b, x)
 
     def failure(self) -> str | None:
-        """What went wrong in the end. Collective."""
+        """Failure of the last solve, or None. Collective."""
         return self._solver.failure()
 
     def destroy(self):

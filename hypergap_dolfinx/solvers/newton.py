@@ -3,27 +3,66 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Residual and tangent of nonlinear bodies with ties between them."""
+"""Residual and tangent of nonlinear bodies with ties between them, assembled when data change."""
 
 from collections.abc import Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import numpy as np
 import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
-from hypergap_dolfinx.algebra.dependence import Dependence
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.multipliers.interface import Pieces
+from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.system import TiedSystem
 
 
+class Dependence:
+    """Coefficients, constants and coordinates of a form, and their last values."""
+
+    def __init__(self, form: ufl.Form, compiled: fem.Form, u: fem.Function):
+        """Find those that are left once derivatives are taken.
+
+        Args:
+            form: The form.
+            compiled: The form compiled by FFCx.
+            u: The solution function.
+        """
+        of_ufl, ufcx = form.coefficients(), compiled.ufcx_form
+        used = [ufcx.original_coefficient_positions[i] for i in range(ufcx.num_coefficients)]
+        self._functions = [of_ufl[k] for k in used if of_ufl[k] is not u]
+        self._u = [u] if any(of_ufl[k] is u for k in used) else []
+        self._constants = list(form.constants())
+        self._geometry = compiled.mesh.geometry
+        self._before: tuple[list[npt.NDArray], list[npt.NDArray]] | None = None
+
+    def changed(self, slack: float = 0.0) -> bool:
+        """True if something on this rank has changed since the last call that returned True.
+
+        Args:
+            slack: Largest change of the solution that counts as no change.
+        """
+        now = [np.asarray(constant.value) for constant in self._constants]
+        now += [f.x.array for f in self._functions]
+        now.append(self._geometry.x)
+        at = [f.x.array for f in self._u]
+        if self._before is not None:
+            before, place = self._before
+            near = all(abs(a - b).max(initial=0) <= slack for a, b in zip(at, place, strict=True))
+            if near and all(map(np.array_equal, before, now)):
+                return False
+        copies = [[array.copy() for array in arrays] for arrays in (now, at)]
+        self._before = copies[0], copies[1]
+        return True
+
+
 def _check_ranks(forms: Sequence[ufl.Form], rank: int, name: str, wanted: str):
-    """Raise if one isn't a UFL form of a rank."""
+    """Raise if a form isn't a UFL form of this rank."""
     for i, form in enumerate(forms):
         found = len(form.arguments()) if isinstance(form, ufl.Form) else None
         if found != rank:
@@ -42,7 +81,7 @@ class NonlinearSystem(TiedSystem):
         F: Sequence[ufl.Form],
         u: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC],
-        pieces: Pieces,
+        pieces: TiedInterfaces,
         *,
         J: Sequence[ufl.Form] | None = None,
         form_compiler_options: dict | None = None,
@@ -54,7 +93,7 @@ class NonlinearSystem(TiedSystem):
             F: Residual form of each body.
             u: Solution function of each body.
             bcs: Dirichlet conditions of any of the bodies.
-            pieces: The ties, and what they are pieces of.
+            pieces: The ties, and the interfaces that they are pieces of.
             J: Jacobian form of each body; F's derivative if not given.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
@@ -108,18 +147,18 @@ class NonlinearSystem(TiedSystem):
     def _assign(self, x: PETSc.Vec):
         """Copy the bodies' part of a vector into u, and that of jumps into the laws."""
         super()._assign(x)
-        openings = self._constraints.openings
+        jumps = self._constraints.jump_fields
         parts = x.getNestSubVecs()
-        start = len(parts) - len(self._constraints.bodies) - len(openings)
-        for opening, part in zip(openings, parts[start:], strict=False):
-            opening.take(part)
+        start = len(parts) - len(self._constraints.bodies) - len(jumps)
+        for jump, part in zip(jumps, parts[start:], strict=False):
+            jump.take(part)
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         self._assign(x)
         self._evaluate(x, r)
 
     def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
-        """The residual where the bodies are, as x says.
+        """Evaluate the residual r at x, whose displacements are assigned to u already.
 
         Prescribed values are lifted: r is F at displacements that hold them, to first order.
         """
@@ -155,9 +194,9 @@ class NonlinearSystem(TiedSystem):
         of_ties = r_parts[num_bodies : len(r_parts) - num_ties]
         for b in of_ties:
             b.set(0.0)
-        openings = self._constraints.openings
-        for opening, b in zip(openings, of_ties[len(of_ties) - len(openings) :], strict=True):
-            opening.add_force(b)
+        jumps = self._constraints.jump_fields
+        for jump, b in zip(jumps, of_ties[len(of_ties) - len(jumps) :], strict=True):
+            jump.add_force(b)
         fields = [*self._now, *x_parts[num_bodies : len(x_parts) - num_ties]]
         for t, multiplier in enumerate(multipliers):
             for b, B in zip(r_parts, self._constraints.free[t]):
@@ -170,11 +209,10 @@ class NonlinearSystem(TiedSystem):
 
     def _lifted(self) -> list[npt.NDArray]:
         """Each body's displacements with those that are prescribed, ghosts included."""
-        lifted = []
-        for u, bcs in zip(self._u, self._bcs, strict=True):
-            lifted.append(u.x.array.copy())
+        lifted = [u.x.array.copy() for u in self._u]
+        for values, bcs in zip(lifted, self._bcs, strict=True):
             for bc in bcs:
-                bc.set(lifted[-1])
+                bc.set(values)
         return lifted
 
     def assemble_matrix(self):

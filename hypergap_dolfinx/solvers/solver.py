@@ -3,12 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What a solver of the saddle system is, to those who call it; it knows itself how it solves.
-
-PETSc options of a solver.
-
-The saddle system factorised as a whole, by default with MUMPS.
-"""
+"""Solvers of the saddle system: their interface, their PETSc options, and the direct one."""
 
 import weakref
 from abc import ABC, abstractmethod
@@ -23,17 +18,16 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.solvers.tolerances import UNKNOWN_TYPE
 from hypergap_dolfinx.surface.trace import is_mixed
 
 
 def prefixed(prefix: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of what a solver consists of."""
+    """Options of a part of a solver, by its prefix."""
     return {prefix + key: value for key, value in options.items()}
 
 
 def names_types(options: dict | None) -> bool:
-    """Whether PETSc options say how to solve, and not only how exactly."""
+    """True if PETSc options name a type of solver, not only tolerances."""
     return bool({"ksp_type", "pc_type"} & set(options or {}))
 
 
@@ -44,10 +38,10 @@ class Options:
         """Choose them: given ones, the command line's, defaults, in this order.
 
         Args:
-            prefix: Of PETSc's objects.
+            prefix: Prefix of PETSc's objects.
             options: The user's.
-            defaults: Those of the solver.
-            unfit: What is said of options that PETSc can't solve with.
+            defaults: The solver's.
+            unfit: End of the message if PETSc can't solve with them.
 
         Raises:
             ValueError: No prefix.
@@ -76,10 +70,11 @@ class Options:
             cause = error.__cause__
             if cause is not None and not isinstance(cause, PETSc.Error):
                 raise cause from None  # of Python that PETSc called; old PETSc raises it itself
+            unknown_type = 86  # PETSC_ERR_UNKNOWN_TYPE
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
             raise SolveError(
                 f"PETSc can't solve with these options: {reason} (code {error.ierr})."
-                + self._unfit * (error.ierr != UNKNOWN_TYPE)
+                + self._unfit * (error.ierr != unknown_type)
             ) from error
         finally:
             for key in self._options:
@@ -88,35 +83,29 @@ class Options:
                     database[key] = before[key]
 
 
-PRESSURE = (
-    "; in mixed spaces a pressure that is known up to a constant only makes a matrix singular too: "
-    "hold it at a node"
-)
-
-
 @dataclass(frozen=True)
 class System:
-    """[K Bᵀ; B 0] and what it is made of."""
+    """[K Bᵀ; B −C] and its blocks."""
 
     A: PETSc.Mat
-    """The nested matrix. Its state tells whether K has changed."""
+    """The nested matrix; its state changes with K."""
     K: Sequence[PETSc.Mat]
     """Stiffness of each body; has no values before the first :meth:`Solver.update`."""
     constraints: ConstraintBlocks
-    """B."""
+    """B and C."""
     spaces: Sequence[fem.FunctionSpace]
     """Space of each body."""
 
 
 class Solver(ABC):
-    """Solves the saddle system, for one right-hand side after the other. All is collective.
+    """A solver of the saddle system for many right-hand sides. All methods are collective.
 
-    Call :meth:`update` when K has values, or others; then :meth:`solve`, and look at
-    :meth:`failure`. What a user asks for that can't be is a SolveError at once.
+    Call :meth:`update` when K has new values; then :meth:`solve`, and check :meth:`failure`.
+    Options that PETSc refuses raise a SolveError at once.
     """
 
     options: Options
-    """PETSc's, for calls of PETSc from outside."""
+    """PETSc options, for calls of PETSc from outside."""
 
     @property
     @abstractmethod
@@ -130,11 +119,11 @@ class Solver(ABC):
 
     @abstractmethod
     def update(self):
-        """Take the values of K as they are now; does nothing if they are the same."""
+        """Take the present values of K; does nothing if they are the same."""
 
     @abstractmethod
     def solve(self, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve with A as it is now; what is costly to make is that of the last update.
+        """Solve with the present A; factors and preconditioners are those of the last update.
 
         Args:
             b: The right-hand side, nested.
@@ -143,18 +132,14 @@ class Solver(ABC):
 
     @abstractmethod
     def failure(self) -> str | None:
-        """What went wrong in the last solve, in one line, such that another solver may help."""
+        """Failure of the last solve in one line, or None."""
 
     @abstractmethod
     def destroy(self):
         """Destroy the PETSc objects."""
 
     def as_ksp(self, prefix: str) -> PETSc.KSP:
-        """A KSP for a SNES: it updates when SNES rebuilds its preconditioner, and solves.
-
-        Args:
-            prefix: Of its options, which nobody needs.
-        """
+        """A KSP for a SNES: it updates when SNES rebuilds its preconditioner, and solves."""
         shell = PETSc.KSP().create(self.ksp.comm)
         shell.setOptionsPrefix(prefix)
         shell.setType(PETSc.KSP.Type.PREONLY)
@@ -181,25 +166,25 @@ class _Shell:
 
 
 class KSPSolver(Solver):
-    """A solver with one KSP that takes PETSc options; the base of all that a user can name."""
+    """A solver with one KSP that takes PETSc options; the base of all named solvers."""
 
     name: ClassVar[str]
-    """What a user calls it."""
+    """Its name for users."""
     OPTIONS: ClassVar[dict[str, Any]]
-    """PETSc options of the KSP, and of what it consists of."""
+    """PETSc options of the KSP and of its parts."""
     ADVICE: ClassVar[str] = ""
-    """What to do where it fails."""
+    """End of the message if it fails."""
     UNFIT: ClassVar[str] = ""
-    """What is said of options that PETSc can't solve with."""
+    """End of the message if PETSc can't solve with the options."""
     REPLACEABLE: ClassVar[bool] = False
-    """Whether a type of KSP or PC among the user's options takes the place of all defaults."""
+    """True if a type of KSP or PC among the user's options replaces all defaults."""
 
     def __init__(self, system: System, prefix: str, options: dict | None = None):
         """Create the KSP and set its options; K needs no values yet. Collective.
 
         Args:
-            system: What is to be solved.
-            prefix: Of all PETSc options.
+            system: The system.
+            prefix: Prefix of all PETSc options.
             options: The user's, over the defaults and the command line's.
         """
         replaced = self.REPLACEABLE and names_types(options)
@@ -216,12 +201,12 @@ class KSPSolver(Solver):
 
     @classmethod
     def why_not(cls, system: System) -> str | None:
-        """What keeps the system from being solved like this, or None. Collective."""
+        """Reason why the system can't be solved like this, or None. Collective."""
         return None
 
     @classmethod
     def defaults(cls, system: System) -> dict[str, Any]:
-        """The options where the user has none."""
+        """Default options."""
         return cls.OPTIONS
 
     @property
@@ -235,7 +220,7 @@ class KSPSolver(Solver):
         return self._ksp.getIterationNumber()
 
     def update(self):
-        """Take the values of K as they are now. Collective."""
+        """Take the present values of K. Collective."""
         state = self._system.A.stateGet()
         if state != self._state:
             with self.options.in_use():
@@ -243,17 +228,22 @@ class KSPSolver(Solver):
             self._state = state
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve with A as it is now. Collective."""
+        """Solve with the present A. Collective."""
         with self.options.in_use():
             self._solve(b, x)
 
     def failure(self) -> str | None:
-        """What went wrong in the last solve. Collective."""
+        """Failure of the last solve, or None. Collective."""
         return saddle.failure(self._ksp, self._advice())
 
     def _advice(self) -> str:
-        """What a message on a failure says to do."""
-        return self.ADVICE + (PRESSURE if any(map(is_mixed, self._system.spaces)) else "")
+        """End of the message on a failure."""
+        if not any(map(is_mixed, self._system.spaces)):
+            return self.ADVICE
+        return (
+            f"{self.ADVICE}; in mixed spaces a pressure that is known up to a constant only makes "
+            "a matrix singular too: hold it at a node"
+        )
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
@@ -280,21 +270,11 @@ class Substitute(ABC):
 
     @abstractmethod
     def update(self, ksp: PETSc.KSP) -> bool:
-        """Give a KSP what it is to solve, with the values that K has now.
-
-        Returns:
-            Whether that was possible; if not, the system is to be made anew.
-        """
+        """Set a KSP's operators for the present K; False if the system is to be made anew."""
 
     @abstractmethod
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve for nested vectors of the saddle system, with K's values of now in its operator.
-
-        Args:
-            ksp: The KSP, with what the last :meth:`update` made as its preconditioner.
-            b: The right-hand side.
-            x: Takes the solution.
-        """
+        """Solve for nested vectors with the present K, and the last update's preconditioner."""
 
     @abstractmethod
     def destroy(self):
@@ -307,9 +287,23 @@ class IterativeSolver(KSPSolver):
     _substitute: Substitute | None = None
     _failure: str | None = None
 
+    @classmethod
+    def why_not(cls, system: System) -> str | None:
+        """Reason why the system can't be solved like this, or None. Collective."""
+        constraints = system.constraints
+        reasons = {
+            "free interior nodes belong to no body": constraints.interior_sizes,
+            "a tie has a compliance": constraints.compliances,
+            "a tie has a law or a conductance": constraints.jump_fields,
+            "a space is mixed: a body may be singular by itself (a pressure is free)": any(
+                map(is_mixed, system.spaces)
+            ),
+        }
+        return next((reason for reason, applies in reasons.items() if applies), None)
+
     @abstractmethod
     def _create(self) -> Substitute:
-        """The system that is iterated on, for the values that K has now. Collective."""
+        """The system that is iterated on, for the present values of K. Collective."""
 
     def _update(self):
         if self._substitute is not None and not self._substitute.update(self._ksp):
@@ -321,7 +315,7 @@ class IterativeSolver(KSPSolver):
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
         assert self._substitute is not None, "update() comes first"
-        # Its blocks are K itself: if SNES lags, the preconditioner is of then, the system of now
+        # Its blocks are K itself: if SNES lags, only the preconditioner is an older one
         self._substitute.solve(self._ksp, b, x)
         self._failure = saddle.failure(self._ksp, self._advice())
         if self._failure is None:
@@ -333,7 +327,7 @@ class IterativeSolver(KSPSolver):
                 )
 
     def failure(self) -> str | None:
-        """What went wrong in the last solve, also if the iteration itself converged."""
+        """Failure of the last solve, or None; may fail though the iteration converged."""
         return self._failure
 
     @property
@@ -377,12 +371,12 @@ class Direct(KSPSolver):
 
     @classmethod
     def defaults(cls, system: System) -> dict[str, Any]:
-        """The options where the user has none; the best ordering depends on the dimension."""
+        """Default options; the best ordering depends on the dimension."""
         plane = system.spaces[0].mesh.topology.dim == 2
         return {**cls.OPTIONS, **PLANE} if plane else cls.OPTIONS
 
     def _update(self):
-        """The KSP sees itself that A has changed."""
+        """Nothing to do: the KSP checks the state of A."""
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
         saddle.solve(self._ksp, b, x)
@@ -393,7 +387,7 @@ class Direct(KSPSolver):
 
 
 class DirectStep(Direct):
-    """The same for Newton's steps, of which the next one refines."""
+    """``"direct"`` for Newton's steps, without refinement: the next step refines."""
 
     OPTIONS = {  # noqa: RUF012
         **{key: value for key, value in Direct.OPTIONS.items() if not key.startswith("ksp_")},

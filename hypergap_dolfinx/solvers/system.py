@@ -3,14 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The saddle system of tied bodies: what linear and nonlinear problems share.
-
-What is known up to a constant only, though neither K nor B alone tells.
-
-Pressures: where displacements are prescribed all around, the forces of a constant pressure on a
-tie's two sides are balanced by λ. Bodies that a tie would hold whose conductance is 0: the loads
-may balance each other, so that there are solutions.
-"""
+"""The saddle system of tied bodies, which linear and nonlinear problems share."""
 
 from collections.abc import Sequence
 
@@ -26,7 +19,7 @@ from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.multipliers.interface import Interface, Pieces
+from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
 from hypergap_dolfinx.surface.component import lagrange_components
@@ -34,18 +27,16 @@ from hypergap_dolfinx.surface.trace import is_mixed
 
 
 def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
-    """Whether constants of bodies aren't found again from the loads that they make. Collective.
+    """True if constants are not recovered from the loads that they make. Collective.
 
-    Of mixed bodies' scalars, or where a tie has a conductance all fields of bodies that aren't.
-
-    Args:
-        system: The saddle system.
-        solver: With its factors.
-        b: A vector of the system, of which nothing but the layout is taken.
+    Neither K nor B alone shows these: a pressure (a scalar of a mixed space) whose forces on the
+    two sides of a tie λ balances, if displacements are prescribed all around; or a body that only a
+    tie would hold whose conductance is 0, if the loads balance each other. The solver has factors;
+    b is for its layout only.
     """
     conducts = system.constraints.conducts
     if solver.ksp.getPC().getType() != "lu" or not (conducts or any(map(is_mixed, system.spaces))):
-        return False  # what iterates may be told of a null space
+        return False  # iterative solvers may be given a null space
     x = b.duplicate()
     x.set(0.0)
     prescribed = system.constraints.prescribed
@@ -70,10 +61,6 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
     return not error < UNKNOWN
 
 
-PRESSURES = " (a pressure at a node, where displacements are prescribed all around)"
-"""What else may have to be held in mixed spaces."""
-
-
 class TiedSystem(collective.Owner):
     """[K Bᵀ; B −C] [u; λ] = b with K from forms, B and C from ties, and a solver for it."""
 
@@ -83,7 +70,7 @@ class TiedSystem(collective.Owner):
         self,
         a: Sequence[fem.Form],
         bcs: Sequence[fem.DirichletBC],
-        pieces: Pieces,
+        pieces: TiedInterfaces,
         u: Sequence[fem.Function],
     ):
         """Make the matrix and the vectors, without values in K and b. Collective.
@@ -91,7 +78,7 @@ class TiedSystem(collective.Owner):
         Args:
             a: Compiled bilinear form of each body.
             bcs: Dirichlet conditions of any of the bodies.
-            pieces: The ties, and what they are pieces of.
+            pieces: The ties, and the interfaces that they are pieces of.
             u: Solution function of each body.
 
         Raises:
@@ -131,7 +118,7 @@ class TiedSystem(collective.Owner):
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
         sizes = self._constraints.interior_sizes
         self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
-        of_ties = [*self._zeros, *(opening.K for opening in self._constraints.openings)]
+        of_ties = [*self._zeros, *(jump.K for jump in self._constraints.jump_fields)]
         B, C = self._constraints.free, self._constraints.compliances.blocks
         self._A, self._Bt = saddle.saddle_matrix([*self._K, *of_ties], B, C)
         self._b_bodies = [compat.create_vector(V) for V in spaces]
@@ -144,21 +131,22 @@ class TiedSystem(collective.Owner):
         self._system = System(self._A, self._K, self._constraints, spaces)
 
     def _check_motions(self):
-        """Raise if the assembly can still move, which a solver may not notice. Once; collective."""
+        """Raise if the assembly can move rigidly; a solver may not notice. Once; collective."""
         if self._motions_known:
             return
         free = free_motions(self._system.spaces, self._K, self._constraints)
         if free:
+            pressures = " (a pressure at a node, where displacements are prescribed all around)"
             raise SolveError(
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
                 f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held"
-                f"{PRESSURES if any(map(is_mixed, self._system.spaces)) else ''}."
+                f"{pressures if any(map(is_mixed, self._system.spaces)) else ''}."
             )
         self._motions_known = True
 
     def _check_constants(self):
-        """Raise if a constant isn't known. After a solve, once for a conductance; collective."""
+        """Raise if a constant is undetermined, after a solve. Collective."""
         if self._constants_known:
             return
         if undetermined(self._system, self._solver, self._b):
@@ -182,15 +170,14 @@ class TiedSystem(collective.Owner):
         return objects + [obj for name in several for obj in self.__dict__.pop(name, [])]
 
     def assemble_matrix(self):
-        """Assemble the bodies' stiffness, and what ties give way by, into A. Collective.
+        """Assemble the bodies' stiffness and the ties' compliances and laws into A. Collective.
 
-        A prescribed dof has the mean of the others' diagonal: solvers that look at the residual
-        must not see units.
+        A prescribed dof has the mean of the others' diagonal, so that residuals have one unit.
         """
         changed = [self._assemble(i) for i in range(len(self._K))]
         checks.check_finite(self._K, "the stiffness")
         soft = [
-            part for part in (self._constraints.compliances, *self._constraints.openings) if part
+            part for part in (self._constraints.compliances, *self._constraints.jump_fields) if part
         ]
         for part in soft:
             part.update()
@@ -199,7 +186,7 @@ class TiedSystem(collective.Owner):
             self._A.assemble()
 
     def _assemble(self, i: int) -> bool:
-        """Assemble a body's stiffness, and say whether it changed. Collective."""
+        """Assemble a body's stiffness; True if it changed. Collective."""
         K, bcs = self._K[i], self._bcs[i]
         K.zeroEntries()
         # The diagonal's keyword is another one in 0.9

@@ -29,7 +29,7 @@ from hypergap_dolfinx import (
     Tie,
     contact_problem,
 )
-from hypergap_dolfinx.algebra.diagnostics import in_words
+from hypergap_dolfinx.algebra.floating import in_words
 
 comm = MPI.COMM_WORLD
 

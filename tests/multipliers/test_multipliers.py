@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import structural_rank
 
 from hypergap_dolfinx.gap_mesh.cells import covered_parts
-from hypergap_dolfinx.multipliers.replacements import Rows
+from hypergap_dolfinx.multipliers.numbering import Rows
 from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS
 from hypergap_dolfinx.surface.trace import create_surface
 from meshes import BOTTOM, LEFT, RIGHT, TOP

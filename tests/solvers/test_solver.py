@@ -18,7 +18,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.solvers import choice
-from hypergap_dolfinx.solvers.substructures import order_of_bodies
+from hypergap_dolfinx.solvers.bodywise import order_of_bodies
 
 comm = MPI.COMM_WORLD
 

@@ -14,8 +14,8 @@ from test_contact import Blocks
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra import saddle
-from hypergap_dolfinx.algebra.dependence import Dependence
 from hypergap_dolfinx.contact_solver import pattern, tangent
+from hypergap_dolfinx.solvers.newton import Dependence
 from hypergap_dolfinx.surface.moving import Sparse
 
 
