@@ -37,7 +37,7 @@ class Constraint(collective.Owner):
     """Global dof (block) of V₁ under each multiplier, sorted, the same on every rank. A dof that
     several patches of Γ1 share has a multiplier in each."""
     patch: npt.NDArray[np.int64]
-    """Patch of Γ1 that each multiplier belongs to."""
+    """Patch of Γ1 under each multiplier."""
     rows: npt.NDArray[np.int64]
     """Row of B of each multiplier."""
 
@@ -55,12 +55,12 @@ def create_constraint(
     Args:
         domain: Σ.
         spaces: V₀ and V₁.
-        free_interior: Whether interior nodes (0 < α < 1) are unknowns with rows of their own, as
-            in eq. (22), or take (1 − α) u₀ + α u₁.
+        free_interior: True if interior nodes (0 < α < 1) are unknowns with rows of their own, as
+            in eq. (22); else they take (1 − α) u₀ + α u₁.
 
     Returns:
-        B_i = R_Aᵀ G R_i. Of narrow cells, whose G has large entries that cancel each other in the
-        product, the factors of G = Dᵀ w D are multiplied first: (D R_A)ᵀ w (D R_i).
+        B_i = R_Aᵀ G R_i. In narrow cells large entries of G would cancel each other in the
+        product: there the factors of G = Dᵀ w D are multiplied first, (D R_A)ᵀ w (D R_i).
     """
     comm = domain.mesh.comm
     dofmap, hosts = domain.space.dofmap, domain.hosts
@@ -93,8 +93,8 @@ def create_constraint(
         entries = [tuple(part[keep] for part in e) for e, keep in zip(entries, bound)]
         R_B = [coo_matrix(comm, (owned, n), *entry) for n, entry in zip(sizes, entries)]
 
-    # The multipliers are the dofs of Γ1 that Σ touches, one in each patch that has the dof. On each
-    # rank its free interior nodes come after them
+    # Multipliers: the dofs of Γ1 that Σ touches, one in each patch of the dof; on each rank, its
+    # free interior nodes come after them
     i1, dof1, value1 = entries[1]
     num_patches = int(domain.patch.max()) + 1
     patch_of = domain.patch[hosts.facets[1].ravel()[first]]  # of each owned node
@@ -117,17 +117,8 @@ def create_constraint(
         entry = (row[free], offset[r] + own, np.ones(num_free[r]))
         R_B.append(coo_matrix(comm, (owned, num_free[r]), *entry))
 
-    global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
-    G_e = domain.gap_matrices()
-    narrow = domain.narrow_cells()
-    G_e[narrow] = 0
-    if domain.overhang is not None:
-        D_e, _ = domain.overhang_derivatives()
-        outer = domain.overhang.weights[:, None, None] * D_e[:, :, None] * D_e[:, None]
-        np.subtract.at(G_e, domain.overhang.cells, outer)
-    rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
-    columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
-    G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)
+    G_e, narrow = domain.summable_gap_matrices()
+    G = coo_matrix(comm, (owned, owned), *domain.entries(G_e))
     B = []
     for R_i in R_B:
         GR = G.matMult(R_i)
@@ -135,7 +126,7 @@ def create_constraint(
         GR.destroy()
     G.destroy()
     if comm.allreduce(len(narrow)):
-        _add_factored(B, R_A, R_B, *domain.gap_factors(narrow), global_dofs[narrow])
+        _add_factored(B, R_A, R_B, *domain.gap_factors(narrow), domain.nodes[narrow])
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
@@ -173,7 +164,7 @@ def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
 
 
 def expand(B: PETSc.Mat, block_size: int, turn: npt.NDArray | None = None) -> PETSc.Mat:
-    """B ⊗ R, the same constraint for each component of a field that is turned. Collective.
+    """B ⊗ R, the same constraint for each component of a rotated field. Collective.
 
     Args:
         B: Matrix on one component.

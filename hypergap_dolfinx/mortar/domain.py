@@ -7,6 +7,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -34,7 +35,7 @@ from hypergap_dolfinx.surface.trace import Surface, tabulate
 
 @dataclass(frozen=True)
 class GapDomain:
-    """Σ: simplices with nodes (x, α), and where its nodes lie on the bodies' surfaces.
+    """Σ: simplices with nodes (x, α), and the nodes' places on the bodies' surfaces.
 
     The rows of the arrays are the cells of this rank, in the order of ``mesh``.
     """
@@ -54,7 +55,7 @@ class GapDomain:
     normal: npt.NDArray[np.float64]
     """Reference normals from Γ0 to Γ1, ``(num_cells, n)``."""
     curved: npt.NDArray[np.bool_]
-    """Which cells have a curved edge, ``(num_cells,)``."""
+    """Mask of cells with a curved edge, ``(num_cells,)``."""
     hosts: Hosts
     """Hosts of the nodes of ``space``."""
     patch: npt.NDArray[np.int32]
@@ -65,18 +66,29 @@ class GapDomain:
     """Least share of a function's square that this part has, ``(num_facets1,)``; see
     :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
     overhang: Overhang | None = None
-    """What is beyond what both sides have in common, to be taken out of integrals; None if nothing.
-    See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
+    """Parts of cells beyond what both sides have in common, to be subtracted from integrals; None
+    without any. See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
 
-    @property
+    @cached_property
     def geometry(self) -> basix.finite_element.FiniteElement:
         """Basix element of the cells' geometry."""
         return self.mesh.ufl_domain().ufl_coordinate_element().basix_element  # type: ignore[union-attr]
 
-    @property
+    @cached_property
     def element(self) -> basix.finite_element.FiniteElement:
         """Basix element of the φ_a."""
         return self.space.ufl_element().basix_element
+
+    @cached_property
+    def nodes(self) -> npt.NDArray[np.int64]:
+        """Global nodes of this rank's cells, ``(num_cells, num_nodes)``."""
+        dofmap = self.space.dofmap
+        return dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+
+    def entries(self, W: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Rows and columns (nodes), and values, of a sum of element matrices."""
+        i, j = self.nodes[:, :, None], self.nodes[:, None, :]
+        return np.broadcast_to(i, W.shape), np.broadcast_to(j, W.shape), W
 
     def distance(self) -> float:
         """Mean distance of Γ0 and Γ1: the volume between them over their area. Collective."""
@@ -100,7 +112,7 @@ class GapDomain:
             ``(num_cells, num_nodes, num_nodes)``.
 
         Raises:
-            InvertedCellError: A cell is turned over.
+            InvertedCellError: A cell is inverted.
         """
         k, nodes = self.element.degree, self.element.dim
         G = np.empty((len(self.x), nodes, nodes))
@@ -127,10 +139,20 @@ class GapDomain:
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
+    def summable_gap_matrices(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Element matrices to be added up as they are, and the narrow cells, where they are 0.
+
+        Without the overhang. Collective.
+        """
+        G, narrow = self.gap_matrices(), self.narrow_cells()
+        G[narrow] = 0
+        if self.overhang is not None:
+            subtract_squares(G, self.overhang, self.overhang_derivatives()[0])
+        return G, narrow
+
     def narrow_cells(self) -> npt.NDArray[np.intp]:
         """Cells whose matrices have large entries that cancel each other, ``(num_narrow,)``."""
-        middle = kernel.GapElement.with_quadrature(self.geometry, self.element, 0)
-        _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
+        _, v = kernel.geometry_at_points(self.quadrature(0), self.x, self.alpha_vertices)
         return np.flatnonzero((np.abs(v) > NARROW_CELL).any(axis=(1, 2)))
 
     @property
@@ -155,7 +177,7 @@ class GapDomain:
         return D, np.sign(element.weights)
 
     def overhang_derivatives(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """∂φ_a/∂α and unit normals at the points of the overhang, whose weights are not in them.
+        """∂φ_a/∂α and unit normals at the points of the overhang, without its weights.
 
         Returns:
             ``(num_points, num_nodes)`` and ``(num_points, n)``.
@@ -170,6 +192,12 @@ class GapDomain:
         X = np.einsum("pmi,pmj->pij", x - x[:, :1], dpsi)
         N, v = kernel.normal_and_direction(X, alpha[:, 1:] - alpha[:, :1])
         return np.einsum("paj,pj->pa", dphi, v), N / np.linalg.norm(N, axis=1, keepdims=True)
+
+
+def subtract_squares(W: npt.NDArray[np.float64], points: Overhang, f: npt.NDArray[np.float64]):
+    """Subtract Σ w f_a f_b over points from element matrices; f is ``(num_points, num_nodes)``."""
+    outer = points.weights[:, None, None] * f[:, :, None] * f[:, None]
+    np.subtract.at(W, points.cells, outer)
 
 
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
@@ -221,14 +249,14 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
 def distributed(
     comm: MPI.Comm, cells, x, rank, element: basix.ufl._ElementBase
 ) -> tuple[Mesh, npt.NDArray[np.intp]]:
-    """A mesh of cells that every rank knows, each on the rank that it is for. Collective.
+    """A distributed mesh of cells that every rank knows. Collective.
 
     Args:
         comm: Communicator.
         cells: Nodes of the cells, ``(num_cells, num_cell_nodes)``.
         x: Nodes, ``(num_nodes, n)``.
-        rank: Where each cell is to be, ``(num_cells,)``.
-        element: Of the coordinates.
+        rank: Rank of each cell, ``(num_cells,)``.
+        element: Element of the coordinates.
 
     Returns:
         The mesh, and the numbers of this rank's cells in its order.
@@ -245,7 +273,7 @@ def distributed(
 
 
 def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
-    """Which cells' geometry nodes leave the vertex simplex, ``(num_cells,)``."""
+    """Mask of cells with geometry nodes off the simplex of their vertices, ``(num_cells,)``."""
     n = x.shape[2]
     if x.shape[1] == n + 1:
         return np.zeros(len(x), dtype=bool)
@@ -266,7 +294,7 @@ def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int6
 def _number_nodes(cells, lattice, degree: int):
     """Number the Lagrange nodes of a mesh; a shared node gets one number.
 
-    A node is told by its vertices and their barycentric weights, so no coordinates are compared.
+    A node is identified by its vertices and their barycentric weights; coordinates aren't compared.
 
     Args:
         cells: Vertices, ``(num_cells, n + 1)``.
@@ -274,8 +302,8 @@ def _number_nodes(cells, lattice, degree: int):
         degree: Degree of the nodes.
 
     Returns:
-        Nodes of each cell, ``(num_cells, num_nodes)``, and for each number the first place (in
-        the flattened cells) that has it.
+        Nodes of each cell, ``(num_cells, num_nodes)``, and the first position of each number in
+        the flattened cells.
     """
     weights = np.column_stack((degree - lattice.sum(axis=1), lattice))  # (node, vertex)
     key = cells[:, None, :] * (degree + 1) + weights
@@ -297,10 +325,10 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
         facet: Host facet of each point, ``(num_points,)``.
         X: Reference coordinates, ``(num_points, n - 1)``.
         weight: 1 − α on Γ0, α on Γ1; ``(num_points,)``.
-        nodes: Element of the φ_a, whose nodes on Γ_i the points are where the weight is one.
+        nodes: Element of the φ_a; points of weight one are its nodes on Γ_i.
 
     Returns:
-        The point, the global dof (block) and the value of each nonzero entry.
+        Point, global dof (block) and value of each nonzero entry.
     """
     values = tabulate(surface.element, X)
     if surface.facets.shape[1] == 4:

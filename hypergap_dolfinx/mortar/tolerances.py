@@ -51,15 +51,11 @@ SMOOTH = 1 / 20
 
 Measured: the same: with 1/60 0.413, 1.15, with 1/10 0.414, 1.24."""
 
-PASSES = 27
-"""How often tractions are given back what smoothing took, at most.
+PASSES = (1, 3, 9, 27)
+"""Counts of passes that restore what smoothing took from tractions; the best is chosen.
 
-Measured: the same: with 9 0.494, 2.57, with 81 0.484, 1.25."""
-
-FEWER = 3
-"""How many times fewer such passes are compared with.
-
-Measured: the same: 16, 8, 4, 2, 1 with weight 160: 0.397, 1.02."""
+Measured: the same: 1 to 9 0.494, 2.57, 1 to 81 0.484, 1.25; 1, 2, 4, 8, 16 with weight 160 0.397,
+1.02."""
 
 ROUNDS_ADJUST = 3
 """Times that Γ1 is moved, since B depends on where it is.
