@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.mortar.multiplier_space import Multipliers, smooth_pieces
+from hypergap_dolfinx.mortar.constraint import Multipliers, smooth_pieces
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface

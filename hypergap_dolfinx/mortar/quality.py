@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What is doubtful about an interface that can be tied: a line for each, with what to do."""
+"""Warnings about a doubtful interface, a line each, with what to do."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.mortar.domain import GapDomain
-from hypergap_dolfinx.mortar.tolerances import SAG_CURVED, SAMPLES_UNEVEN, UNEVEN, WHOLE_FACET
+from hypergap_dolfinx.mortar.tolerances import SAG_CURVED, UNEVEN
 from hypergap_dolfinx.surface.tolerances import SAME_NODE
 from hypergap_dolfinx.surface.trace import Surface, thinness
 
@@ -20,25 +20,21 @@ Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
 
 def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
-    """What to look at before the results are trusted. Collective.
+    """Doubts about an interface, to be settled before results are trusted. Collective.
 
     Args:
         domain: Σ.
-        sides: The spaces and this rank's facets that it was made of.
+        sides: Spaces and this rank's facets of Γ0 and Γ1.
 
     Returns:
         A line for each doubt, the same on every rank.
     """
-    found = (
-        distance(domain),
-        straight_facets(domain.surfaces),
-        uneven_facets(domain, sides),
-    )
+    found = distance(domain), straight_facets(domain.surfaces), uneven_facets(domain, sides)
     return [line for line in found if line]
 
 
 def distance(domain: GapDomain) -> str | None:
-    """Surfaces far apart may be meant, but mostly are a wrong tag or a mesh in other units."""
+    """Surfaces far apart: sometimes intended, mostly a wrong tag or a mesh in other units."""
     apart = domain.distance()
     length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
     if apart <= length:
@@ -50,7 +46,7 @@ def distance(domain: GapDomain) -> str | None:
 
 
 def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
-    """Straight facets where the other side's are curved cost spaces of degree ≥ 2 their order."""
+    """Straight facets opposite curved ones, which cost spaces of degree ≥ 2 their order."""
     if max(surface.element.degree for surface in surfaces) == 1:
         return None
     sags = []
@@ -76,15 +72,14 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
 
 
 def _widths(v, w):
-    """Where facets are narrowest compared with others, by the spread of their vertices.
+    """Widths of facets in the direction of their smallest ratio to others, by vertices' spread.
 
     Args:
         v: Vertices of each facet, ``(num, num_vertices, n)``.
-        w: Vertices of the one to compare it with.
+        w: Vertices of the facet to compare it with.
 
     Returns:
-        How many times as wide the other is in that direction, and the facet's own width in it,
-        ``(num,)`` each.
+        Ratio of the other's width to the facet's own, and the latter, ``(num,)`` each.
     """
     n = v.shape[2]
     plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
@@ -102,10 +97,10 @@ def _widths(v, w):
 
 
 def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
-    """How much narrower than the other side's facets, and than its cells, those of Γ_i are.
+    """Ratio by which Γ_i's facets are narrower than the other side's, and than their cells are deep.
 
-    The lesser of both counts, in the direction in which the facets differ most; a tenth of Γ_i's
-    area exceeds what is returned. Collective.
+    The lesser of both, in the direction in which the facets differ most; a tenth of Γ_i's area has
+    a larger one. Collective.
     """
     n = domain.x.shape[2]
     other = domain.surfaces[1 - i]
@@ -113,22 +108,23 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     on = domain.alpha_vertices == i
     apex = domain.alpha_vertices == 1 - i
     base = np.flatnonzero((on.sum(axis=1) == n) & (apex.sum(axis=1) == 1))
-    base = base[:: max(1, len(base) // SAMPLES_UNEVEN)]
+    base = base[:: max(1, len(base) // 5000)]  # as many on each rank are enough
     on, apex = on[base], apex[base]
     v = domain.x[base, : n + 1][on].reshape(-1, n, n)
     facet = domain.hosts.facets[1 - i][base, : n + 1][apex]
     E = v[:, 1:] - v[:, :1]
     area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
-    some = area > 0
-    # Where the sides overlap in part, facets of Γ_i are cut
-    if n == 2:
-        own = domain.hosts.facets[i][base, : n + 1][on].reshape(-1, n)[:, 0]
-        some &= area > WHOLE_FACET * domain.surfaces[i].size[own]
-    else:
-        X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
-        corner = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE
-        some &= (corner | _middles(X)).all(axis=1)
-        v = _whole_facets(domain, i, base, on, v)
+    # Facets of Γ_i are cut where the sides overlap in part
+    surface = domain.surfaces[i]
+    X = domain.hosts.X[i][base, : n + 1][on].reshape(-1, n, n - 1)
+    whole = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE  # corners of their facets
+    if surface.facets.shape[1] == 4:
+        middle = np.abs(X - 0.5).max(axis=2) < SAME_NODE
+        whole |= middle
+        if middle.any(axis=1).all():  # quarters of quadrilaterals
+            own = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
+            v = surface.x[surface.facets[own[np.arange(len(own)), middle.argmax(axis=1)]]]
+    some = (area > 0) & whole.all(axis=1)
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
@@ -140,25 +136,8 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
 
 
-def _middles(X) -> npt.NDArray[np.bool_]:
-    """Which vertices are middles of quadrilaterals, ``(num_bases, 3)``."""
-    return np.abs(X - 0.5).max(axis=2) < SAME_NODE
-
-
-def _whole_facets(domain: GapDomain, i: int, base, on, v):
-    """In the place of quarters of quadrilaterals these themselves."""
-    surface = domain.surfaces[i]
-    X = domain.hosts.X[i][base, :4][on].reshape(-1, 3, 2)
-    hosts = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
-    middle = _middles(X)
-    if surface.facets.shape[1] < 4 or not middle.any(axis=1).all():
-        return v
-    own = hosts[np.arange(len(hosts)), middle.argmax(axis=1)]
-    return surface.x[surface.facets[own]]
-
-
 def uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
-    """Γ1's nodes between Γ0's can't move as they would: deep cells answer with large tractions."""
+    """Γ1's nodes between Γ0's are constrained: deep cells respond with large tractions."""
     value = unevenness(domain, sides, 1)
     degrees = [surface.element.degree for surface in domain.surfaces]
     if value <= UNEVEN * degrees[1]:

@@ -140,7 +140,7 @@ class Faces:
         nodes = compat.geometry_dofmap(mesh)[each, local]
         nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
         gathered = comm.allgather((nodes, self.domain.x[each, local]))
-        nodes, x = (np.concatenate(parts) for parts in zip(*gathered, strict=True))
+        nodes, x = [np.concatenate(parts) for parts in zip(*gathered, strict=True)]
         _, first, number = np.unique(nodes, return_index=True, return_inverse=True)
         sizes = [len(part) for part, _ in gathered]
         rank = np.repeat(np.arange(comm.size), sizes)
@@ -192,17 +192,17 @@ class Recovery(collective.Owner):
         comm, owned = domain.mesh.comm, domain.space.dofmap.index_map.size_local
         unknowns = Unknowns(domain, constraint)
         num, rows = unknowns.num_local, constraint.R_A.getLocalSize()[1]
-        mass, difference = self._element_matrices()
-        self._R, self._forces, M, G, A = (
-            coo_matrix(comm, sizes, *entries)
-            for sizes, entries in (
-                ((owned, num), unknowns.pull_back()),
-                ((rows, num), unknowns.forces()),
-                ((owned, owned), domain.entries(mass)),
-                ((owned, owned), domain.entries(difference)),
-                ((num, num), unknowns.smoothing()),
-            )
-        )
+        mass, difference = self._entries()
+        parts = [
+            ((owned, num), unknowns.pull_back()),
+            ((rows, num), unknowns.forces()),
+            ((owned, owned), mass),
+            ((owned, owned), difference),
+            ((num, num), unknowns.smoothing()),
+        ]
+        self._R, self._forces, M, G, A = [
+            coo_matrix(comm, sizes, *entries) for sizes, entries in parts
+        ]
         self._mass, jumps = M.ptap(self._R), G.ptap(self._R)
         A.scale(SMOOTH)
         A.axpy(1.0, jumps)
@@ -222,16 +222,16 @@ class Recovery(collective.Owner):
         names = ("_R", "_forces", "_mass", "_solver")
         return [self.__dict__.pop(name, None) for name in names]
 
-    def _element_matrices(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Σ_i ∫ t_i · v_i, and ∫∫ ∂t/∂α · ∂v/∂α dΓ_α dα of Σ's nodes. Collective."""
+    def _entries(self):
+        """Entries of Σ_i ∫ t_i · v_i, and of ∫∫ ∂t/∂α · ∂v/∂α dΓ_α dα, of Σ's nodes. Collective."""
         domain = self._domain
-        difference, _ = domain.summable_gap_matrices()  # narrow cells have no area
-        mass = np.zeros_like(difference)
+        mass = np.zeros((len(domain.x), domain.element.dim, domain.element.dim))
         for faces in self._faces:
             np.add.at(mass, faces.cells, faces.mass_matrices())
         if domain.overhang is not None and (rims := domain.overhang.rims) is not None:
             subtract_squares(mass, rims, tabulate(domain.element, rims.X))
-        return mass, difference
+        difference, _ = domain.summable_gap_matrices()  # narrow cells have no area
+        return domain.entries(mass), domain.entries(difference)
 
     def _after_passes(self, forces: npt.NDArray) -> list[npt.NDArray]:
         """Tractions after each of ``PASSES``, shaped as the forces. Collective."""
@@ -329,7 +329,8 @@ class Unknowns:
         patch[node[node < owned]] = domain.patch[facet[node < owned]]
         self._num_multipliers = constraint.R_A.getSize()[1]
         matrices = (*constraint.R, constraint.R_A, *constraint.B[:2])
-        *R, self._R_A, B0, B1 = (triplets(matrix) for matrix in matrices)
+        *R, self._R_A, B0, B1 = [triplets(matrix) for matrix in matrices]
+        self._pairs = [facet_pairs(surface) for surface in domain.surfaces]
         self._R, self._B = R, (B0, B1)
         self._patch = [
             patch[nodes - dofmap.index_map.local_range[0]] for nodes, _, _ in (*R, self._R_A)
@@ -379,8 +380,8 @@ class Unknowns:
         """Rows, columns and values of Σ ∫ (t − Πt) · (v − Πv) over this rank's pairs of facets."""
         comm = self._domain.mesh.comm
         parts = [(np.empty(0, np.int64),) * 2 + (np.empty(0),)]
-        pairs_of = [facet_pairs(surface) for surface in self._domain.surfaces]
-        for side, (surface, pairs) in enumerate(zip(self._domain.surfaces, pairs_of, strict=True)):
+        sides = zip(self._domain.surfaces, self._pairs, strict=True)
+        for side, (surface, pairs) in enumerate(sides):
             for patch in range(self._num_patches):
                 key = surface.dofs * self._num_patches + patch
                 has = np.isin(key, self._keys[side]).all(axis=1)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import PartsOf
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.mortar.multiplier_space import Multipliers
+from hypergap_dolfinx.mortar.constraint import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
 
 Pair = tuple[int, int]
