@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The tie between two surfaces: the user's door to Σ and the constraint."""
+"""The tie between two surfaces."""
 
 import logging
 from collections.abc import Hashable
@@ -41,16 +41,16 @@ LOG = logging.getLogger("hypergap_dolfinx")
 
 
 class Tie(collective.Owner):
-    """Ties two surfaces whose meshes don't match.
+    """A tie of two surfaces whose meshes don't match.
 
     Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
-    Γ1. The tie asks that ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
+    Γ1. The tie enforces ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
     ∂φ_a/∂α (eq. 20).
 
     Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
     softer) side, or leave that to :meth:`between`; but a layer far thinner than its cells are long
-    wants to be Γ1, or to have the larger cells. Where surfaces have a kink, both need a node there
-    and one of them two edges on each side. Everything here is collective.
+    should be Γ1, or have the larger cells. At a kink both surfaces need a node, and one of them two
+    edges on each side. All methods are collective.
 
     Example:
         Two squares, one on top of the other:
@@ -98,56 +98,56 @@ class Tie(collective.Owner):
                 ``W.sub(0).sub(1)`` ties one displacement of several.
             side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
                 and any other space with the same values on the other side.
-            interior: What nodes between the surfaces do (0 < α < 1; the middles of cross edges for
-                k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
-                a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
-                eq. (22).
-            adjust: Whether to move the nodes on Γ1 first, to where eq. (22) puts them: X_A = P X₀.
-                This changes the mesh of Γ1's body. Rigid motions are then exact on curved or gaping
-                interfaces too, if the space has the degree of the mesh's geometry; without, a
-                rotation strains them by the distance between the surfaces over the cell size: the
-                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay. A
-                curved surface's rim may leave the plane of the face beside it (2e-3 at h = 0.2 of
-                its radius): locate that face's facets before. Make a tie that adjusts before others
-                on the same mesh: they know where nodes are.
-            close_gap: Whether the constraint is on positions instead of displacements: what gapes
-                or overlaps is pulled together, as in an interference fit. Needs displacements. Of
-                curved surfaces with straight edges that is the gap between two polygons too; take
-                curved cells, or a jump of the interference.
+            interior: Treatment of nodes between the surfaces (0 < α < 1; the middles of cross edges
+                for k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one
+                multiplier per dof of Γ1. ``"free"``: they are unknowns with multipliers of their
+                own, as in eq. (22).
+            adjust: True to move the nodes on Γ1 first, to X_A = P X₀ of eq. (22). This changes the
+                mesh of Γ1's body. Rigid motions are then exact on curved or gaping interfaces too,
+                if the space has the degree of the mesh's geometry; without, a rotation strains them
+                by the distance between the surfaces over the cell size: the constraint is on
+                displacements, and a gap does not rotate. Nodes at kinks stay. A curved surface's
+                rim may leave the plane of the face beside it (2e-3 at h = 0.2 of its radius):
+                locate that face's facets before. Make a tie that adjusts before others on the same
+                mesh: they store positions of nodes.
+            close_gap: True for a constraint on positions instead of displacements: gaps and
+                overlaps are closed, as in an interference fit. Needs displacements. Curved surfaces
+                with straight edges have the gap between two polygons too; take curved cells, or a
+                jump of the interference.
             jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
                 ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
                 ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
-                What it is then is read for each right-hand side, so that it may change without
-                factorising again. Of pieces of one interface that have different jumps, let both
-                surfaces end at one place; there their mean holds, weighted with the multipliers.
-            motion: What carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
+                It is read anew for each right-hand side, so that it may change without a new
+                factorisation. If ties of one interface have different jumps, let both surfaces end
+                at one place; there their mean holds, weighted with the multipliers.
+            motion: Motion that carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
             compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
-                thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
-                gives way, however little; a body that nothing else holds is held by it. One value,
-                or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
-                lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
-                ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
-                body, or a callable of x. Read anew when the matrix is assembled. Where all of both
-                sides is prescribed λ follows from c alone: one that was 0 when the problem was made
-                is to stay so, and of a pair both are 0 or none, or an error says so.
-            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat that flows where
-                bodies touch. From 0, where nothing passes, to any size; given as a compliance is,
-                one value or a pair, and read anew when the matrix is assembled. Where it varies
-                much take it, and not 1 / h as a compliance: it is h that is averaged over Σ's
-                cells, so that one node where h isn't 0 conducts.
+                thickness over its modulus, a thermal contact's resistance. 0 ties; any c > 0, even
+                tiny, is compliant and supports a body without other supports. One value, or a pair:
+                along Σ's normal and across it (0 ties across; far more than a cell's own compliance
+                lets it slide; with curved surfaces, on curved cells only: polygons interlock). Each
+                is ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
+                body, or a callable of x. Read anew when the matrix is assembled. Where both sides
+                are prescribed entirely, λ follows from c alone: a c that was 0 when the problem was
+                made must stay 0, and both of a pair are 0 or neither; an error is raised otherwise.
+            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat flow between
+                touching bodies. From 0, an insulator, to any size; given as a compliance is, one
+                value or a pair, and read anew when the matrix is assembled. Prefer it to a
+                compliance 1 / h where it varies much: h is averaged over Σ's cells, so that a
+                single node with h > 0 conducts.
             law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
-                softens and lets go, a spring that pushes and doesn't pull. A function of the jump
+                softens and fails, a spring that pushes and doesn't pull. A function of the jump
                 (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
-                gives λ in UFL: ``law=lambda jump, n: k * jump``. Its derivative is UFL's, from
-                ``conditional`` and ``max_value`` too, so Newton's iteration has the exact tangent;
-                of a potential ψ it is ``ufl.diff(psi, w)`` with ``w = ufl.variable(jump)``.
-                ``fem.Constant`` may be in it, and change between solves. It has no memory: what
-                opens closes the same way. Complex scalars are compared as ``ufl.real(…)``. For
-                :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
-            discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
-                Where both sides consist of several materials, traction jumps from one to the next:
-                give a tie for each material then, with this, its two surfaces ending at one place.
-                Without it λ is as smooth as Γ1, however many ties it is given as.
+                returns λ in UFL: ``law=lambda jump, n: k * jump``. UFL differentiates it, also
+                through ``conditional`` and ``max_value``, so Newton's iteration has the exact
+                tangent. For a potential ψ return ``ufl.diff(psi, w)``, ``w = ufl.variable(jump)``.
+                It may contain a ``fem.Constant`` that changes between solves. It has no memory: it
+                closes on the path on which it opened. Complex scalars are compared as
+                ``ufl.real(…)``. For :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
+            discontinuous: True if λ may jump to other ties of the same surfaces. Between several
+                materials on both sides traction jumps from one to the next: give a tie for each
+                material then, with this, its two surfaces ending at one place. Without it λ is as
+                smooth as Γ1, however many ties it is given as.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -230,7 +230,7 @@ class Tie(collective.Owner):
         self._gives: dict[str, Any] = {k: v for k, v in given.items() if v is not None}
         if len(self._gives) > 1:
             raise ValueError(f"give a {' or a '.join(self._gives)}, not both.")
-        _ = self.compliance, self.law  # what is wrong with them is told here
+        _ = self.compliance, self.law  # raises for wrong ones
 
     @classmethod
     def between(
@@ -243,9 +243,9 @@ class Tie(collective.Owner):
     ) -> "Tie":
         """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
 
-        But a thin layer, whose cells are a hundred times longer than thick, is Γ1 in any case: as
-        Γ0 with smaller cells it would be held at the other side's nodes only, and lose digits. Look
-        at :attr:`swapped` (or the log of ``hypergap_dolfinx``): λ acts on Γ0's body, that of
+        But a thin layer, its cells a hundred times longer than thick, is always Γ1: as Γ0 with
+        smaller cells it would be tied at the other side's nodes only, and lose digits.
+        :attr:`swapped` (or the log of ``hypergap_dolfinx``) tells: λ acts on Γ0's body, that of
         ``tie.spaces[0]``.
 
         Args:
@@ -297,12 +297,11 @@ class Tie(collective.Owner):
         """A tie across a distance: opposite faces of a periodic cell or of a sector. Collective.
 
         A motion carries Γ0 to Γ1, and there they are tied: u₁ = u₀, or u₁ = u₀ + g with a jump g.
-        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may be of one
-        mesh or of several, with any meshes; but their outlines are to fit. Make one tie for each
-        pair of faces. Where faces meet, at edges and corners, constraints that would be given twice
-        are left out.
+        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may belong to
+        one mesh or to several, of any cells; but their outlines must fit. Make one tie for each
+        pair of faces. At edges and corners of faces, redundant constraints are left out.
 
-        The cell can still move as a whole: hold a node, or its mean. (A sector can only turn and
+        The cell can still move as a whole: fix a node, or its mean. (A sector can only turn and
         slide about its axis.)
 
         Args:
@@ -315,11 +314,11 @@ class Tie(collective.Owner):
             options: Of the constructor, but ``adjust`` and ``close_gap``.
 
         Returns:
-            The tie. Its Σ is where Γ1 is, and so are λ, gap, slip and both sides' tractions: Γ0's
-            body feels Rᵀλ.
+            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and both sides' tractions: Rᵀλ acts on
+            Γ0's body.
 
         Raises:
-            ValueError: Both a translation and a rotation, none, or one that is none.
+            ValueError: Both a translation and a rotation, neither, or the identity.
             InterfaceError: Γ0 is not carried to Γ1; the message says how far it is off.
 
         Example:
@@ -349,13 +348,14 @@ class Tie(collective.Owner):
 
     @property
     def swapped(self) -> bool:
-        """Whether :meth:`between` made its first side Γ1."""
+        """True if :meth:`between` made its first side Γ1."""
         return self._swapped
 
     def destroy(self):
-        """Destroy the PETSc objects now, of what was asked for too. Collective.
+        """Destroy the PETSc objects now, those of cached parts too. Collective.
 
-        Without it they go by themselves; on several ranks, when the next tie or problem is made.
+        Otherwise they are destroyed automatically; on several ranks, when the next tie or problem
+        is made.
         """
         for name in ("_recovery", "compliance", "law", "constraint"):
             part = self.__dict__.pop(name, None)
@@ -364,7 +364,7 @@ class Tie(collective.Owner):
         super().destroy()
 
     def _release(self) -> list:
-        """The blocks, which the tie forgets."""
+        """The blocks, removed from the tie."""
         objects = list(getattr(self, "_own_blocks", ()))
         self._blocks = self._own_blocks = ()
         return objects
@@ -376,7 +376,7 @@ class Tie(collective.Owner):
 
     @property
     def components(self) -> tuple[Component, Component]:
-        """What V₀ and V₁ are among the dofs of their bodies."""
+        """Dofs of V₀ and V₁ among those of their bodies."""
         return self._components
 
     @property
@@ -391,7 +391,7 @@ class Tie(collective.Owner):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1, gathered on every rank, where they are on the bodies."""
+        """Γ0 and Γ1 on the bodies, gathered on every rank."""
         return self._surfaces
 
     @property
@@ -411,41 +411,41 @@ class Tie(collective.Owner):
 
     @property
     def free_interior(self) -> bool:
-        """Whether Σ's interior nodes are unknowns."""
+        """True if Σ's interior nodes are unknowns."""
         return self._interior == "free"
 
     @property
     def adjusts(self) -> bool:
-        """Whether Γ1's nodes were moved."""
+        """True if Γ1's nodes were moved."""
         return self._adjusts
 
     @property
     def closes_gap(self) -> bool:
-        """Whether the constraint is on positions."""
+        """True if the constraint is on positions."""
         return self._close_gap
 
     @property
     def discontinuous(self) -> bool:
-        """Whether λ ends where Γ1 does, though other ties go on there."""
+        """True if λ may jump to other ties of the same surfaces."""
         return self._discontinuous
 
     @property
     def motion(self) -> Motion | None:
-        """What carries Γ0 to Γ1, of a tie across a distance."""
+        """Motion that carries Γ0 to Γ1, of a periodic tie."""
         return self._motion
 
     @property
     def turn(self) -> npt.NDArray | None:
-        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
+        """Rotation R in u₁ = R u₀, ``(block_size, block_size)``."""
         return self._turn
 
     @property
     def jump(self) -> Jump | None:
-        """The prescribed jump, if there is one."""
+        """The prescribed jump, or None."""
         return self._jump
 
     def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
-        """The jump as it is now, at the dofs of one side. Collective.
+        """Current jump at the dofs of one side. Collective.
 
         Returns:
             The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
@@ -456,12 +456,12 @@ class Tie(collective.Owner):
 
     @cached_property
     def constraint(self) -> Constraint:
-        """The constraint on one component, assembled when it is first asked for."""
+        """The constraint on one component, assembled on first access."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
     @cached_property
     def _recovery(self) -> Recovery:
-        """What recovers tractions on the bodies' surfaces."""
+        """System for the tractions on the bodies' surfaces."""
         return Recovery(self._domain, self.constraint)
 
     @property
@@ -472,10 +472,10 @@ class Tie(collective.Owner):
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
-        """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
+        """C of Σ_i B_i u_i − C λ = c, or None without a compliance.
 
-        For a system of your own, C is a new PETSc matrix each time,
-        ``tie.compliance.matrix(tie.compliance.values())``.
+        For a system of your own, ``tie.compliance.matrix(tie.compliance.values())`` is C, a new
+        PETSc matrix each time.
         """
         return self._weighting(soft.Compliance)
 
@@ -483,7 +483,7 @@ class Tie(collective.Owner):
     def law(self) -> laws.Response | soft.Conductance | None:
         """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.
 
-        A conductance is one, F(w) = H w.
+        A conductance is the law F(w) = H w.
         """
         law = self._gives.get("law")
         if law is None:
@@ -492,7 +492,7 @@ class Tie(collective.Owner):
         return laws.Response(law, self._domain, self.constraint, self._spaces[1])
 
     def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
-        """The compliance or the conductance, if that is given."""
+        """The compliance or the conductance, if given."""
         value = self._gives.get(kind.name)
         if value is None:
             return None
@@ -504,7 +504,7 @@ class Tie(collective.Owner):
         return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
 
     def offset(self) -> PETSc.Vec | None:
-        """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
+        """Current right-hand side c of Σ_i B_i u_i = c. Collective.
 
         Returns:
             A new vector; None if it is 0, without a jump and without ``close_gap``.
@@ -523,7 +523,7 @@ class Tie(collective.Owner):
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
             component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
             of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
-            one); prescribed displacements are not taken into account. They may outlive the tie.
+            one); prescribed displacements are not eliminated. They may outlive the tie.
         """
         if not self._blocks:
             B0, B1, *interior = self.constraint.B
@@ -541,14 +541,13 @@ class Tie(collective.Owner):
 
         Args:
             u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
-                bodies. Where a component is tied, the body's function with all components, or
+                bodies. For a tied component, the body's function with all components, or
                 ``u.sub(0)``.
             u1: Displacement of Γ1's body.
 
         Returns:
-            n · ∂u/∂α, positive where the surfaces part, and ∂u/∂α without its normal part; both on
-            Σ, discontinuous, in units of the displacement. For scalars ∂u/∂α takes the place of
-            the first, and the second is None.
+            n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
+            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None.
 
         Raises:
             ValueError: A displacement that is not on its side's space.
@@ -572,20 +571,20 @@ class Tie(collective.Owner):
                 use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
 
                 ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
-                the forces of λ at both sides' nodes: of an order more than λ, and smooth, by what
-                fits this very λ (that of a sum is the sum within its own error). It is a
-                Lagrange function on a mesh of its own, the part of Γᵢ that is tied, so
+                the forces of λ at both sides' nodes: one order more accurate than λ, and smooth.
+                The smoothing adapts to λ, so it is linear in λ only within its own error. It is a
+                Lagrange function on a mesh of its own, the tied part of Γᵢ, so
                 ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
-                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files have it. At kinks it
-                has a value on each side. Both sides' are opposite to each other; where fields
-                change within a few facets, λ is as good.
+                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files take it. At kinks it
+                has a value on each side. The two sides' tractions are opposite to each other; where
+                fields change within a few facets, λ is as accurate.
 
         Returns:
-            Force per area (2D: per length and unit depth), of the side's own area: where the sides
-            lie apart these differ, and it is λ's integral that has the force.
+            Force per area (2D: per length and unit depth), of the side's own area: the areas of
+            sides that lie apart differ, and the integral of λ is the force.
 
         Raises:
-            ValueError: Not one of the problem's ties, or not solved yet; an unknown place.
+            ValueError: Not one of the problem's ties, not solved yet, or an unknown ``on``.
         """
         if on not in ("sigma", "side0", "side1"):
             raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')

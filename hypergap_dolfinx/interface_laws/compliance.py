@@ -26,7 +26,7 @@ from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.interface_laws import given_values
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
-from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights, places_of_dofs
 from hypergap_dolfinx.mortar.quadrature import Samples
 from hypergap_dolfinx.surface.tolerances import LAST_DIGITS
 from hypergap_dolfinx.surface.trace import Surface, create_surface, lagrange_element
@@ -120,11 +120,7 @@ class Weighting:
     @property
     def arrays(self) -> list[npt.NDArray]:
         """Arrays in which a user changes it."""
-        return [
-            part.x.array if isinstance(part, fem.Function) else part.value
-            for part in self._parts
-            if isinstance(part, fem.Function | fem.Constant)
-        ]
+        return given_values.arrays(*self._parts)
 
     def values(self) -> npt.NDArray[np.float64]:
         """Current values at this rank's points, ``(num_parts, num_points)``. Collective.
@@ -134,12 +130,13 @@ class Weighting:
         """
         found, error = np.zeros((len(self._parts), len(self._samples.root))), None
         for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
-            dofs, first = np.unique(surface.dofs, return_index=True)
-            facet, local = np.divmod(first, surface.dofs.shape[1])
-            x = surface.points(facet, surface.element.points[local])
+            dofs, x = places_of_dofs(surface)
             nodal = np.zeros(len(dofs))
             try:
-                nodal[:] = self._real(self._on_surface(part, surface, dofs, x))
+                given = self._on_surface(part, surface, dofs, x)
+                if np.any(np.imag(given)):
+                    raise ValueError(f"it has an imaginary part; a {self.name} is real.")
+                nodal[:] = np.real(given)
             except Exception as e:
                 error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]
             wrong = ~(nodal >= 0) | np.isinf(nodal)
@@ -200,16 +197,6 @@ class Weighting:
         W += (values[0] - values[1])[:, None, None] * n[:, :, None] * n[:, None, :]
         return self._samples.weighted(W)
 
-    def _real(self, values: npt.ArrayLike) -> npt.NDArray:
-        """Real values, of complex type too.
-
-        Raises:
-            ValueError: An imaginary part.
-        """
-        if np.any(np.imag(values)):
-            raise ValueError(f"it has an imaginary part; a {self.name} is real.")
-        return np.real(values)
-
 
 class Compliance(Weighting):
     """c in u₁ − u₀ = c λ."""
@@ -261,6 +248,4 @@ class Conductance(Weighting):
             f += ((h[0] - h[1]) * (n * w).sum(axis=1))[:, None] * n
         return self._samples.forces(f), h
 
-    def tangent(self, values: npt.NDArray) -> PETSc.Mat:
-        """∂F/∂w from :meth:`at`; a new matrix. Collective."""
-        return self.matrix(values)
+    tangent = Weighting.matrix  # ∂F/∂w from what `at` gives

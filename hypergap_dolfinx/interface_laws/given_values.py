@@ -24,6 +24,12 @@ def is_read(value: Any) -> bool:
     return callable(value) and not isinstance(value, ufl.core.expr.Expr | type)  # UFL's are too
 
 
+def arrays(*values: Any) -> list[npt.NDArray]:
+    """Arrays in which a user changes values."""
+    changing = [v for v in values if isinstance(v, fem.Function | fem.Constant)]
+    return [v.x.array if isinstance(v, fem.Function) else v.value for v in changing]
+
+
 def check(value: Any, what: str):
     """Refuse objects that can't be values on an interface.
 

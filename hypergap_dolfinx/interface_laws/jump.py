@@ -17,6 +17,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.interface_laws import given_values
+from hypergap_dolfinx.mortar.domain import places_of_dofs
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -48,9 +49,7 @@ class Jump:
     @property
     def arrays(self) -> list[npt.NDArray]:
         """Arrays in which a user changes it."""
-        if isinstance(self.value, fem.Function):
-            return [self.value.x.array]
-        return [self.value.value] if isinstance(self.value, fem.Constant) else []
+        return given_values.arrays(self.value)
 
     def nodal(
         self, sides: Sequence[Component], surfaces: tuple[Surface, Surface]
@@ -81,10 +80,9 @@ class Jump:
             value = functions[side]
         V, surface = sides[side].space, surfaces[side]
         start, end = surface.dof_range[V.mesh.comm.rank : V.mesh.comm.rank + 2]
-        dofs, first = np.unique(surface.dofs, return_index=True)
+        dofs, x = places_of_dofs(surface)
         mine = (start <= dofs) & (dofs < end)
-        facet, local = np.divmod(first[mine], surface.dofs.shape[1])
-        x = surface.points(facet, surface.element.points[local])
+        x = x[mine]
         nodal = np.zeros((end - start, V.dofmap.index_map_bs), dtype=PETSc.ScalarType)
         own = dofs[mine] - start
         try:

@@ -23,7 +23,7 @@ from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import coo_matrix, triplets
 from hypergap_dolfinx.gap_mesh.strip import turns
-from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights, places_of_dofs
 from hypergap_dolfinx.mortar.tolerances import (
     AROUND_FOLLOWED,
     INDEPENDENT_NEIGHBOURS,
@@ -147,23 +147,17 @@ def create_constraint(
     return Constraint(tuple(B), R, R_A, dofs, patch, rows, collective.enter(comm))
 
 
-def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
+def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, nodes):
     """Add (D R_A)ᵀ w (D R_i) to each B_i. Collective.
 
-    Args:
-        B: The B_i.
-        R_A: Pull-back of the multipliers.
-        R: Pull-backs R_i of the nodes of Σ.
-        D_e: Factors of element matrices, ``(num_cells, num_points, num_nodes)``.
-        sign: Signs w of the points, ``(num_points,)``.
-        dofs: The cells' nodes, ``(num_cells, num_nodes)``.
+    With D_e and w from :meth:`GapDomain.gap_factors`, and the cells' nodes.
     """
     comm = R_A.comm.tompi4py()
     num_points = D_e.shape[0] * D_e.shape[1]
     start = sum(comm.allgather(num_points)[: comm.rank])
     sizes = num_points, R_A.getLocalSize()[0]
     point = np.repeat(start + np.arange(num_points), D_e.shape[2])
-    columns = np.repeat(dofs, D_e.shape[1], axis=0)
+    columns = np.repeat(nodes, D_e.shape[1], axis=0)
     D = coo_matrix(comm, sizes, point, columns, D_e)
     signed = coo_matrix(comm, sizes, point, columns, sign[:, None] * D_e)
     DR_A = signed.matMult(R_A)
@@ -235,9 +229,7 @@ class Multipliers:
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
         """Positions of their dofs, ``(num_multipliers, n)``."""
-        dofs, first = np.unique(self.surface.dofs, return_index=True)
-        facet, local = np.divmod(first, self.surface.dofs.shape[1])
-        x = self.surface.points(facet, self.surface.element.points[local])
+        dofs, x = places_of_dofs(self.surface)
         return x[np.searchsorted(dofs, self.dofs)]
 
     def on_any(self, facets: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -346,14 +338,7 @@ class _Fit:
     """Polynomials of degree k − 1 through the values at some multipliers."""
 
     def __init__(self, found, x, edges, exponents):
-        """Set up.
-
-        Args:
-            found: The multipliers.
-            x: Positions of these, ``(num_found, n)``.
-            edges: Edges of a facet, ``(n - 1, n)``.
-            exponents: Exponents of the monomials, ``(n - 1, num_monomials)``.
-        """
+        """Fit to multipliers at x, ``(num_found, n)``, on the scale of a facet's n − 1 edges."""
         self.found, self._exponents = found, exponents
         self._origin = x.sum(axis=0) / max(len(x), 1)
         # Axes along their line and across it, with the facet's lengths

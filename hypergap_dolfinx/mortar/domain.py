@@ -292,14 +292,9 @@ def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int6
 
 
 def _number_nodes(cells, lattice, degree: int):
-    """Number the Lagrange nodes of a mesh; a shared node gets one number.
+    """Number the Lagrange nodes of a mesh, shared ones once; ``lattice`` is from :func:`_lattice`.
 
     A node is identified by its vertices and their barycentric weights; coordinates aren't compared.
-
-    Args:
-        cells: Vertices, ``(num_cells, n + 1)``.
-        lattice: Nodes of the reference simplex times the degree, ``(num_nodes, n)``.
-        degree: Degree of the nodes.
 
     Returns:
         Nodes of each cell, ``(num_cells, num_nodes)``, and the first position of each number in
@@ -315,6 +310,13 @@ def _number_nodes(cells, lattice, degree: int):
         code = code * size + column + 1
     _, first, number = np.unique(code, return_index=True, return_inverse=True)
     return number.reshape(len(cells), -1).astype(np.int64), first
+
+
+def places_of_dofs(surface: Surface) -> tuple[npt.NDArray, npt.NDArray[np.float64]]:
+    """Dofs (blocks) of a surface, sorted, and their positions."""
+    dofs, first = np.unique(surface.dofs, return_index=True)
+    facet, local = np.divmod(first, surface.dofs.shape[1])
+    return dofs, surface.points(facet, surface.element.points[local])
 
 
 def interpolation_weights(surface: Surface, facet, X, weight, nodes):

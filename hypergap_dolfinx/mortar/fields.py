@@ -69,15 +69,8 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
 def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
     """Shares of the weights that belong to the overhang, which the constraint doesn't integrate.
 
-    The smallest weights with its integrals of polynomials of half the rule's degree.
-
-    Args:
-        domain: Σ.
-        points: Reference points of a Gauss rule, ``(num_points, n)``.
-        degree: Its degree.
-
-    Returns:
-        ``(num_cells, num_points)``.
+    The smallest weights, ``(num_cells, num_points)``, at the points of a Gauss rule of that degree
+    with the overhang's integrals of polynomials of half the degree.
     """
     beyond = domain.overhang
     if beyond is None:

@@ -76,13 +76,7 @@ def normal_and_direction(X, dalpha):
 
 
 def curved_rule(dim: int, degree: int, geometry: int) -> int:
-    """Degree of the Gauss rule for curved cells.
-
-    Args:
-        dim: Dimension of the cells.
-        degree: Degree of the φ_a.
-        geometry: Degree of the geometry.
-    """
+    """Degree of the Gauss rule for curved cells, from the degrees of φ_a and of the geometry."""
     full = 2 * (degree + geometry)
     return full if dim == 2 else min(full, max(ENOUGH, 2 * degree + 2))
 
@@ -195,12 +189,8 @@ def curved_gap_matrices(element: GapElement, x, alpha, normal):
 def _contract(dpsi, T, x, alpha, normal):
     """G_ab = Σ_p Σ_ij (|N| v_i v_j)_p T_pijab, as one product of matrices for many cells.
 
-    Args:
-        dpsi: ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``.
-        T: Reference tensors there, see :attr:`GapElement.reference_tensors`.
-        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
-        alpha: α at the vertices, ``(num_cells, n + 1)``.
-        normal: Reference normals, ``(num_cells, n)``.
+    With ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``, and the
+    :attr:`~GapElement.reference_tensors` T there.
     """
     num_points, n, num_geometry = dpsi.shape
     nodes = int(np.sqrt(2 * T.shape[2]))
@@ -226,13 +216,7 @@ def _contract(dpsi, T, x, alpha, normal):
 
 
 def _check_orientation(N, normal, x):
-    """Raise for cells with a negative dΣ, since the length in eq. (12) hides its sign.
-
-    Args:
-        N: ``(num_points, num_cells, n)``.
-        normal: ``(num_cells, n)``.
-        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
-    """
+    """Raise if N, ``(num_points, num_cells, n)``, opposes the normal: eq. (12) hides its sign."""
     sign = sum(N[..., i] * normal[..., i] for i in range(normal.shape[-1]))
     wrong = ~(sign > 0).all(axis=0)
     if wrong.any():

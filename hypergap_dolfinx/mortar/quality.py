@@ -72,14 +72,10 @@ def straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
 
 
 def _widths(v, w):
-    """Widths of facets in the direction of their smallest ratio to others, by vertices' spread.
-
-    Args:
-        v: Vertices of each facet, ``(num, num_vertices, n)``.
-        w: Vertices of the facet to compare it with.
+    """Facets with vertices v, ``(num, num_vertices, n)``, beside others with vertices w.
 
     Returns:
-        Ratio of the other's width to the facet's own, and the latter, ``(num,)`` each.
+        Largest ratio of the other's width to the facet's own, and the latter, ``(num,)`` each.
     """
     n = v.shape[2]
     plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
@@ -97,7 +93,7 @@ def _widths(v, w):
 
 
 def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
-    """Ratio by which Γ_i's facets are narrower than the other side's, and than their cells are deep.
+    """Ratio by which Γ_i's facets are narrower than the other side's, and than its cells are deep.
 
     The lesser of both, in the direction in which the facets differ most; a tenth of Γ_i's area has
     a larger one. Collective.

@@ -397,13 +397,9 @@ class Unknowns:
 
 
 def distances_from_polynomials(surface: Surface, pairs) -> npt.NDArray[np.float64]:
-    """Matrices of ∫ (u − Πu)(v − Πv) over two facets each.
+    """Matrices of ∫ (u − Πu)(v − Πv) over pairs of facets, ``(num_pairs, 2)``.
 
     Πu is the nearest polynomial of the trace's degree, in coordinates of the plane between them.
-
-    Args:
-        surface: Γ_i.
-        pairs: Facets, ``(num_pairs, 2)``.
 
     Returns:
         ``(num_pairs, 2 num_dofs, 2 num_dofs)``.

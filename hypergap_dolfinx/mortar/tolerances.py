@@ -6,15 +6,15 @@
 """Tolerances of this room: one value, one meaning, and the measurement behind each."""
 
 NOUGHT = 1e-13
-"""Value of a shape function that is zero.
+"""Value of a shape function that counts as zero.
 Measured: round-off 7e-16 (degree 5), 4e-15 (degree 10)."""
 
 NARROW_CELL = 30.0
-"""Reach over width of a cell from which its factors are pulled back first.
+"""Reach over width of a cell above which its factors are pulled back first.
 Measured: round-off is that many times as large."""
 
 ENOUGH = 12
-"""Degree of a Gauss rule from which curved tetrahedra get no more than 2k + 2.
+"""Degree of a Gauss rule above which curved tetrahedra get at most 2k + 2.
 Measured: halves of distorted quadrilaterals, degrees 8 to 16."""
 
 ON_SURFACE = 1e-10
@@ -23,7 +23,7 @@ Measured: round-off 2e-16, next node 0.03 (degree 10)."""
 
 AROUND_FOLLOWED = 3
 """Rings of facets searched for multipliers to follow.
-Measured: –"""
+Measured: 1, 2 and 9 change nothing in 64 tests of test_pieces and test_ends."""
 
 INDEPENDENT_NEIGHBOURS = 1e-6
 """Smallest singular value of neighbours that determine a polynomial.
@@ -44,13 +44,14 @@ Measured: the same: 1 to 9 0.494, 2.57, 1 to 81 0.484, 1.25; 1, 2, 4, 8, 16 with
 1.02."""
 
 ROUNDS_ADJUST = 3
-"""Times that Γ1 is moved, since B depends on where it is.
-Measured: –"""
+"""Moves of Γ1, since B depends on its position.
+Measured: test_adjust: with 1 a move that no mesh of the gap follows goes unnoticed; 2 and 6 change
+nothing."""
 
 SAG_CURVED = 1e-5
-"""Distance of curved facets from straight ones, in lengths, that is none.
+"""Distance of curved facets from straight ones, in lengths, above which they are curved.
 Measured: circle of 500: 1.6e-3; files 1e-8."""
 
 UNEVEN = 5.5
-"""How much narrower facets of Γ1 may be, per degree, unwarned.
+"""Ratio by which facets of Γ1 may be narrower, per degree, without a warning.
 Measured: cubes, smooth field: λ's error 2.3 × at 4, 4 × at 8."""
