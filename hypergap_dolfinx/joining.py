@@ -23,7 +23,6 @@ from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import NEAR_PIECES
 
 
 class _Union(Tie):
@@ -106,8 +105,11 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     alike = defaultdict(list)
     for t, tie in enumerate(ties):
         # The first tie on the same spaces: each has collapsed a component by itself
-        same = (all(map(Component.same, tie.components, other.components)) for other in ties)
-        first = next(s for s, is_same in enumerate(same) if is_same)
+        first = next(
+            s
+            for s, other in enumerate(ties)
+            if all(map(Component.same, tie.components, other.components))
+        )
         if not (tie.free_interior or tie.discontinuous):
             jump = tie.jump and tie.jump.key
             motion = tie.motion and tie.motion.key
@@ -117,12 +119,11 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for same in alike.values():
         if len(same) < 2:
             continue
-        same = [t for t in same if _is_near(ties[t])]
-        sides = [_parts(ties[t], parts_of) for t in same] if len(same) > 1 else []
+        sides = [_parts(ties[t], parts_of) for t in same]
         surfaces = [ties[t].surfaces[1] for t in same]
-        pieces = smooth_pieces(surfaces) if same else []
-        # A dof of Γ1 on a smooth piece, that two ties have
-        num = 1 + max((int(piece.max()) for piece in pieces), default=0)
+        pieces = smooth_pieces(surfaces)
+        # Two ties with a dof of Γ1 in common, on one smooth piece
+        num = 1 + max(int(piece.max()) for piece in pieces)
         keys = [
             np.unique(surface.dofs * num + piece[:, None])
             for surface, piece in zip(surfaces, pieces, strict=True)
@@ -143,11 +144,6 @@ def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:
         parts_of(V, np.unique(surface.dofs))
         for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
     ]
-
-
-def _is_near(tie: Tie) -> bool:
-    length = max(surface.size.max(initial=0.0) for surface in tie.surfaces)
-    return bool(tie.domain.distance() <= NEAR_PIECES * length)
 
 
 def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]:

@@ -188,19 +188,25 @@ class Tie(collective.Owner):
             )
         if motion is not None and (adjust or close_gap):
             raise InterfaceError("a periodic tie neither adjusts surfaces nor closes gaps.")
-        self._motion = motion
-        self._turn = motion.of_components(V1.value_shape) if motion else None
-        self._interior = interior
-        self._close_gap = close_gap
-        self._discontinuous = discontinuous
+        self.motion = motion
+        """Motion that carries Γ0 to Γ1, of a periodic tie."""
+        self.turn = motion.of_components(V1.value_shape) if motion else None
+        """Rotation R in u₁ = R u₀, ``(block_size, block_size)``."""
+        self.free_interior = interior == "free"
+        """True if Σ's interior nodes are unknowns."""
+        self.closes_gap = close_gap
+        """True if the constraint is on positions."""
+        self.discontinuous = discontinuous
+        """True if λ may jump to other ties of the same surfaces."""
         self._swapped = False
-        self._components = Component.of(V0), Component.of(V1)
-        if motion is not None and motion.turns and any(p.of_vector for p in self._components):
+        self.components = Component.of(V0), Component.of(V1)
+        """Dofs of V₀ and V₁ among those of their bodies."""
+        if motion is not None and motion.turns and any(p.of_vector for p in self.components):
             raise InterfaceError(
                 "a rotation turns vectors as a whole: tie the vector, not a component such as "
                 "V.sub(0)."
             )
-        self._spaces = self._components[0].space, self._components[1].space
+        self._spaces = self.components[0].space, self.components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
@@ -216,7 +222,8 @@ class Tie(collective.Owner):
             surfaces = carried.surface(surfaces[0], motion, surfaces[1]), surfaces[1]
         known = with_surfaces(before, surfaces) if adjust else None
         self._domain = known or create_gap_domain(comm, *surfaces)
-        self._adjusts = adjust
+        self.adjusts = adjust
+        """True if Γ1's nodes were moved."""
         for doubt in quality.doubts(self._domain, (side0, side1)) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
@@ -375,11 +382,6 @@ class Tie(collective.Owner):
         return self._spaces
 
     @property
-    def components(self) -> tuple[Component, Component]:
-        """Dofs of V₀ and V₁ among those of their bodies."""
-        return self._components
-
-    @property
     def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
         """This rank's facets on Γ0 and on Γ1."""
         return self._facets
@@ -410,36 +412,6 @@ class Tie(collective.Owner):
         return self._domain.alpha
 
     @property
-    def free_interior(self) -> bool:
-        """True if Σ's interior nodes are unknowns."""
-        return self._interior == "free"
-
-    @property
-    def adjusts(self) -> bool:
-        """True if Γ1's nodes were moved."""
-        return self._adjusts
-
-    @property
-    def closes_gap(self) -> bool:
-        """True if the constraint is on positions."""
-        return self._close_gap
-
-    @property
-    def discontinuous(self) -> bool:
-        """True if λ may jump to other ties of the same surfaces."""
-        return self._discontinuous
-
-    @property
-    def motion(self) -> Motion | None:
-        """Motion that carries Γ0 to Γ1, of a periodic tie."""
-        return self._motion
-
-    @property
-    def turn(self) -> npt.NDArray | None:
-        """Rotation R in u₁ = R u₀, ``(block_size, block_size)``."""
-        return self._turn
-
-    @property
     def jump(self) -> Jump | None:
         """The prescribed jump, or None."""
         return self._jump
@@ -452,7 +424,7 @@ class Tie(collective.Owner):
         """
         if self._jump is None:
             return None
-        return self._jump.nodal(self._components, self.surfaces)
+        return self._jump.nodal(self.components, self.surfaces)
 
     @cached_property
     def constraint(self) -> Constraint:
@@ -501,7 +473,7 @@ class Tie(collective.Owner):
     @cached_property
     def _gaping(self) -> npt.NDArray:
         """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
-        return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
+        return gaping(self.blocks(), self.components, self.surfaces[0].x[0])
 
     def offset(self) -> PETSc.Vec | None:
         """Current right-hand side c of Σ_i B_i u_i = c. Collective.
@@ -510,10 +482,10 @@ class Tie(collective.Owner):
             A new vector; None if it is 0, without a jump and without ``close_gap``.
         """
         jump = self.nodal_jump()
-        if jump is None and not self._close_gap:
+        if jump is None and not self.closes_gap:
             return None
         return right_side(
-            self.blocks(), self._components, jump, self._gaping if self._close_gap else None
+            self.blocks(), self.components, jump, self._gaping if self.closes_gap else None
         )
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
@@ -529,7 +501,7 @@ class Tie(collective.Owner):
             B0, B1, *interior = self.constraint.B
             B0, B1 = (
                 part.columns_of_body(expand(B, self.block_size, turn))
-                for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
+                for part, B, turn in zip(self.components, (B0, B1), (self.turn, None))
             )
             self._own_blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
             # With references of their own, since these are destroyed with the tie
@@ -553,12 +525,12 @@ class Tie(collective.Owner):
             ValueError: A displacement that is not on its side's space.
         """
         us = []
-        for i, (u, part) in enumerate(zip((u0, u1), self._components, strict=True)):
+        for i, (u, part) in enumerate(zip((u0, u1), self.components, strict=True)):
             own = part.own_function(u)
             if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
             us.append(own)
-        return fields.gap(self._domain, self.constraint, us[0], us[1], self._turn)
+        return fields.gap(self._domain, self.constraint, us[0], us[1], self.turn)
 
     def traction(self, problem, *, on: str = "sigma") -> fem.Function:
         """The traction between the bodies, of a solved problem. Collective.

@@ -37,11 +37,7 @@ Given = Part | Sequence[Part]
 
 
 def parts(value: Any, name: str) -> tuple[Part, ...]:
-    """One value, or the normal and the tangential one.
-
-    Raises:
-        ValueError: Another number of values, or a value of another type.
-    """
+    """One value, or the normal and the tangential one; a ValueError for anything else."""
     several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
     found = tuple(value) if several else (value,)
     if several and len(found) != 2:
@@ -87,23 +83,17 @@ class Weighting:
                 f"the value shape is {spaces[1].value_shape}."
             )
         self._samples = Samples(domain, constraint)
-        self._surfaces = [
-            create_surface(part.function_space, facets1, "Γ1")
-            if isinstance(part, fem.Function) and self._fits(part)
-            else domain.surfaces[1]
-            for part in self._parts
-        ]
+        self._surfaces = [domain.surfaces[1]] * len(self._parts)
+        for k, part in enumerate(self._parts):
+            if isinstance(part, fem.Function):
+                V = part.function_space
+                if V.mesh is not spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
+                    raise ValueError(
+                        f"a {self.name} that is a function is a scalar one, of a Lagrange space of "
+                        "degree ≥ 1 on the mesh of Γ1's body."
+                    )
+                self._surfaces[k] = create_surface(V, facets1, "Γ1")
         self.values()
-
-    def _fits(self, c: fem.Function) -> bool:
-        """True; raises a ValueError unless a function is scalar and Lagrange on Γ1's mesh."""
-        V = c.function_space
-        if V.mesh is not self._spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
-            raise ValueError(
-                f"a {self.name} that is a function is a scalar one, of a Lagrange space of degree "
-                "≥ 1 on the mesh of Γ1's body."
-            )
-        return True
 
     @property
     def key(self) -> Hashable:

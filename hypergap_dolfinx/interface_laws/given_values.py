@@ -62,11 +62,7 @@ def at_points(function: Callable[[npt.NDArray], Any], x: npt.NDArray) -> Any:
 
 
 def each(values: npt.ArrayLike, num: int) -> npt.NDArray:
-    """One value at all points, or one at each.
-
-    Raises:
-        ValueError: Another number of values.
-    """
+    """One value at all points, or one at each; a ValueError for another number of values."""
     values = np.asarray(values)
     if values.shape not in ((), (1,), (num,)):
         raise ValueError(f"the callable gives {values.shape} values at {num} points.")

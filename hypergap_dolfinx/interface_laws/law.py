@@ -94,17 +94,12 @@ class Law:
                 raise ValueError(
                     "the law compares what may be complex; take ufl.real of it first."
                 ) from None
-        others = [f for f in _quantities(found) if f not in {*_quantities(jump), normal}]
-        if others:
+        has, may = (extract_type(e, (FormArgument, GeometricQuantity)) for e in (found, jump))
+        if others := [f for f in has if f not in {*may, normal}]:
             raise ValueError(
                 f"the law has {others[0]} in it: it may have the jump, the normal and constants."
             )
         return sign * found
-
-
-def _quantities(expression: Expr) -> set[Expr]:
-    """Functions and geometric quantities in an expression."""
-    return extract_type(expression, (FormArgument, GeometricQuantity))
 
 
 def _entries(expression: Expr) -> list[Expr]:
@@ -131,7 +126,6 @@ class Response:
             ValueError: The law doesn't fit, or isn't finite at w = 0.
         """
         self.key = law.key
-        """Equal for laws that are the same."""
         self._block_size = V.dofmap.index_map_bs
         self._samples = Samples(domain, constraint)
         num, n = self._samples.normal.shape
