@@ -26,10 +26,10 @@ from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
 from hypergap_dolfinx.interface_laws.given_values import Given
 from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
-from hypergap_dolfinx.mortar import fields, quality
+from hypergap_dolfinx.mortar import fields
 from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint, expand
-from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain, doubts
 from hypergap_dolfinx.mortar.recovery import Recovery
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
@@ -224,7 +224,7 @@ class Tie(collective.Owner):
         self._domain = known or create_gap_domain(comm, *surfaces)
         self.adjusts = adjust
         """True if Γ1's nodes were moved."""
-        for doubt in quality.doubts(self._domain, (side0, side1)) if self._tells else ():
+        for doubt in doubts(self._domain, (side0, side1)) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
         if adjust:
