@@ -92,8 +92,8 @@ class Tie(collective.Owner):
 
         Args:
             side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. Of a mixed
-                space, a component of that kind: ``(W.sub(0), facets)`` ties the displacements of
+                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. A component of
+                a mixed space may be tied: ``(W.sub(0), facets)`` ties the displacements of
                 Taylor–Hood elements; their pressures may jump, and need no tie. ``V.sub(1)`` or
                 ``W.sub(0).sub(1)`` ties one displacement of several.
             side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
@@ -127,7 +127,7 @@ class Tie(collective.Owner):
                 along Σ's normal and across it (0 ties across; far more than a cell's own compliance
                 lets it slide; with curved surfaces, on curved cells only: polygons interlock). Each
                 is ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
-                body, or a callable of x. Read anew when the matrix is assembled. Where both sides
+                body, or a callable of x. Read anew when the matrix is assembled. If both sides
                 are prescribed entirely, λ follows from c alone: a c that was 0 when the problem was
                 made must stay 0, and both of a pair are 0 or neither; an error is raised otherwise.
             conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat flow between
@@ -260,7 +260,7 @@ class Tie(collective.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor; a jump is that of b over a, u_b − u_a, also a law's.
+            options: Options of the constructor; a jump, also a law's, is u_b − u_a.
 
         Returns:
             The tie.
@@ -318,7 +318,7 @@ class Tie(collective.Owner):
             rotation: From Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R.
             centre: A point on the rotation's axis; the origin if not given.
             axis: In space, direction of the axis of an angle; z if not given.
-            options: Of the constructor, but ``adjust`` and ``close_gap``.
+            options: Options of the constructor, except ``adjust`` and ``close_gap``.
 
         Returns:
             The tie. Its Σ lies on Γ1, and so do λ, gap, slip and both sides' tractions: Rᵀλ acts on
