@@ -3,7 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tie DOLFINx bodies across non-matching meshes with hyper-dimensional gap finite elements."""
+"""Tie DOLFINx bodies across non-matching meshes with hyper-dimensional gap finite elements.
+
+Interface: a pair of surfaces Γ0 and Γ1 with the condition between them. Tie: an interface as a user
+gives it, with equality (:class:`Contact`: with inequality). Piece: a connected smooth part of a
+surface, bounded by kinks. Union: several ties that share a piece of Γ1, solved as one interface.
+"""
 
 from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFINx)
 

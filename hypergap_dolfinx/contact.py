@@ -29,7 +29,7 @@ from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import CORNER
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
-from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, FLAT_TURN, STIFF
+from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FILE_DIGITS, FINER, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -526,4 +526,4 @@ def _is_round(surface: Surface) -> bool:
         return bool(((turn > 0) & ~corner).any())
     n0, n1 = surface.normals[facet_pairs(surface).T]
     turn = np.linalg.norm(n0 - n1, axis=1)
-    return bool(((turn > FLAT_TURN) & (turn < CORNER)).any())
+    return bool(((turn > FILE_DIGITS) & (turn < CORNER)).any())

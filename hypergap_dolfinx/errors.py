@@ -3,26 +3,20 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What is raised, and how all ranks raise it together."""
+"""Exceptions of the package."""
 
 
 class InterfaceError(ValueError):
-    """The facets or spaces that are given can't form an interface.
-
-    Raised with the same message on every rank.
-    """
+    """The given facets or spaces can't form an interface; the message is the same on every rank."""
 
 
 class NotFacingError(InterfaceError):
-    """Nothing of one surface lies opposite the other: there is no gap between them.
-
-    A tie can't do without; bodies in contact can be apart.
-    """
+    """No part of one surface lies opposite the other: an error for ties, but not for contact."""
 
 
 class InvertedCellError(RuntimeError):
-    """A gap element is turned over: the normal of Γ_α points back to Γ0."""
+    """A gap element is inverted: the normal of Γ_α points back to Γ0."""
 
 
 class SolveError(RuntimeError):
-    """A solve failed; the message says how far it came, and nothing beyond that may be used."""
+    """A solve failed; the message says how far it came, and results beyond that are invalid."""

@@ -6,11 +6,11 @@
 """Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file.
 
 ``VTXWriter`` and ``VTKFile`` take functions of any degree, continuous or not, one element a file:
-all of :func:`on_sigma`'s, all of :func:`interpolated`'s, displacements as they are. ``XDMFFile``
-takes continuous functions of the mesh's own degree and constants on cells, and nothing else:
-:func:`interpolated`'s of degree 0, and displacements of a higher degree than the mesh's after
-``w.interpolate(u)`` into a space of that degree; nothing of :func:`on_sigma`'s. None of them takes
-functions on mixed spaces: give them ``w.sub(0).collapse()``.
+those of :func:`on_sigma`, those of :func:`interpolated`, and displacements. ``XDMFFile`` takes only
+continuous functions of the mesh's own degree and constants on cells: those of :func:`interpolated`
+of degree 0, and displacements of a higher degree after ``w.interpolate(u)`` into a space of the
+mesh's degree; none of :func:`on_sigma`. No writer takes functions on mixed spaces: give them
+``w.sub(0).collapse()``.
 """
 
 import ufl
@@ -28,12 +28,12 @@ def interpolated(
 
     Args:
         expression: UFL expression of any shape.
-        mesh: Mesh that it lives on.
+        mesh: Mesh of the function.
         degree: Degree of the function; 0 for ``XDMFFile``.
         name: Name of the function in files.
 
     Returns:
-        The function. Plane tensors become 3 × 3: of 2 × 2, the writers make (xx, xy, yx; yy, …).
+        The function. Plane tensors become 3 × 3: writers scramble 2 × 2, as (xx, xy, yx; yy, …).
     """
     if expression.ufl_shape == (2, 2):
         rows = [[expression[i, j] for j in (0, 1)] + [0] for i in (0, 1)]
@@ -45,7 +45,7 @@ def interpolated(
 
 
 def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
-    """What there is on Σ, for one file: α, λ, the normal gap, the slip of vectors. Collective.
+    """Fields on Σ for one file: α, λ, the normal gap and, of vectors, the slip. Collective.
 
     Σ has no thickness; in 2D ParaView's "Warp by scalar" shows it, with α as the height.
 

@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Ties that are pieces of one interface: given one by one, as tags have them, and solved as one.
+"""Unions: ties that share a smooth piece of Γ1, solved as one interface.
 
-Each piece by itself would end where the next begins, with fewer multipliers or with more than the
-bodies can answer to. One Σ over all of them has neither ends nor seams there.
+Alone, each tie would end at the next one's start, with too few or too many multipliers there. One Σ
+over all of them has neither ends nor seams.
 """
 
 from collections import defaultdict
@@ -18,25 +18,24 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.mortar.multiplier_space import Multipliers, smooth_pieces
+from hypergap_dolfinx.mortar.constraint import Multipliers, smooth_pieces
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import NEAR_PIECES
 
 
-class _Whole(Tie):
-    """A tie over the facets of several; the user has been told of what is doubtful about these."""
+class _Union(Tie):
+    """A union: a tie over the facets of several, which have issued the warnings."""
 
     _tells = False
 
 
 class Joined:
-    """The interfaces that ties are pieces of."""
+    """The interfaces of a problem's ties."""
 
     def __init__(self, ties: Sequence[Tie]):
-        """Join what belongs together. Collective.
+        """Join ties to unions. Collective.
 
         Args:
             ties: The ties.
@@ -51,11 +50,11 @@ class Joined:
             )
         self.ties = list(ties)
         self.interfaces: list[Tie] = []
-        """What stands for the ties: themselves, or one for several; the first one's place."""
+        """Ties and unions, in the order of the first tie of each."""
         self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
-        """By a tie's number: its interface's number, and the multiplier there of each its own."""
+        """By a tie's number: its interface's number, and its multipliers among those of a union."""
         self.names: list[str] = []
-        """What messages call each interface, by the numbers of its ties."""
+        """Name of each interface in messages, by the numbers of its ties."""
         for group in _groups(self.ties):
             whole, places = _union([self.ties[t] for t in group])
             if whole is None:
@@ -70,13 +69,13 @@ class Joined:
             self.names.append(f"ties {', '.join(map(str, group[:-1]))} and {group[-1]}")
 
     def destroy(self):
-        """Destroy the PETSc objects of interfaces that no user has. Collective."""
+        """Destroy the PETSc objects of unions. Collective."""
         for tie in self.interfaces:
             if all(tie is not other for other in self.ties):
                 tie.destroy()
 
     def find(self, tie) -> int:
-        """Number of the interface that a tie is a piece of.
+        """Number of the interface with a tie.
 
         Raises:
             ValueError: Not one of the ties.
@@ -102,11 +101,15 @@ class Joined:
 
 
 def _groups(ties: Sequence[Tie]) -> list[list[int]]:
-    """Ties that go on in each other: between the same bodies, on one smooth piece of Γ1."""
+    """Ties that continue each other: between the same bodies, on one smooth piece of Γ1."""
     alike = defaultdict(list)
     for t, tie in enumerate(ties):
         # The first tie on the same spaces: each has collapsed a component by itself
-        first = next(s for s, other in enumerate(ties) if _on_the_same(tie, other))
+        first = next(
+            s
+            for s, other in enumerate(ties)
+            if all(map(Component.same, tie.components, other.components))
+        )
         if not (tie.free_interior or tie.discontinuous):
             jump = tie.jump and tie.jump.key
             motion = tie.motion and tie.motion.key
@@ -116,12 +119,11 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for same in alike.values():
         if len(same) < 2:
             continue
-        same = [t for t in same if _is_near(ties[t])]
-        sides = [_parts(ties[t], parts_of) for t in same] if len(same) > 1 else []
+        sides = [_parts(ties[t], parts_of) for t in same]
         surfaces = [ties[t].surfaces[1] for t in same]
-        pieces = smooth_pieces(surfaces) if same else []
-        # A dof of Γ1 on a smooth piece, that two ties have
-        num = 1 + max((int(piece.max()) for piece in pieces), default=0)
+        pieces = smooth_pieces(surfaces)
+        # Two ties with a dof of Γ1 in common, on one smooth piece
+        num = 1 + max(int(piece.max()) for piece in pieces)
         keys = [
             np.unique(surface.dofs * num + piece[:, None])
             for surface, piece in zip(surfaces, pieces, strict=True)
@@ -136,31 +138,21 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     return [np.flatnonzero(label == k).tolist() for k in range(int(label.max(initial=-1)) + 1)]
 
 
-def _on_the_same(tie: Tie, other: Tie) -> bool:
-    """Whether two ties are between the same spaces."""
-    return all(map(Component.same, tie.components, other.components))
-
-
 def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:
-    """The parts of the bodies' meshes that a tie ties: bodies that aren't connected. Collective."""
+    """Connected parts of the bodies' meshes under a tie's sides. Collective."""
     return [
         parts_of(V, np.unique(surface.dofs))
         for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
     ]
 
 
-def _is_near(tie: Tie) -> bool:
-    length = max(surface.size.max(initial=0.0) for surface in tie.surfaces)
-    return bool(tie.domain.distance() <= NEAR_PIECES * length)
-
-
 def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]:
-    """One tie over all facets, and the rows of its multipliers at those of each. Collective.
+    """One tie over all facets. Collective.
 
     Returns:
-        The tie and, for each piece, the rows of its multipliers. None if there is only one piece,
-        if a common Σ can't be made, or if the meshes have moved since the pieces were made: these
-        still tie what was there then.
+        The tie and, for each given tie, rows of its multipliers in the union. None for a single
+        tie, if a common Σ can't be made, or if the meshes have moved since the ties were made:
+        these still tie the old positions.
     """
     if len(ties) == 1:
         return None, []
@@ -171,7 +163,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
     adjusts = all(tie.adjusts for tie in ties)
     try:
         first = ties[0]
-        whole = _Whole(
+        whole = _Union(
             *sides,
             close_gap=first.closes_gap,
             adjust=adjusts,
@@ -193,7 +185,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
 
 
 def _has_moved(tie: Tie, whole: Tie) -> bool:
-    """Whether facets are elsewhere than when a tie was made."""
+    """True if facets have moved since a tie was made."""
     for mine, now in zip(tie.surfaces, whole.surfaces, strict=True):
         a, b = mine.nodes, now.nodes[_facets_of_whole(mine, now)]
         if np.abs(a - b).max() > STRAIGHT * mine.size.max() + NOISE * np.abs(a).max():
@@ -202,13 +194,13 @@ def _has_moved(tie: Tie, whole: Tie) -> bool:
 
 
 def _facets_of_whole(mine: Surface, whole: Surface) -> list[int]:
-    """Number in the whole of each facet of a piece; facets are told by their dofs."""
+    """Numbers of a tie's facets in the union; facets are identified by their dofs."""
     known = {row.tobytes(): f for f, row in enumerate(np.sort(whole.dofs, axis=1))}
     return [known[row.tobytes()] for row in np.sort(mine.dofs, axis=1)]
 
 
 def _places(tie: Tie, whole: Tie, every: Multipliers) -> npt.NDArray[np.intp] | None:
-    """This rank's rows of the whole's multipliers at those of a piece; None if some are missing."""
+    """This rank's rows of the union's multipliers at those of a tie; None if some are missing."""
     own = Multipliers.of(tie.constraint, tie.domain)
     at = np.full(len(own.dofs), -1, dtype=np.intp)
     facets = _facets_of_whole(own.surface, every.surface)

@@ -5,8 +5,8 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Pictures of tied bodies with PyVista: Σ pulled apart, deformed shapes, tractions.
 
-Nothing else in the package imports this module. All functions are collective; rank 0 draws. Of
-complex values the real part is drawn.
+No other module imports this one. All functions are collective; rank 0 draws and gets the plotter or
+grid, other ranks None. The real part of complex values is drawn.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,28 +28,28 @@ from hypergap_dolfinx.core import display
 from hypergap_dolfinx.core.compat import geometry_dofmap
 from hypergap_dolfinx.surface.trace import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import CLOSED_NORMAL, LIFT, PARTS, SEEN_THROUGH
+from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
 _BODY, _EDGE, _SHEAR = "#e8e4da", "#555555", "#1b7837"
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
-    """The cells of all ranks as one PyVista grid. Collective.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        The grid on rank 0, None on the others.
-    """
+    """The cells of all ranks as one PyVista grid."""
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
-    cells, types, x = vtk_mesh(mesh, mesh.topology.dim, owned)
-    parts = mesh.comm.gather((cells, types, x))
+    return _merged(mesh.comm, vtk_mesh(mesh, mesh.topology.dim, owned))
+
+
+def _merged(comm: MPI.Comm, part, **values: npt.NDArray) -> pyvista.UnstructuredGrid | None:
+    """The parts of all ranks, (cells, types, x) with values at points, as one grid. Collective."""
+    parts = comm.gather((part, values))
     if parts is None:
         return None
-    return pyvista.merge(
-        [pyvista.UnstructuredGrid(*part) for part in parts if len(part[1])], merge_points=False
-    )
+    grids = []
+    for arrays, values in parts:
+        if len(arrays[1]):
+            grids.append(pyvista.UnstructuredGrid(*arrays))
+            grids[-1].point_data.update(values)
+    return pyvista.merge(grids, merge_points=False)
 
 
 def gap_domain(
@@ -63,12 +63,9 @@ def gap_domain(
 
     Args:
         ties: A tie or several; their bodies are drawn.
-        filename: Where to save the picture.
-        distance: How far Γ1 is drawn from Γ0; a sixth of the interface's extent if not given.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        filename: Path of the picture to save.
+        distance: Drawn distance of Γ1 from Γ0; a sixth of the interface's extent if not given.
+        window: True to open a window.
     """
     ties = [ties] if isinstance(ties, Tie) else ties
     return _draw_gap_domains(ties, None, "alpha", filename, distance, window)
@@ -85,13 +82,10 @@ def deformed(
 
     Args:
         us: Displacement of each body; of mixed elements ``w.sub(0)``.
-        filename: Where to save the picture.
-        factor: What displacements are drawn times; if not given, the largest is drawn as a tenth
-            of the assembly.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        filename: Path of the picture to save.
+        factor: Scale of the drawn displacements; if not given, the largest is drawn as a tenth of
+            the assembly.
+        window: True to open a window.
     """
     us = [us] if isinstance(us, fem.Function) else list(us)
     if any(len(u.function_space.value_shape) != 1 for u in us):
@@ -126,18 +120,15 @@ def field(
     title: str = "value",
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies, coloured by the values of a function; of a vector its length.
+    """The bodies, coloured by the values of a function or the length of a vector.
 
-    For functions on Σ, which has no volume, there is :func:`interface`.
+    For functions on Σ, which has no volume, see :func:`interface`.
 
     Args:
         fs: Function on each body, or on a side of ties: ``tie.traction(problem, on="side1")``.
-        filename: Where to save the picture.
+        filename: Path of the picture to save.
         title: Title of the scale.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        window: True to open a window.
     """
     fs = [fs] if isinstance(fs, fem.Function) else list(fs)
     if any(len(f.function_space.value_shape) > 1 for f in fs):
@@ -167,19 +158,16 @@ def interface(
     distance: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """Σ between its bodies pulled apart, coloured by a function on it; of a vector its length.
+    """Σ between its bodies pulled apart, coloured by a function on it or the length of a vector.
 
     Args:
         tie: The tie.
         f: A function on ``tie.sigma``, as ``tie.gap`` and ``tie.traction`` give them.
-        filename: Where to save the picture.
+        filename: Path of the picture to save.
         title: Title of the scale.
-        distance: How far Γ1 is drawn from Γ0; a sixth of the interface's extent (3D: a third) if
+        distance: Drawn distance of Γ1 from Γ0; a sixth of the interface's extent (3D: a third) if
             not given.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        window: True to open a window.
 
     Raises:
         ValueError: A function on another mesh.
@@ -201,11 +189,8 @@ def traction(
     Args:
         tie: The tie.
         traction: λ on Σ, from ``tie.traction(problem)``; a vector.
-        filename: Where to save the picture.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        filename: Path of the picture to save.
+        window: True to open a window.
     """
     comm, dim = tie.sigma.comm, tie.sigma.geometry.dim
     plotter = _plotter(comm, window)
@@ -242,22 +227,18 @@ def contact(
     largest: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """Bodies where they are in contact, with its pressure on Γ1 as colour and as arrows.
+    """Displaced bodies in contact, with the pressure on Γ1 as colour and as arrows.
 
-    Green arrows are the tractions of friction on Γ1's body, on a scale of their own.
-
-    In 3D without Γ1's body, which would hide it; a body in contact with itself is translucent.
-    Points are the vertices of Γ1 that are in contact.
+    Green arrows are the tractions of friction on Γ1's body, on a scale of their own. Points are the
+    active vertices of Γ1. In 3D Γ1's body is left out, which would hide it; a body in contact with
+    itself is translucent.
 
     Args:
         contact: The contact.
         problem: A solved problem with it.
-        filename: Where to save the picture.
+        filename: Path of the picture to save.
         largest: Pressure at the end of the scale; the largest one if not given.
-        window: Whether to open a window.
-
-    Returns:
-        The plotter on rank 0, None on the others.
+        window: True to open a window.
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
     surface, p = contact.displaced(problem)[1], contact.pressures(problem)
@@ -268,10 +249,11 @@ def contact(
         hides = dim == 3 and u.function_space == contact.spaces[1]
         if plotter and body is not None and (itself or not hides):
             body.points += body["displacement"]
-            _add(plotter, body, color=_BODY, opacity=SEEN_THROUGH if hides else 1.0)
+            _add(plotter, body, color=_BODY, opacity=0.3 if hides else 1.0)
     if plotter:
         largest = (p.max(initial=0) or 1.0) if largest is None else largest
         extent = np.ptp(surface.x, axis=0).max()
+        lift = 0.01 * extent  # so that surfaces at one place are drawn one before the other
         scale: Any = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
         bar: Any = {"lighting": False, "scalar_bar_args": _bar("pressure")}
         direction = np.zeros_like(surface.x)
@@ -283,7 +265,7 @@ def contact(
         if dim == 3:  # before Γ0's body, also where they overlap
             rows = problem.rows(contact)
             overlap = -(rows.g[rows.now.on] / rows.m[rows.now.on]).min(initial=0)
-            x = x - (LIFT * extent + 2 * overlap) * direction
+            x = x - (lift + 2 * overlap) * direction
             drawn.points = x
         plotter.add_mesh(drawn, line_width=8, **scale, **bar)
         on = contact.active
@@ -298,7 +280,7 @@ def contact(
             if shear.any():
                 tails["shear"] = _padded(shear[on])
                 tails["size"] = np.linalg.norm(shear[on], axis=1)
-                tails.points = points.points - 2 * LIFT * extent * points["arrow"]  # beside Γ1
+                tails.points = points.points - 2 * lift * points["arrow"]  # beside Γ1
                 most = tails["size"].max()
                 length = (0.12, 0.25)[dim - 2] * extent / most
                 arrows = tails.glyph(orient="shear", scale="size", factor=length)
@@ -310,13 +292,13 @@ def contact(
 
 
 def _drawn(surface: Surface, values: npt.NDArray[np.float64]) -> pyvista.PolyData:
-    """A surface with values at its vertices; edges in small parts, since they may be curved."""
+    """A surface with values at its vertices; edges in eight parts, since they may be curved."""
     if surface.gdim == 3:
         cells = np.insert(surface.polygons, 0, surface.polygons.shape[1], axis=1)
         drawn = pyvista.PolyData(surface.x, cells.ravel())
         drawn["pressure"] = values
         return drawn
-    num, t = len(surface.facets), np.linspace(0, 1, PARTS + 1)
+    num, t = len(surface.facets), np.linspace(0, 1, 9)
     x = surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, num)[:, None])
     cells = np.insert(np.arange(len(x)).reshape(num, -1), 0, len(t), axis=1)
     drawn = pyvista.PolyData(_padded(x), lines=cells.ravel())
@@ -338,19 +320,11 @@ def _with_values(u: fem.Function, name: str) -> pyvista.UnstructuredGrid | None:
     owned = np.arange(V.mesh.topology.index_map(V.mesh.topology.dim).size_local)
     cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]
     values = np.real(u.x.array).reshape(-1, V.dofmap.index_map_bs)[: len(x)]
-    parts = comm.gather((cells, types, x, _padded(values)))
-    if parts is None:
-        return None
-    grids = []
-    for cells, types, x, values in parts:
-        if len(types):
-            grids.append(pyvista.UnstructuredGrid(cells, types, x))
-            grids[-1][name] = values
-    return pyvista.merge(grids, merge_points=False)
+    return _merged(comm, (cells, types, x), **{name: _padded(values)})
 
 
 Place = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float]
-"""Where a body is drawn: x ↦ c + s (x − c) + d, as (d, c, s)."""
+"""Map of a body to its drawn place, x ↦ c + s (x − c) + d, as (d, c, s)."""
 
 
 def _moved(x, shift, centre, scale):
@@ -359,7 +333,7 @@ def _moved(x, shift, centre, scale):
 
 
 def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
-    """Where each body (by its mesh) is drawn: away from the one that it is tied to."""
+    """Drawn place of each body (by its mesh), away from the bodies it is tied to."""
     first = ties[0].spaces[0].mesh
     places: dict[int, Place] = {id(first): (np.zeros(3), np.zeros(3), 1.0)}
     todo = list(ties)
@@ -381,7 +355,7 @@ def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
 
 
 def _mean_normal(surface: Surface) -> npt.NDArray[np.float64]:
-    """Mean of the outward normals: short where the surface is closed, ``(3,)``."""
+    """Mean of the outward normals, ``(3,)``; short for closed surfaces."""
     size = surface.size ** (surface.gdim - 1)
     return (size[:, None] * _padded(surface.normals)).sum(axis=0) / size.sum()
 
@@ -395,7 +369,7 @@ def _beside(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
-    """How Γ1 moves away from Γ0: a translation along the mean normal, or a scaling."""
+    """Γ1's drawn place: a translation from Γ0 along the mean normal, or a scaling."""
     surface = surfaces[0]
     x = _padded(surface.x[surface.facets].mean(axis=1))
     normals, size = _padded(surface.normals), surface.size ** (surface.gdim - 1)
@@ -434,9 +408,7 @@ def _draw_gap_domains(
             clim = (0, 1) if f is None else sigma.get_data_range("value")
             options = {"scalars": "value", "cmap": "viridis", "clim": clim}
             _add(plotter, sigma, edges="white", scalar_bar_args=_bar(title), **options)
-    up = mean * np.sign(
-        mean[np.abs(mean).argmax()] or 1
-    )  # bodies that lie above others are drawn above them
+    up = mean * np.sign(mean[np.abs(mean).argmax()] or 1)  # upper bodies are drawn above others
     return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(up), up)
 
 
@@ -461,17 +433,10 @@ def _sigma(
         components = f.x.array.real.reshape(-1, f.function_space.dofmap.index_map_bs)
         scalar = components.shape[1] == 1
         values = components[:, 0] if scalar else np.linalg.norm(components, axis=1)
-    parts = mesh.comm.gather((*drawn, alpha, values))
-    if parts is None:
-        return None
-    grids = []
-    for cells, types, x, at, values in parts:
-        if len(types):
-            t = at[: len(x), None]
-            moved = (1 - t) * _moved(x, *places[0]) + t * _moved(x, *places[1])
-            grids.append(pyvista.UnstructuredGrid(cells, types, moved))
-            grids[-1]["value"] = values[: len(x)]
-    return pyvista.merge(grids, merge_points=False)
+    cells, types, x = drawn
+    t = alpha[: len(x), None]
+    moved = (1 - t) * _moved(x, *places[0]) + t * _moved(x, *places[1])
+    return _merged(mesh.comm, (cells, types, moved), value=values[: len(x)])
 
 
 def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
@@ -487,16 +452,10 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
 
 
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
-    """Cells and their edges; the edges of curved cells are no lines of VTK's own triangles."""
+    """Draw cells and their edges; VTK's own triangles lack the edges of curved cells."""
     if cells.n_cells and cells.get_cell(0).dimension == 3:
-        options |= {
-            "show_edges": True,
-            "edge_color": edges,
-            "line_width": 1,
-            "ambient": 0.4,
-            "diffuse": 0.6,
-        }
-        plotter.add_mesh(_straight(cells), **options)
+        options |= {"show_edges": True, "edge_color": edges, "line_width": 1}
+        plotter.add_mesh(_straight(cells), ambient=0.4, diffuse=0.6, **options)
         return
     if cells.n_cells and cells.get_cell(0).dimension == 1:  # a side's traction in the plane
         plotter.add_mesh(cells, lighting=False, line_width=8, **options)

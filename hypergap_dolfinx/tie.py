@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The tie between two surfaces: the user's door to Σ and the constraint."""
+"""The tie between two surfaces."""
 
 import logging
 from collections.abc import Hashable
@@ -26,10 +26,10 @@ from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
 from hypergap_dolfinx.interface_laws.given_values import Given
 from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
-from hypergap_dolfinx.mortar import fields, quality
+from hypergap_dolfinx.mortar import fields
 from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint, expand
-from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
+from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain, doubts
 from hypergap_dolfinx.mortar.recovery import Recovery
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
@@ -41,16 +41,16 @@ LOG = logging.getLogger("hypergap_dolfinx")
 
 
 class Tie(collective.Owner):
-    """Ties two surfaces whose meshes don't match.
+    """A tie of two surfaces whose meshes don't match.
 
     Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
-    Γ1. The tie asks that ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
+    Γ1. The tie enforces ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
     ∂φ_a/∂α (eq. 20).
 
     Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
     softer) side, or leave that to :meth:`between`; but a layer far thinner than its cells are long
-    wants to be Γ1, or to have the larger cells. Where surfaces have a kink, both need a node there
-    and one of them two edges on each side. Everything here is collective.
+    should be Γ1, or have the larger cells. At a kink both surfaces need a node, and one of them two
+    edges on each side. All methods are collective.
 
     Example:
         Two squares, one on top of the other:
@@ -92,62 +92,62 @@ class Tie(collective.Owner):
 
         Args:
             side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. Of a mixed
-                space, a component of that kind: ``(W.sub(0), facets)`` ties the displacements of
+                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. A component of
+                a mixed space may be tied: ``(W.sub(0), facets)`` ties the displacements of
                 Taylor–Hood elements; their pressures may jump, and need no tie. ``V.sub(1)`` or
                 ``W.sub(0).sub(1)`` ties one displacement of several.
             side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
                 and any other space with the same values on the other side.
-            interior: What nodes between the surfaces do (0 < α < 1; the middles of cross edges for
-                k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one multiplier
-                a dof of Γ1. ``"free"``: they are unknowns with multipliers of their own, as in
-                eq. (22).
-            adjust: Whether to move the nodes on Γ1 first, to where eq. (22) puts them: X_A = P X₀.
-                This changes the mesh of Γ1's body. Rigid motions are then exact on curved or gaping
-                interfaces too, if the space has the degree of the mesh's geometry; without, a
-                rotation strains them by the distance between the surfaces over the cell size: the
-                constraint is on displacements, and a gap does not rotate. Nodes at kinks stay. A
-                curved surface's rim may leave the plane of the face beside it (2e-3 at h = 0.2 of
-                its radius): locate that face's facets before. Make a tie that adjusts before others
-                on the same mesh: they know where nodes are.
-            close_gap: Whether the constraint is on positions instead of displacements: what gapes
-                or overlaps is pulled together, as in an interference fit. Needs displacements. Of
-                curved surfaces with straight edges that is the gap between two polygons too; take
-                curved cells, or a jump of the interference.
+            interior: Treatment of nodes between the surfaces (0 < α < 1; the middles of cross edges
+                for k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one
+                multiplier per dof of Γ1. ``"free"``: they are unknowns with multipliers of their
+                own, as in eq. (22).
+            adjust: True to move the nodes on Γ1 first, to X_A = P X₀ of eq. (22). This changes the
+                mesh of Γ1's body. Rigid motions are then exact on curved or gaping interfaces too,
+                if the space has the degree of the mesh's geometry; without, a rotation strains them
+                by the distance between the surfaces over the cell size: the constraint is on
+                displacements, and a gap does not rotate. Nodes at kinks stay. A curved surface's
+                rim may leave the plane of the face beside it (2e-3 at h = 0.2 of its radius):
+                locate that face's facets before. Make a tie that adjusts before others on the same
+                mesh: they store positions of nodes.
+            close_gap: True for a constraint on positions instead of displacements: gaps and
+                overlaps are closed, as in an interference fit. Needs displacements. Curved surfaces
+                with straight edges have the gap between two polygons too; take curved cells, or a
+                jump of the interference.
             jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
                 ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
                 ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
-                What it is then is read for each right-hand side, so that it may change without
-                factorising again. Of pieces of one interface that have different jumps, let both
-                surfaces end at one place; there their mean holds, weighted with the multipliers.
-            motion: What carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
+                It is read anew for each right-hand side, so that it may change without a new
+                factorisation. If ties of one interface have different jumps, let both surfaces end
+                at one place; there their mean holds, weighted with the multipliers.
+            motion: Motion that carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
             compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
-                thickness over its modulus, a thermal contact's resistance. 0 ties, and what isn't 0
-                gives way, however little; a body that nothing else holds is held by it. One value,
-                or a pair: along Σ's normal and across it (0 ties across; far more than a cell's own
-                lets it slide, on curved surfaces of curved cells only: polygons interlock). Each is
-                ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
-                body, or a callable of x. Read anew when the matrix is assembled. Where all of both
-                sides is prescribed λ follows from c alone: one that was 0 when the problem was made
-                is to stay so, and of a pair both are 0 or none, or an error says so.
-            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat that flows where
-                bodies touch. From 0, where nothing passes, to any size; given as a compliance is,
-                one value or a pair, and read anew when the matrix is assembled. Where it varies
-                much take it, and not 1 / h as a compliance: it is h that is averaged over Σ's
-                cells, so that one node where h isn't 0 conducts.
+                thickness over its modulus, a thermal contact's resistance. 0 ties; any c > 0, even
+                tiny, is compliant and supports a body without other supports. One value, or a pair:
+                along Σ's normal and across it (0 ties across; far more than a cell's own compliance
+                lets it slide; with curved surfaces, on curved cells only: polygons interlock). Each
+                is ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
+                body, or a callable of x. Read anew when the matrix is assembled. If both sides
+                are prescribed entirely, λ follows from c alone: a c that was 0 when the problem was
+                made must stay 0, and both of a pair are 0 or neither; an error is raised otherwise.
+            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat flow between
+                touching bodies. From 0, an insulator, to any size; given as a compliance is, one
+                value or a pair, and read anew when the matrix is assembled. Prefer it to a
+                compliance 1 / h where it varies much: h is averaged over Σ's cells, so that a
+                single node with h > 0 conducts.
             law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
-                softens and lets go, a spring that pushes and doesn't pull. A function of the jump
+                softens and fails, a spring that pushes and doesn't pull. A function of the jump
                 (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
-                gives λ in UFL: ``law=lambda jump, n: k * jump``. Its derivative is UFL's, from
-                ``conditional`` and ``max_value`` too, so Newton's iteration has the exact tangent;
-                of a potential ψ it is ``ufl.diff(psi, w)`` with ``w = ufl.variable(jump)``.
-                ``fem.Constant`` may be in it, and change between solves. It has no memory: what
-                opens closes the same way. Complex scalars are compared as ``ufl.real(…)``. For
-                :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
-            discontinuous: Whether λ may be another one where other ties of the same surfaces go on.
-                Where both sides consist of several materials, traction jumps from one to the next:
-                give a tie for each material then, with this, its two surfaces ending at one place.
-                Without it λ is as smooth as Γ1, however many ties it is given as.
+                returns λ in UFL: ``law=lambda jump, n: k * jump``. UFL differentiates it, also
+                through ``conditional`` and ``max_value``, so Newton's iteration has the exact
+                tangent. For a potential ψ return ``ufl.diff(psi, w)``, ``w = ufl.variable(jump)``.
+                It may contain a ``fem.Constant`` that changes between solves. It has no memory: it
+                closes on the path on which it opened. Complex scalars are compared as
+                ``ufl.real(…)``. For :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
+            discontinuous: True if λ may jump to other ties of the same surfaces. Between several
+                materials on both sides traction jumps from one to the next: give a tie for each
+                material then, with this, its two surfaces ending at one place. Without it λ is as
+                smooth as Γ1, however many ties it is given as.
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -188,19 +188,25 @@ class Tie(collective.Owner):
             )
         if motion is not None and (adjust or close_gap):
             raise InterfaceError("a periodic tie neither adjusts surfaces nor closes gaps.")
-        self._motion = motion
-        self._turn = motion.of_components(V1.value_shape) if motion else None
-        self._interior = interior
-        self._close_gap = close_gap
-        self._discontinuous = discontinuous
+        self.motion = motion
+        """Motion that carries Γ0 to Γ1, of a periodic tie."""
+        self.turn = motion.of_components(V1.value_shape) if motion else None
+        """Rotation R in u₁ = R u₀, ``(block_size, block_size)``."""
+        self.free_interior = interior == "free"
+        """True if Σ's interior nodes are unknowns."""
+        self.closes_gap = close_gap
+        """True if the constraint is on positions."""
+        self.discontinuous = discontinuous
+        """True if λ may jump to other ties of the same surfaces."""
         self._swapped = False
-        self._components = Component.of(V0), Component.of(V1)
-        if motion is not None and motion.turns and any(p.of_vector for p in self._components):
+        self.components = Component.of(V0), Component.of(V1)
+        """Dofs of V₀ and V₁ among those of their bodies."""
+        if motion is not None and motion.turns and any(p.of_vector for p in self.components):
             raise InterfaceError(
                 "a rotation turns vectors as a whole: tie the vector, not a component such as "
                 "V.sub(0)."
             )
-        self._spaces = self._components[0].space, self._components[1].space
+        self._spaces = self.components[0].space, self.components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
@@ -216,8 +222,9 @@ class Tie(collective.Owner):
             surfaces = carried.surface(surfaces[0], motion, surfaces[1]), surfaces[1]
         known = with_surfaces(before, surfaces) if adjust else None
         self._domain = known or create_gap_domain(comm, *surfaces)
-        self._adjusts = adjust
-        for doubt in quality.doubts(self._domain, (side0, side1)) if self._tells else ():
+        self.adjusts = adjust
+        """True if Γ1's nodes were moved."""
+        for doubt in doubts(self._domain, (side0, side1)) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
         if adjust:
@@ -230,7 +237,7 @@ class Tie(collective.Owner):
         self._gives: dict[str, Any] = {k: v for k, v in given.items() if v is not None}
         if len(self._gives) > 1:
             raise ValueError(f"give a {' or a '.join(self._gives)}, not both.")
-        _ = self.compliance, self.law  # what is wrong with them is told here
+        _ = self.compliance, self.law  # raises for wrong ones
 
     @classmethod
     def between(
@@ -243,9 +250,9 @@ class Tie(collective.Owner):
     ) -> "Tie":
         """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
 
-        But a thin layer, whose cells are a hundred times longer than thick, is Γ1 in any case: as
-        Γ0 with smaller cells it would be held at the other side's nodes only, and lose digits. Look
-        at :attr:`swapped` (or the log of ``hypergap_dolfinx``): λ acts on Γ0's body, that of
+        But a thin layer, its cells a hundred times longer than thick, is always Γ1: as Γ0 with
+        smaller cells it would be tied at the other side's nodes only, and lose digits.
+        :attr:`swapped` (or the log of ``hypergap_dolfinx``) tells: λ acts on Γ0's body, that of
         ``tie.spaces[0]``.
 
         Args:
@@ -253,7 +260,7 @@ class Tie(collective.Owner):
             b: The same of the other side.
             stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
                 the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Of the constructor; a jump is that of b over a, u_b − u_a, also a law's.
+            options: Options of the constructor; a jump, also a law's, is u_b − u_a.
 
         Returns:
             The tie.
@@ -297,12 +304,11 @@ class Tie(collective.Owner):
         """A tie across a distance: opposite faces of a periodic cell or of a sector. Collective.
 
         A motion carries Γ0 to Γ1, and there they are tied: u₁ = u₀, or u₁ = u₀ + g with a jump g.
-        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may be of one
-        mesh or of several, with any meshes; but their outlines are to fit. Make one tie for each
-        pair of faces. Where faces meet, at edges and corners, constraints that would be given twice
-        are left out.
+        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may belong to
+        one mesh or to several, of any cells; but their outlines must fit. Make one tie for each
+        pair of faces. At edges and corners of faces, redundant constraints are left out.
 
-        The cell can still move as a whole: hold a node, or its mean. (A sector can only turn and
+        The cell can still move as a whole: fix a node, or its mean. (A sector can only turn and
         slide about its axis.)
 
         Args:
@@ -312,14 +318,14 @@ class Tie(collective.Owner):
             rotation: From Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R.
             centre: A point on the rotation's axis; the origin if not given.
             axis: In space, direction of the axis of an angle; z if not given.
-            options: Of the constructor, but ``adjust`` and ``close_gap``.
+            options: Options of the constructor, except ``adjust`` and ``close_gap``.
 
         Returns:
-            The tie. Its Σ is where Γ1 is, and so are λ, gap, slip and both sides' tractions: Γ0's
-            body feels Rᵀλ.
+            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and both sides' tractions: Rᵀλ acts on
+            Γ0's body.
 
         Raises:
-            ValueError: Both a translation and a rotation, none, or one that is none.
+            ValueError: Both a translation and a rotation, neither, or the identity.
             InterfaceError: Γ0 is not carried to Γ1; the message says how far it is off.
 
         Example:
@@ -349,13 +355,14 @@ class Tie(collective.Owner):
 
     @property
     def swapped(self) -> bool:
-        """Whether :meth:`between` made its first side Γ1."""
+        """True if :meth:`between` made its first side Γ1."""
         return self._swapped
 
     def destroy(self):
-        """Destroy the PETSc objects now, of what was asked for too. Collective.
+        """Destroy the PETSc objects now, those of cached parts too. Collective.
 
-        Without it they go by themselves; on several ranks, when the next tie or problem is made.
+        Otherwise they are destroyed automatically; on several ranks, when the next tie or problem
+        is made.
         """
         for name in ("_recovery", "compliance", "law", "constraint"):
             part = self.__dict__.pop(name, None)
@@ -364,7 +371,7 @@ class Tie(collective.Owner):
         super().destroy()
 
     def _release(self) -> list:
-        """The blocks, which the tie forgets."""
+        """The blocks, removed from the tie."""
         objects = list(getattr(self, "_own_blocks", ()))
         self._blocks = self._own_blocks = ()
         return objects
@@ -373,11 +380,6 @@ class Tie(collective.Owner):
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁; of a component, its own (collapsed) space."""
         return self._spaces
-
-    @property
-    def components(self) -> tuple[Component, Component]:
-        """What V₀ and V₁ are among the dofs of their bodies."""
-        return self._components
 
     @property
     def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
@@ -391,7 +393,7 @@ class Tie(collective.Owner):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1, gathered on every rank, where they are on the bodies."""
+        """Γ0 and Γ1 on the bodies, gathered on every rank."""
         return self._surfaces
 
     @property
@@ -410,58 +412,28 @@ class Tie(collective.Owner):
         return self._domain.alpha
 
     @property
-    def free_interior(self) -> bool:
-        """Whether Σ's interior nodes are unknowns."""
-        return self._interior == "free"
-
-    @property
-    def adjusts(self) -> bool:
-        """Whether Γ1's nodes were moved."""
-        return self._adjusts
-
-    @property
-    def closes_gap(self) -> bool:
-        """Whether the constraint is on positions."""
-        return self._close_gap
-
-    @property
-    def discontinuous(self) -> bool:
-        """Whether λ ends where Γ1 does, though other ties go on there."""
-        return self._discontinuous
-
-    @property
-    def motion(self) -> Motion | None:
-        """What carries Γ0 to Γ1, of a tie across a distance."""
-        return self._motion
-
-    @property
-    def turn(self) -> npt.NDArray | None:
-        """R where R u₀ is what u₁ is compared with, ``(block_size, block_size)``."""
-        return self._turn
-
-    @property
     def jump(self) -> Jump | None:
-        """The prescribed jump, if there is one."""
+        """The prescribed jump, or None."""
         return self._jump
 
     def nodal_jump(self) -> tuple[int, npt.NDArray] | None:
-        """The jump as it is now, at the dofs of one side. Collective.
+        """Current jump at the dofs of one side. Collective.
 
         Returns:
             The side and this rank's owned values, ``(num_dofs, block_size)``; None without a jump.
         """
         if self._jump is None:
             return None
-        return self._jump.nodal(self._components, self.surfaces)
+        return self._jump.nodal(self.components, self.surfaces)
 
     @cached_property
     def constraint(self) -> Constraint:
-        """The constraint on one component, assembled when it is first asked for."""
+        """The constraint on one component, assembled on first access."""
         return create_constraint(self._domain, self._spaces, self.free_interior)
 
     @cached_property
     def _recovery(self) -> Recovery:
-        """What recovers tractions on the bodies' surfaces."""
+        """System for the tractions on the bodies' surfaces."""
         return Recovery(self._domain, self.constraint)
 
     @property
@@ -472,10 +444,10 @@ class Tie(collective.Owner):
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
-        """What makes C of Σ_i B_i u_i − C λ = c, if there is a compliance.
+        """C of Σ_i B_i u_i − C λ = c, or None without a compliance.
 
-        For a system of your own, C is a new PETSc matrix each time,
-        ``tie.compliance.matrix(tie.compliance.values())``.
+        For a system of your own, ``tie.compliance.matrix(tie.compliance.values())`` is C, a new
+        PETSc matrix each time.
         """
         return self._weighting(soft.Compliance)
 
@@ -483,7 +455,7 @@ class Tie(collective.Owner):
     def law(self) -> laws.Response | soft.Conductance | None:
         """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.
 
-        A conductance is one, F(w) = H w.
+        A conductance is the law F(w) = H w.
         """
         law = self._gives.get("law")
         if law is None:
@@ -492,7 +464,7 @@ class Tie(collective.Owner):
         return laws.Response(law, self._domain, self.constraint, self._spaces[1])
 
     def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
-        """The compliance or the conductance, if that is given."""
+        """The compliance or the conductance, if given."""
         value = self._gives.get(kind.name)
         if value is None:
             return None
@@ -501,19 +473,19 @@ class Tie(collective.Owner):
     @cached_property
     def _gaping(self) -> npt.NDArray:
         """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
-        return gaping(self.blocks(), self._components, self.surfaces[0].x[0])
+        return gaping(self.blocks(), self.components, self.surfaces[0].x[0])
 
     def offset(self) -> PETSc.Vec | None:
-        """The right-hand side c of Σ_i B_i u_i = c as it is now. Collective.
+        """Current right-hand side c of Σ_i B_i u_i = c. Collective.
 
         Returns:
             A new vector; None if it is 0, without a jump and without ``close_gap``.
         """
         jump = self.nodal_jump()
-        if jump is None and not self._close_gap:
+        if jump is None and not self.closes_gap:
             return None
         return right_side(
-            self.blocks(), self._components, jump, self._gaping if self._close_gap else None
+            self.blocks(), self.components, jump, self._gaping if self.closes_gap else None
         )
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
@@ -523,13 +495,13 @@ class Tie(collective.Owner):
             B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
             component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
             of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
-            one); prescribed displacements are not taken into account. They may outlive the tie.
+            one); prescribed displacements are not eliminated. They may outlive the tie.
         """
         if not self._blocks:
             B0, B1, *interior = self.constraint.B
             B0, B1 = (
                 part.columns_of_body(expand(B, self.block_size, turn))
-                for part, B, turn in zip(self._components, (B0, B1), (self._turn, None))
+                for part, B, turn in zip(self.components, (B0, B1), (self.turn, None))
             )
             self._own_blocks = (B0, B1, *(expand(B, self.block_size) for B in interior))
             # With references of their own, since these are destroyed with the tie
@@ -541,25 +513,24 @@ class Tie(collective.Owner):
 
         Args:
             u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
-                bodies. Where a component is tied, the body's function with all components, or
+                bodies. For a tied component, the body's function with all components, or
                 ``u.sub(0)``.
             u1: Displacement of Γ1's body.
 
         Returns:
-            n · ∂u/∂α, positive where the surfaces part, and ∂u/∂α without its normal part; both on
-            Σ, discontinuous, in units of the displacement. For scalars ∂u/∂α takes the place of
-            the first, and the second is None.
+            n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
+            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None.
 
         Raises:
             ValueError: A displacement that is not on its side's space.
         """
         us = []
-        for i, (u, part) in enumerate(zip((u0, u1), self._components, strict=True)):
+        for i, (u, part) in enumerate(zip((u0, u1), self.components, strict=True)):
             own = part.own_function(u)
             if own is None:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (tie.spaces[{i}]).")
             us.append(own)
-        return fields.gap(self._domain, self.constraint, us[0], us[1], self._turn)
+        return fields.gap(self._domain, self.constraint, us[0], us[1], self.turn)
 
     def traction(self, problem, *, on: str = "sigma") -> fem.Function:
         """The traction between the bodies, of a solved problem. Collective.
@@ -572,20 +543,20 @@ class Tie(collective.Owner):
                 use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
 
                 ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
-                the forces of λ at both sides' nodes: of an order more than λ, and smooth, by what
-                fits this very λ (that of a sum is the sum within its own error). It is a
-                Lagrange function on a mesh of its own, the part of Γᵢ that is tied, so
+                the forces of λ at both sides' nodes: one order more accurate than λ, and smooth.
+                The smoothing adapts to λ, so it is linear in λ only within its own error. It is a
+                Lagrange function on a mesh of its own, the tied part of Γᵢ, so
                 ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
-                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files have it. At kinks it
-                has a value on each side. Both sides' are opposite to each other; where fields
-                change within a few facets, λ is as good.
+                ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files take it. At kinks it
+                has a value on each side. The two sides' tractions are opposite to each other; where
+                fields change within a few facets, λ is as accurate.
 
         Returns:
-            Force per area (2D: per length and unit depth), of the side's own area: where the sides
-            lie apart these differ, and it is λ's integral that has the force.
+            Force per area (2D: per length and unit depth), of the side's own area: the areas of
+            sides that lie apart differ, and the integral of λ is the force.
 
         Raises:
-            ValueError: Not one of the problem's ties, or not solved yet; an unknown place.
+            ValueError: Not one of the problem's ties, not solved yet, or an unknown ``on``.
         """
         if on not in ("sigma", "side0", "side1"):
             raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')

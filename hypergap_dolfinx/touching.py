@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which bodies touch, and with which facets: the sides of an assembly's ties."""
+"""Search for bodies that touch and their facets: the sides of an assembly's ties."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,9 +25,8 @@ from hypergap_dolfinx.surface.trace import lagrange_element, unit_normals
 from hypergap_dolfinx.tolerances import (
     BULGES,
     CORNER_ASSEMBLY,
-    COVER,
     FACING_ANGLE,
-    LEAF,
+    FILE_DIGITS,
     NEAR_FLAT,
     TILT,
     TURNS_EXPLAINED,
@@ -73,9 +72,9 @@ class _Boundary:
     facet: npt.NDArray[np.intp]
     """Number among all ranks' facets of the space, ``(num,)``."""
     bulge: npt.NDArray[np.float64]
-    """How far the curved surface may be from the simplex, ``(num,)``."""
+    """Largest distance of the curved surface from the simplex, ``(num,)``."""
     turn: npt.NDArray[np.float64]
-    """How much the curved surface turns from simplex to simplex, ``(num,)``."""
+    """Turn of the curved surface from simplex to simplex, ``(num,)``."""
 
     @property
     def normals(self) -> npt.NDArray[np.float64]:
@@ -88,7 +87,7 @@ class _Boundary:
         return np.linalg.norm(self.x - np.roll(self.x, 1, axis=1), axis=2).max(axis=1)
 
     def boxes(self, distance: float | None) -> npt.NDArray[np.float64]:
-        """Lower and upper corners of boxes that meet where simplices may touch, ``(num, 2, n)``."""
+        """Lower and upper corners of boxes that meet if simplices may touch, ``(num, 2, n)``."""
         reach = self.bulge + NEAR_FLAT * self.size if distance is None else distance
         reach = np.broadcast_to(reach, len(self.x))[:, None]
         return np.stack((self.x.min(axis=1) - reach, self.x.max(axis=1) + reach), axis=1)
@@ -100,30 +99,30 @@ class _Boundary:
 def find_touching(
     spaces: Sequence[fem.FunctionSpace], distance: float | None = None
 ) -> list[Touching]:
-    """Find which bodies touch, and with which exterior facets. Collective.
+    """Find bodies that touch, and their exterior facets there. Collective.
 
     Two facets touch if their normals are opposite and a part of one, seen along the normals, lies
-    on the other, however small one is beside the other. Facets with but an edge or a point in
-    common don't. Each connected part of a mesh is a body; a body isn't compared with itself.
+    on the other, whatever their sizes. Facets with only an edge or a point in common don't. Each
+    connected part of a mesh is a body; a body isn't compared with itself.
 
     Args:
         spaces: A Lagrange space on each mesh, or a component of a mixed one, ``W.sub(0)``; all
             meshes in 2D, or all in 3D, of triangles, quadrilaterals, tetrahedra or hexahedra.
-        distance: How far apart facets that touch may be (or how deep in each other). If not given,
-            flat facets may be 1e-3 of the smaller one's size apart; where surfaces are curved, flat
-            facets that stand for one of them are up to h²/8R apart (edges h on a radius R), and
-            twice what the turns from facet to facet (up to 65°) say of this is taken. Parts with a
-            clearance smaller than that, or layers thinner, want a distance. With one, normals may
-            miss being opposite by 60°, without by 5° and what the surface turns between facets.
+        distance: Largest gap or overlap of facets that touch. If not given, it is 1e-3 of the
+            smaller one's size for flat facets; flat facets of curved surfaces are up to h²/8R apart
+            (edges h on a radius R): twice that distance, estimated from the turns between facets
+            (up to 65°), is allowed. Parts with a smaller clearance, or thinner layers, need a
+            distance. With one, normals may deviate from opposite ones by 60°, without by 5° plus
+            the surface's turn between facets.
 
     Returns:
         A pair of sides for :class:`Tie` for each two bodies that touch, each a space and this
-        rank's facets (there may be none); in the order of ``spaces``, and of the places of a mesh's
+        rank's facets (possibly none); in the order of ``spaces``, and of the positions of a mesh's
         parts.
 
     Raises:
         InterfaceError: A space that isn't Lagrange, two on one mesh, meshes of different dimension
-            or on different communicators, coordinates that are no numbers.
+            or on different communicators, coordinates that aren't finite.
         ValueError: A distance that isn't positive.
 
     Example:
@@ -168,7 +167,7 @@ def find_touching(
 
 
 def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
-    """Refuse what can't be looked at; returns the communicator."""
+    """Check the arguments; returns the communicator."""
     if distance is not None and not 0 < distance < np.inf:
         raise ValueError(f"distance must be a positive length, not {distance}.")
     for i, V in enumerate(spaces):
@@ -235,14 +234,14 @@ def _exterior_facets(V: fem.FunctionSpace, name: str) -> _Facets:
 
 
 def _bodies(facets: _Facets) -> list[_Boundary]:
-    """The boundary of each connected part of a mesh, in the order of their places."""
+    """The boundary of each connected part of a mesh, in the order of their positions."""
     split = _SIMPLICES[facets.x.shape[1]]
     x, nodes = (np.concatenate([a[:, s] for s in split]) for a in (facets.x, facets.nodes))
     facet = np.tile(np.arange(len(facets.x)), len(split))
     inwards = np.einsum("fi,fi->f", unit_normals(x), x.mean(axis=1) - facets.inside[facet]) < 0
     x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
     bulge, turn = _curvature(x, nodes)
-    # Of facets that are curved themselves it is known
+    # Known for facets that are curved themselves
     known = facets.bulge[facet]
     size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
     turn = np.maximum(turn, 8 * known / np.where(size > 0, size, 1))
@@ -256,13 +255,10 @@ def _bodies(facets: _Facets) -> list[_Boundary]:
 
 
 def _curvature(x: npt.NDArray, nodes: npt.NDArray):
-    """What the turns from simplex to simplex say of the surface that these stand for.
+    """Distance of the curved surface from each of its simplices, and the largest turn at it.
 
     An edge h of a circle turns by θ = h / R to the next one, and is up to hθ / 8 away from it.
     Beside a chamfer the smaller of two simplices counts.
-
-    Returns:
-        Distance of the surface from each simplex, and the largest turn at it.
     """
     num, n = len(x), x.shape[2]
     normals = unit_normals(x)
@@ -287,7 +283,7 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
         np.maximum.at(turn, at, theta)
         # A triangle of a sphere is as far from it as its three edges' turns add up to
         (np.maximum if n == 2 else np.add).at(bulge, at, sag)
-    # Of triangles it is uneven: narrow ones hardly turn
+    # Triangles turn unevenly, narrow ones hardly: take the largest distance around
     smooth, around = theta > 0, bulge.copy()
     np.maximum.at(around, f[smooth], bulge[g[smooth]])
     np.maximum.at(around, g[smooth], bulge[f[smooth]])
@@ -312,15 +308,7 @@ def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):
 
 
 def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
-    """Pairs of boxes that meet, found by halving the larger set again and again.
-
-    Args:
-        boxes0: Lower and upper corners, ``(num, 2, n)``.
-        boxes1: The same of others.
-
-    Returns:
-        Numbers of both in the order of the first, ``(num_pairs, 2)``.
-    """
+    """Pairs of boxes ``(num, 2, n)`` that meet, sorted, by bisection of the larger set."""
     boxes, found = (boxes0, boxes1), [np.empty((0, 2), dtype=np.intp)]
     todo = [(np.arange(len(boxes0)), np.arange(len(boxes1)))]
     while todo:
@@ -333,7 +321,7 @@ def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
         i, j = sets
         if not len(i) or not len(j):
             continue
-        if len(i) * len(j) <= LEAF:
+        if len(i) * len(j) <= 4096:  # compared pair by pair
             at0, at1 = np.nonzero(_meet(boxes0[i][:, None], boxes1[j][None]))
             found.append(np.column_stack((i[at0], j[at1])))
             continue
@@ -347,12 +335,12 @@ def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
 
 
 def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
-    """Which boxes ``(..., 2, n)`` meet."""
+    """Mask of boxes ``(..., 2, n)`` that meet."""
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
 def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np.bool_]:
-    """Whether simplices touch, pair by pair."""
+    """Mask of pairs of simplices that touch."""
     n0, n1 = a.normals, b.normals
     if distance is None:
         limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
@@ -374,5 +362,5 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np
         for x, n in ((x0, n0), (x1, n1))
     ]
     near = np.abs(heights[1] - heights[0]) <= reach[f]
-    touch[f] = near & (common > COVER * smaller)
+    touch[f] = near & (common > FILE_DIGITS * smaller)
     return touch

@@ -3,13 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""An interface that gives way: by a compliance, u₁ − u₀ = c λ, or a conductance, λ = h (u₁ − u₀).
+r"""A compliant interface: a compliance, u₁ − u₀ = c λ, or a conductance, λ = h (u₁ − u₀).
 
-Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. A compliance's takes the place of the zero,
-Σ_i B_i u_i − C λ = g. So the mean that holds in cells of Σ is that of c: where it is next to
-infinite at one node, nothing gets through any of the cells around. A conductance is a law
-(:mod:`hypergap_dolfinx.interface_laws.law`) with F(w) = H w, and the mean is that of h: one node
-conducts.
+Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. That of a compliance replaces the zero block,
+Σ_i B_i u_i − C λ = g: c is averaged over cells of Σ, so a nearly infinite c at one node blocks all
+cells around. A conductance is a law (:mod:`hypergap_dolfinx.interface_laws.law`) with F(w) = H w,
+and h is averaged: one node conducts.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -27,22 +26,18 @@ from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.interface_laws import given_values
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
-from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
+from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights, places_of_dofs
 from hypergap_dolfinx.mortar.quadrature import Samples
 from hypergap_dolfinx.surface.tolerances import NOISE
 from hypergap_dolfinx.surface.trace import Surface, create_surface, lagrange_element
 
 Part = float | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 Given = Part | Sequence[Part]
-"""What it can be: one for all components, or the normal one and the tangential one."""
+"""One value for all components, or a normal and a tangential one."""
 
 
-def parts(value: Any, name: str) -> tuple[Part, ...]:  # Given, and what is none
-    """One, or the normal and the tangential one.
-
-    Raises:
-        ValueError: Other numbers of them.
-    """
+def parts(value: Any, name: str) -> tuple[Part, ...]:
+    """One value, or the normal and the tangential one; a ValueError for anything else."""
     several = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)
     found = tuple(value) if several else (value,)
     if several and len(found) != 2:
@@ -56,9 +51,9 @@ class Weighting:
     """C of one interface, for values of c ≥ 0 that may change."""
 
     name: str
-    """What c is called."""
+    """Name of c in messages."""
     infinite: str
-    """What to do instead of c = ∞."""
+    """Advice against c = ∞."""
 
     def __init__(
         self,
@@ -71,14 +66,14 @@ class Weighting:
         """Tabulate ∂φ_A/∂α of the multipliers at Gauss points of Σ. Collective.
 
         Args:
-            value: What was given.
+            value: c as it was given.
             domain: Σ.
             constraint: The constraint on it.
             spaces: V₀ and V₁.
             facets1: This rank's facets on Γ1.
 
         Raises:
-            ValueError: It doesn't fit the spaces, or is negative or no number.
+            ValueError: c doesn't fit the spaces, is negative or not a number.
         """
         self._parts, self._domain, self._spaces = parts(value, self.name), domain, spaces
         n = spaces[1].mesh.geometry.dim
@@ -88,31 +83,21 @@ class Weighting:
                 f"the value shape is {spaces[1].value_shape}."
             )
         self._samples = Samples(domain, constraint)
-        self._surfaces = [
-            create_surface(part.function_space, facets1, "Γ1")
-            if isinstance(part, fem.Function) and self._fits(part)
-            else domain.surfaces[1]
-            for part in self._parts
-        ]
+        self._surfaces = [domain.surfaces[1]] * len(self._parts)
+        for k, part in enumerate(self._parts):
+            if isinstance(part, fem.Function):
+                V = part.function_space
+                if V.mesh is not spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
+                    raise ValueError(
+                        f"a {self.name} that is a function is a scalar one, of a Lagrange space of "
+                        "degree ≥ 1 on the mesh of Γ1's body."
+                    )
+                self._surfaces[k] = create_surface(V, facets1, "Γ1")
         self.values()
-
-    def _fits(self, c: fem.Function) -> bool:
-        """Whether a function's space is one on Γ1's mesh.
-
-        Raises:
-            ValueError: It isn't.
-        """
-        V = c.function_space
-        if V.mesh is not self._spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
-            raise ValueError(
-                f"a {self.name} that is a function is a scalar one, of a Lagrange space of degree "
-                "≥ 1 on the mesh of Γ1's body."
-            )
-        return True
 
     @property
     def key(self) -> Hashable:
-        """Equal for those that are the same, whatever becomes of them."""
+        """Equal for those that are and stay the same."""
         return self.name, *(
             id(part) if given_values.is_read(part) else float(part)  # type: ignore[arg-type]
             for part in self._parts
@@ -124,30 +109,24 @@ class Weighting:
 
     @property
     def arrays(self) -> list[npt.NDArray]:
-        """The arrays in which a user changes it."""
-        return [
-            part.x.array if isinstance(part, fem.Function) else part.value
-            for part in self._parts
-            if isinstance(part, fem.Function | fem.Constant)
-        ]
+        """Arrays in which a user changes it."""
+        return given_values.arrays(*self._parts)
 
     def values(self) -> npt.NDArray[np.float64]:
-        """What it is now, at this rank's points. Collective.
-
-        Returns:
-            ``(num_parts, num_points)``.
+        """Current values at this rank's points, ``(num_parts, num_points)``. Collective.
 
         Raises:
             ValueError: One is negative, or no number.
         """
         found, error = np.zeros((len(self._parts), len(self._samples.root))), None
         for k, (part, surface) in enumerate(zip(self._parts, self._surfaces, strict=True)):
-            dofs, first = np.unique(surface.dofs, return_index=True)
-            facet, local = np.divmod(first, surface.dofs.shape[1])
-            x = surface.points(facet, surface.element.points[local])
+            dofs, x = places_of_dofs(surface)
             nodal = np.zeros(len(dofs))
             try:
-                nodal[:] = self._real(self._on_surface(part, surface, dofs, x))
+                given = self._on_surface(part, surface, dofs, x)
+                if np.any(np.imag(given)):
+                    raise ValueError(f"it has an imaginary part; a {self.name} is real.")
+                nodal[:] = np.real(given)
             except Exception as e:
                 error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]
             wrong = ~(nodal >= 0) | np.isinf(nodal)
@@ -165,7 +144,7 @@ class Weighting:
         return found
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
-        """Values at Γ1's dofs; of a function collective."""
+        """Values at Γ1's dofs; collective for a function."""
         if isinstance(part, fem.Function):
             comm = self._domain.mesh.comm
             start, end = surface.dof_range[comm.rank : comm.rank + 2]
@@ -180,7 +159,7 @@ class Weighting:
         return part
 
     def _along_normals(self, nodal: npt.NDArray, surface: Surface) -> npt.NDArray[np.float64]:
-        """What Γ1 has where a point's normal meets it: ∂(α c)/∂α of the φ_a's interpolant."""
+        """Γ1's value along each point's normal: ∂(α c)/∂α of the φ_a's interpolant."""
         hosts = self._domain.hosts
         alpha = hosts.alpha.ravel()
         X = hosts.X[1].reshape(-1, hosts.X[1].shape[-1])
@@ -208,16 +187,6 @@ class Weighting:
         W += (values[0] - values[1])[:, None, None] * n[:, :, None] * n[:, None, :]
         return self._samples.weighted(W)
 
-    def _real(self, values: npt.ArrayLike) -> npt.NDArray:
-        """What is real, whatever its type.
-
-        Raises:
-            ValueError: An imaginary part.
-        """
-        if np.any(np.imag(values)):
-            raise ValueError(f"it has an imaginary part; a {self.name} is real.")
-        return np.real(values)
-
 
 class Compliance(Weighting):
     """c in u₁ − u₀ = c λ."""
@@ -226,7 +195,7 @@ class Compliance(Weighting):
     infinite = "leave the tie out"
 
     def gives_way(self) -> npt.NDArray[np.bool_]:
-        """At which multipliers each part is more than 0 now, all around. Collective.
+        """Mask of compliant multipliers: each part is now more than 0 all around. Collective.
 
         Returns:
             ``(num_parts, num_multipliers)``, in the order of B's rows, on every rank.
@@ -242,12 +211,12 @@ class Compliance(Weighting):
 
 
 class Conductance(Weighting):
-    """h in λ = h (u₁ − u₀), with what a law of one's own has."""
+    """h in λ = h (u₁ − u₀), with the interface of :class:`~.law.Response`."""
 
     name = "conductance"
     infinite = "tie without it"
     linear = True
-    """Whether a linear problem can have it."""
+    """True if a linear problem can have it."""
 
     def mass(self) -> PETSc.Mat:
         """M, with rows and columns as B's rows; a new matrix. Collective."""
@@ -269,6 +238,4 @@ class Conductance(Weighting):
             f += ((h[0] - h[1]) * (n * w).sum(axis=1))[:, None] * n
         return self._samples.forces(f), h
 
-    def tangent(self, values: npt.NDArray) -> PETSc.Mat:
-        """∂F/∂w from :meth:`at`; a new matrix. Collective."""
-        return self.matrix(values)
+    tangent = Weighting.matrix  # ∂F/∂w from what `at` gives

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What users give as values on an interface: numbers, or what is read anew each time."""
+"""Values on an interface as users give them: numbers, or objects that are read anew each time."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,21 +18,27 @@ Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], An
 
 
 def is_read(value: Any) -> bool:
-    """Whether it is read anew each time: a function, a constant, or a callable of x."""
+    """True for values that are read anew each time: a function, a constant, or a callable of x."""
     if isinstance(value, fem.Constant | fem.Function):
         return True
     return callable(value) and not isinstance(value, ufl.core.expr.Expr | type)  # UFL's are too
 
 
+def arrays(*values: Any) -> list[npt.NDArray]:
+    """Arrays in which a user changes values."""
+    changing = [v for v in values if isinstance(v, fem.Function | fem.Constant)]
+    return [v.x.array if isinstance(v, fem.Function) else v.value for v in changing]
+
+
 def check(value: Any, what: str):
-    """Raise for what can't be values on an interface.
+    """Refuse objects that can't be values on an interface.
 
     Args:
-        value: What was given.
-        what: What the message calls it.
+        value: The object.
+        what: Its name in the message.
 
     Raises:
-        ValueError: With its type.
+        ValueError: Names its type.
     """
     wrong = None if is_read(value) else _no_number(value)
     if wrong:
@@ -43,14 +49,10 @@ def check(value: Any, what: str):
 
 
 def at_points(function: Callable[[npt.NDArray], Any], x: npt.NDArray) -> Any:
-    """What a callable gives at points.
-
-    Args:
-        function: The callable.
-        x: ``(num_points, n)``.
+    """Values of a callable at points x, ``(num_points, n)``.
 
     Raises:
-        ValueError: It gives no numbers.
+        ValueError: The values are no numbers.
     """
     values = function(np.vstack((x.T, np.zeros((3 - x.shape[1], len(x))))))
     wrong = _no_number(values)
@@ -60,11 +62,7 @@ def at_points(function: Callable[[npt.NDArray], Any], x: npt.NDArray) -> Any:
 
 
 def each(values: npt.ArrayLike, num: int) -> npt.NDArray:
-    """One value at all points, or one at each.
-
-    Raises:
-        ValueError: Other numbers of them.
-    """
+    """One value at all points, or one at each; a ValueError for another number of values."""
     values = np.asarray(values)
     if values.shape not in ((), (1,), (num,)):
         raise ValueError(f"the callable gives {values.shape} values at {num} points.")
@@ -72,7 +70,7 @@ def each(values: npt.ArrayLike, num: int) -> npt.NDArray:
 
 
 def _no_number(value: Any) -> str | None:
-    """The type of something in a value that is no number. Entry by entry: NumPy tries UFL's."""
+    """Type of the first entry that is no number. Entry by entry, since NumPy iterates UFL's."""
     if isinstance(value, list | tuple):
         wrong = next(filter(None, map(_no_number, value)), None)
         return wrong and f"a {type(value).__name__} with {wrong}"

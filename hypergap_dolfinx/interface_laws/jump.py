@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A prescribed jump, u₁ − u₀ = g: from what a user gives to values at the dofs of a side."""
+"""A prescribed jump, u₁ − u₀ = g: values at the dofs of a side, and the right-hand side."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.interface_laws import given_values
+from hypergap_dolfinx.mortar.domain import places_of_dofs
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -26,12 +27,12 @@ class Jump:
     """A jump as it was given."""
 
     value: given_values.Given
-    """Of the second side over the first."""
+    """Jump of the second side over the first."""
     sign: float = 1.0
     """−1 where the first side became Γ1."""
 
     def __post_init__(self):
-        """Raise for what is no jump."""
+        """Raise a ValueError unless it can be a jump."""
         given_values.check(self.value, "the jump")
 
     def reversed(self) -> "Jump":
@@ -40,24 +41,20 @@ class Jump:
 
     @property
     def key(self) -> Hashable:
-        """Equal for jumps that are the same, whatever becomes of them."""
+        """Equal for jumps that are and stay the same."""
         if given_values.is_read(self.value):
             return self.sign, id(self.value)
         return self.sign, tuple(np.ravel(np.asarray(self.value)).tolist())
 
     @property
     def arrays(self) -> list[npt.NDArray]:
-        """The arrays in which a user changes it."""
-        if isinstance(self.value, fem.Function):
-            return [self.value.x.array]
-        return [self.value.value] if isinstance(self.value, fem.Constant) else []
+        """Arrays in which a user changes it."""
+        return given_values.arrays(self.value)
 
     def nodal(
-        self,
-        sides: Sequence[Component],
-        surfaces: tuple[Surface, Surface],
+        self, sides: Sequence[Component], surfaces: tuple[Surface, Surface]
     ) -> tuple[int, npt.NDArray]:
-        """Its values now, at the dofs of one side. Collective.
+        """Current values at the dofs of one side. Collective.
 
         Args:
             sides: V₀ and V₁.
@@ -68,7 +65,7 @@ class Jump:
             the surface has no dofs.
 
         Raises:
-            ValueError: A jump that doesn't fit the spaces, or isn't a number somewhere.
+            ValueError: The jump doesn't fit the spaces, or isn't finite somewhere.
         """
         value: Any = self.value
         side, error = 1, None
@@ -83,10 +80,9 @@ class Jump:
             value = functions[side]
         V, surface = sides[side].space, surfaces[side]
         start, end = surface.dof_range[V.mesh.comm.rank : V.mesh.comm.rank + 2]
-        dofs, first = np.unique(surface.dofs, return_index=True)
+        dofs, x = places_of_dofs(surface)
         mine = (start <= dofs) & (dofs < end)
-        facet, local = np.divmod(first[mine], surface.dofs.shape[1])
-        x = surface.points(facet, surface.element.points[local])
+        x = x[mine]
         nodal = np.zeros((end - start, V.dofmap.index_map_bs), dtype=PETSc.ScalarType)
         own = dofs[mine] - start
         try:
@@ -105,7 +101,7 @@ class Jump:
 
     @staticmethod
     def _at(value, x, own, V: fem.FunctionSpace) -> npt.NDArray:
-        """Values at places, which are owned dofs of a space, ``(num, block_size)``."""
+        """Values at owned dofs of a space with positions x, ``(num, block_size)``."""
         block_size = V.dofmap.index_map_bs
         if isinstance(value, fem.Function):
             return value.x.array.reshape(-1, block_size)[own]
@@ -135,9 +131,9 @@ def gaping(B: Sequence[PETSc.Mat], sides: Sequence[Component], origin: npt.NDArr
     """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs. Collective.
 
     Args:
-        B: B₀ and B₁, and others that take no part.
-        sides: What V₀ and V₁ are among the dofs of their bodies.
-        origin: A point nearby, ``(n,)``: far from the origin digits are few.
+        B: B₀ and B₁; others are ignored.
+        sides: Dofs of V₀ and V₁ among those of their bodies.
+        origin: A point nearby, ``(n,)``, to keep digits far from the origin.
     """
     c = B[0].createVecLeft()
     c.set(0.0)
@@ -165,9 +161,9 @@ def right_side(
 
     Args:
         B: B₀ and B₁.
-        sides: What V₀ and V₁ are among the dofs of their bodies.
+        sides: Dofs of V₀ and V₁ among those of their bodies.
         jump: From :meth:`Jump.nodal`, or None.
-        gaping: From :func:`gaping` where positions are to be equal, or None.
+        gaping: From :func:`gaping` if positions are to be equal, or None.
     """
     c = B[0].createVecLeft()
     c.set(0.0)

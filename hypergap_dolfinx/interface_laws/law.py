@@ -12,10 +12,9 @@ nearest of these to ∂u/∂α (less a prescribed jump g); λ is the nearest to 
    \,d\Gamma_\alpha d\alpha = 0, \qquad
    \iint (f(w) - \lambda)\,\partial\phi_A/\partial\alpha\,d\Gamma_\alpha d\alpha = 0.
 
-With M = ∫∫ ∂φ_A/∂α ∂φ_B/∂α that is Σ_i B_i u_i − M w = c and F(w) − M λ = 0: where f = ψ' has a
-potential, u and w make the energy stationary, with λ as the multiplier. Of f = w/c follows
-Σ_i B_i u_i − c M λ = c, a compliance; and a law as stiff as you like never asks for more than the
-tie.
+With M = ∫∫ ∂φ_A/∂α ∂φ_B/∂α that is Σ_i B_i u_i − M w = c and F(w) − M λ = 0: if f = ψ' has a
+potential, u and w make the energy stationary, with λ as the multiplier. f = w/c gives
+Σ_i B_i u_i − c M λ = c, a compliance; and a law, however stiff, never constrains more than the tie.
 """
 
 from collections.abc import Callable, Hashable
@@ -48,12 +47,12 @@ class Law:
     """A law as it was given."""
 
     value: Given
-    """Of the second side over the first, with the normal from the first to the second."""
+    """λ of the second side's jump over the first, with the normal from the first to the second."""
     turned: bool = False
-    """Whether the first side became Γ1."""
+    """True if the first side became Γ1."""
 
     def __post_init__(self):
-        """Raise for what is no law."""
+        """Raise a ValueError unless it is a function."""
         if not callable(self.value) or isinstance(self.value, Expr | type):
             raise ValueError(
                 "a law is a function of the jump and the normal that gives λ in UFL, as in "
@@ -73,8 +72,8 @@ class Law:
         """λ in UFL.
 
         Raises:
-            ValueError: What is given is none, depends on other functions, or compares what is
-                complex.
+            ValueError: No UFL expression of the jump, one of other functions, or a comparison of
+                complex values.
         """
         sign = -1 if self.turned else 1
         try:
@@ -95,21 +94,16 @@ class Law:
                 raise ValueError(
                     "the law compares what may be complex; take ufl.real of it first."
                 ) from None
-        others = [f for f in _quantities(found) if f not in {*_quantities(jump), normal}]
-        if others:
+        has, may = (extract_type(e, (FormArgument, GeometricQuantity)) for e in (found, jump))
+        if others := [f for f in has if f not in {*may, normal}]:
             raise ValueError(
                 f"the law has {others[0]} in it: it may have the jump, the normal and constants."
             )
         return sign * found
 
 
-def _quantities(expression: Expr) -> set[Expr]:
-    """What an expression has of functions and of geometry."""
-    return extract_type(expression, (FormArgument, GeometricQuantity))
-
-
 def _entries(expression: Expr) -> list[Expr]:
-    """The components of a tensor, one after the other."""
+    """Components of a tensor, row by row."""
     return [expression[i] if i else expression for i in np.ndindex(expression.ufl_shape)]
 
 
@@ -117,26 +111,25 @@ class Response:
     """F(w) and its derivative of one interface, and M."""
 
     linear = False
-    """Whether a linear problem can have it."""
+    """True if a linear problem can have it."""
 
     def __init__(self, law: Law, domain: GapDomain, constraint: Constraint, V: fem.FunctionSpace):
         """Compile the law and its derivative. Collective.
 
         Args:
-            law: What was given.
+            law: The law.
             domain: Σ.
             constraint: The constraint on it.
             V: V₁.
 
         Raises:
-            ValueError: A law that doesn't fit, or is no number where nothing has opened.
+            ValueError: The law doesn't fit, or isn't finite at w = 0.
         """
         self.key = law.key
-        """Equal for laws that are the same."""
         self._block_size = V.dofmap.index_map_bs
         self._samples = Samples(domain, constraint)
         num, n = self._samples.normal.shape
-        # UFL's expressions are of cells: each point is one, of a mesh that has them alone
+        # UFL's expressions are evaluated on cells: a mesh with a cell for each point
         points = mesh.create_interval(MPI.COMM_SELF, max(num, 1), (0.0, 1.0))
         self._jump, normal = (
             fem.Function(fem.functionspace(points, ("DG", 0, shape)))
@@ -145,7 +138,7 @@ class Response:
         normal.x.array[: num * n] = self._samples.normal.ravel()
         w = ufl.variable(self._jump)
         traction = law.traction(w, normal)
-        # The last one is for laws without anything of the mesh
+        # The last entry is for laws without anything of the mesh
         both = [*_entries(traction), *_entries(ufl.diff(traction, w)), _entries(self._jump)[0]]
         both = ufl.as_vector(both)
         self._constants = {
@@ -172,7 +165,7 @@ class Response:
 
     @property
     def arrays(self) -> list[npt.NDArray]:
-        """The arrays in which a user changes it."""
+        """Arrays in which a user changes it."""
         return [c.value for c in self._constants]
 
     def _at_points(self, w: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:

@@ -19,20 +19,19 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
-from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint
+from hypergap_dolfinx.mortar.constraint import Constraint, Multipliers, create_constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain
-from hypergap_dolfinx.mortar.multiplier_space import Multipliers
 from hypergap_dolfinx.mortar.tolerances import ROUNDS_ADJUST
 from hypergap_dolfinx.surface.trace import Surface, create_surface
 
 
 def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
-    """Where the geometry nodes on Γ1 have Σ_i B_i X_i = 0. Collective.
+    """Solve Σ_i B_i X_i = 0 for the geometry nodes on Γ1. Collective.
 
-    B depends on where the nodes are, which is why they are moved and looked at again a few times.
-    The last move is left to the caller: the B from before it and the nodes from after it satisfy
-    the equation to round-off, however far the move. Nodes where two smooth pieces of Γ1 meet (both
-    surfaces have a node there) stay.
+    B depends on the nodes' positions, which is why they are moved a few times. The last move is
+    left to the caller: the B from before it and the nodes from after it satisfy the equation to
+    round-off, however far the move. Nodes where two smooth pieces of Γ1 meet (both surfaces have a
+    node there) stay.
 
     Args:
         mesh0: Mesh of Γ0's body.
@@ -45,9 +44,9 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
         spaces of both meshes' coordinates.
 
     Raises:
-        InterfaceError: The surfaces form no interface, or don't any more when nodes were moved,
-            which are put back.
-        InvertedCellError: They differ too much in shape.
+        InterfaceError: The surfaces form no interface, or no longer do once nodes were moved; these
+            are put back.
+        InvertedCellError: The surfaces differ too much in shape.
     """
     W = [_coordinate_space(mesh) for mesh in (mesh0, mesh1)]
     start = _positions(W[1])
@@ -74,7 +73,7 @@ def adjust_surface(mesh0: Mesh, facets0, mesh1: Mesh, facets1):
 
 
 def with_surfaces(domain: GapDomain, surfaces: tuple[Surface, Surface]) -> GapDomain | None:
-    """Σ of other spaces on the same facets, None if their elements are others.
+    """Σ of other spaces on the same facets, None if their elements differ.
 
     Args:
         domain: Σ.
@@ -106,7 +105,7 @@ def _positions(W: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
-    """Move the geometry nodes, on all ranks that know them. Collective."""
+    """Move the geometry nodes, on all ranks that have them. Collective."""
     mesh = W.mesh
     f = fem.Function(W)
     for axis in range(x.shape[1]):
@@ -116,7 +115,7 @@ def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
 
 
 def _without(constraint: Constraint, domain, drop: npt.NDArray[np.bool_]) -> PETSc.Mat:
-    """E with λ = E λ', where some multipliers are dropped and follow the others. Collective."""
+    """Matrix E of λ = E λ': dropped multipliers follow from the others λ'. Collective."""
     multipliers = Multipliers.of(constraint, domain)
     start, end = constraint.R_A.getOwnershipRangeColumn()
     gone = np.sort(constraint.rows[drop])
@@ -136,7 +135,7 @@ def _without(constraint: Constraint, domain, drop: npt.NDArray[np.bool_]) -> PET
 
 
 def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:
-    """The positions of Γ1's body with Σ_i B_i X_i = 0; only nodes under multipliers move."""
+    """Positions of Γ1's body with Σ_i B_i X_i = 0; only nodes under multipliers move."""
     _, at, count = np.unique(constraint.dofs, return_inverse=True, return_counts=True)
     drop = count[at] > 1
     E = _without(constraint, domain, drop) if drop.any() else None

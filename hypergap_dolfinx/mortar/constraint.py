@@ -3,20 +3,34 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The constraint ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (eq. 4) as matrices on the bodies' own dofs."""
+"""The constraint ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (eq. 4) as matrices on the bodies' own dofs.
 
-from dataclasses import dataclass
+Its multipliers lie at dofs of Γ1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from dolfinx import fem
 from hypergap_dolfinx.core import collective
+from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import coo_matrix, triplets
-from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights
-from hypergap_dolfinx.mortar.tolerances import ON_SURFACE
+from hypergap_dolfinx.gap_mesh.strip import turns
+from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights, places_of_dofs
+from hypergap_dolfinx.mortar.tolerances import (
+    AROUND_FOLLOWED,
+    INDEPENDENT_NEIGHBOURS,
+    ON_SURFACE,
+)
+from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.triangulation import kinks, neighbours
 
 
 @dataclass(frozen=True)
@@ -37,7 +51,7 @@ class Constraint(collective.Owner):
     """Global dof (block) of V₁ under each multiplier, sorted, the same on every rank. A dof that
     several patches of Γ1 share has a multiplier in each."""
     patch: npt.NDArray[np.int64]
-    """Patch of Γ1 that each multiplier belongs to."""
+    """Patch of Γ1 under each multiplier."""
     rows: npt.NDArray[np.int64]
     """Row of B of each multiplier."""
 
@@ -55,12 +69,12 @@ def create_constraint(
     Args:
         domain: Σ.
         spaces: V₀ and V₁.
-        free_interior: Whether interior nodes (0 < α < 1) are unknowns with rows of their own, as
-            in eq. (22), or take (1 − α) u₀ + α u₁.
+        free_interior: True if interior nodes (0 < α < 1) are unknowns with rows of their own, as
+            in eq. (22); else they take (1 − α) u₀ + α u₁.
 
     Returns:
-        B_i = R_Aᵀ G R_i. Of narrow cells, whose G has large entries that cancel each other in the
-        product, the factors of G = Dᵀ w D are multiplied first: (D R_A)ᵀ w (D R_i).
+        B_i = R_Aᵀ G R_i. In narrow cells large entries of G would cancel each other in the
+        product: there the factors of G = Dᵀ w D are multiplied first, (D R_A)ᵀ w (D R_i).
     """
     comm = domain.mesh.comm
     dofmap, hosts = domain.space.dofmap, domain.hosts
@@ -93,8 +107,8 @@ def create_constraint(
         entries = [tuple(part[keep] for part in e) for e, keep in zip(entries, bound)]
         R_B = [coo_matrix(comm, (owned, n), *entry) for n, entry in zip(sizes, entries)]
 
-    # The multipliers are the dofs of Γ1 that Σ touches, one in each patch that has the dof. On each
-    # rank its free interior nodes come after them
+    # Multipliers: the dofs of Γ1 that Σ touches, one in each patch of the dof; on each rank, its
+    # free interior nodes come after them
     i1, dof1, value1 = entries[1]
     num_patches = int(domain.patch.max()) + 1
     patch_of = domain.patch[hosts.facets[1].ravel()[first]]  # of each owned node
@@ -117,17 +131,8 @@ def create_constraint(
         entry = (row[free], offset[r] + own, np.ones(num_free[r]))
         R_B.append(coo_matrix(comm, (owned, num_free[r]), *entry))
 
-    global_dofs = index_map.local_to_global(cell_dofs.ravel()).reshape(cell_dofs.shape)
-    G_e = domain.gap_matrices()
-    narrow = domain.narrow_cells()
-    G_e[narrow] = 0
-    if domain.overhang is not None:
-        D_e, _ = domain.overhang_derivatives()
-        outer = domain.overhang.weights[:, None, None] * D_e[:, :, None] * D_e[:, None]
-        np.subtract.at(G_e, domain.overhang.cells, outer)
-    rows_e = np.broadcast_to(global_dofs[:, :, None], G_e.shape)
-    columns_e = np.broadcast_to(global_dofs[:, None, :], G_e.shape)
-    G = coo_matrix(comm, (owned, owned), rows_e, columns_e, G_e)
+    G_e, narrow = domain.summable_gap_matrices()
+    G = coo_matrix(comm, (owned, owned), *domain.entries(G_e))
     B = []
     for R_i in R_B:
         GR = G.matMult(R_i)
@@ -135,30 +140,24 @@ def create_constraint(
         GR.destroy()
     G.destroy()
     if comm.allreduce(len(narrow)):
-        _add_factored(B, R_A, R_B, *domain.gap_factors(narrow), global_dofs[narrow])
+        _add_factored(B, R_A, R_B, *domain.gap_factors(narrow), domain.nodes[narrow])
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
     return Constraint(tuple(B), R, R_A, dofs, patch, rows, collective.enter(comm))
 
 
-def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
+def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, nodes):
     """Add (D R_A)ᵀ w (D R_i) to each B_i. Collective.
 
-    Args:
-        B: The B_i.
-        R_A: Pull-back of the multipliers.
-        R: Pull-backs R_i of the nodes of Σ.
-        D_e: Factors of element matrices, ``(num_cells, num_points, num_nodes)``.
-        sign: Signs w of the points, ``(num_points,)``.
-        dofs: The cells' nodes, ``(num_cells, num_nodes)``.
+    With D_e and w from :meth:`GapDomain.gap_factors`, and the cells' nodes.
     """
     comm = R_A.comm.tompi4py()
     num_points = D_e.shape[0] * D_e.shape[1]
     start = sum(comm.allgather(num_points)[: comm.rank])
     sizes = num_points, R_A.getLocalSize()[0]
     point = np.repeat(start + np.arange(num_points), D_e.shape[2])
-    columns = np.repeat(dofs, D_e.shape[1], axis=0)
+    columns = np.repeat(nodes, D_e.shape[1], axis=0)
     D = coo_matrix(comm, sizes, point, columns, D_e)
     signed = coo_matrix(comm, sizes, point, columns, sign[:, None] * D_e)
     DR_A = signed.matMult(R_A)
@@ -173,7 +172,7 @@ def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, dofs):
 
 
 def expand(B: PETSc.Mat, block_size: int, turn: npt.NDArray | None = None) -> PETSc.Mat:
-    """B ⊗ R, the same constraint for each component of a field that is turned. Collective.
+    """B ⊗ R, the same constraint for each component of a rotated field. Collective.
 
     Args:
         B: Matrix on one component.
@@ -196,3 +195,236 @@ def expand(B: PETSc.Mat, block_size: int, turn: npt.NDArray | None = None) -> PE
         j[:, None] * block_size + column,
         value[:, None] * factors,
     )
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """The multipliers of an interface, the same arrays on every rank."""
+
+    dofs: npt.NDArray[np.int64]
+    """Global dof (block) of V₁ under each multiplier, ``(num_multipliers,)``."""
+    patch: npt.NDArray[np.int64]
+    """Smooth piece of Γ1 under each multiplier, ``(num_multipliers,)``."""
+    surface: Surface
+    """Γ1."""
+    on_facets: npt.NDArray[np.intp]
+    """Multiplier at each dof of each facet of Γ1, −1 where Σ doesn't reach,
+    ``(num_facets, num_dofs)``."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets,)``."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square that this part has, ``(num_facets,)``."""
+
+    @classmethod
+    def of(cls, constraint: Constraint, domain: GapDomain) -> "Multipliers":
+        """The multipliers of a constraint on Σ."""
+        surface = domain.surfaces[1]
+        num_patches = int(domain.patch.max()) + 1
+        keys = constraint.dofs * num_patches + constraint.patch
+        wanted = surface.dofs * num_patches + domain.patch[:, None]
+        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
+        at[keys[at] != wanted] = -1
+        return cls(constraint.dofs, constraint.patch, surface, at, domain.covered, domain.least)
+
+    @cached_property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Positions of their dofs, ``(num_multipliers, n)``."""
+        dofs, x = places_of_dofs(self.surface)
+        return x[np.searchsorted(dofs, self.dofs)]
+
+    def on_any(self, facets: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Mask of multipliers on any of some facets, ``(num_multipliers,)``."""
+        on = np.zeros(len(self.dofs), dtype=bool)
+        some = self.on_facets[facets]
+        on[some[some >= 0]] = True
+        return on
+
+    @cached_property
+    def _inverse(self):
+        facet, local = np.nonzero(self.on_facets >= 0)
+        value = self.on_facets[facet, local]
+        order = np.argsort(value, kind="stable")
+        offsets = np.searchsorted(value[order], np.arange(len(self.dofs) + 1))
+        return facet[order], local[order], offsets
+
+    def facets_of(self, m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Facets with a multiplier, and its local index in them."""
+        facet, local, offsets = self._inverse
+        part = slice(offsets[m], offsets[m + 1])
+        return facet[part], local[part]
+
+    def follow(
+        self, m: int, drop: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp], bool]:
+        """λ at a dropped multiplier as Σ weights · λ at others of its patch.
+
+        In its facet λ becomes a polynomial of degree k − 1 through those that remain, so that
+        tractions up to that degree are still carried.
+
+        Args:
+            m: The dropped multiplier.
+            drop: Mask of dropped multipliers, ``(num_multipliers,)``.
+
+        Returns:
+            Weights and multipliers, both empty if the patch has none left; and True if these are
+            in one of its own facets, or around it.
+        """
+        facets, local = self.facets_of(m)
+        at = self.on_facets[facets]
+        free = (at >= 0) & ~drop[at]  # (facet, dof)
+        best = int(free.sum(axis=1).argmax())
+        element = self.surface.element
+        if _determined(element, tuple(free[best])):
+            weights = _extension(element, int(local[best]), tuple(free[best]))
+            return weights, at[best][free[best]], True
+        fit = self._fit(drop, facets)  # a corner: most of the facet's dofs are dropped
+        if fit is None:
+            return *self._nearest(drop, m), False
+        return fit.weights(self.x[m]), fit.found, True
+
+    def lacking(self, drop: npt.NDArray[np.bool_]) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """Polynomials that λ lacks on narrow pieces, where the remaining multipliers lie on lines.
+
+        Args:
+            drop: Mask of dropped multipliers, ``(num_multipliers,)``.
+
+        Returns:
+            For each facet there, dropped multipliers and the values at them of a polynomial of
+            degree k − 1 that vanishes at all that remain around.
+        """
+        found, exist = [], self.on_facets >= 0
+        gone, left = exist & drop[self.on_facets], exist & ~drop[self.on_facets]
+        beside = (exist & self.on_any(left.any(axis=1))[self.on_facets]).any(axis=1)
+        for facet in np.flatnonzero(gone.any(axis=1) & beside):
+            if _determined(self.surface.element, tuple(left[facet])):
+                continue
+            fit = self._fit(drop, np.array([facet]))
+            if fit is not None:
+                at = self.on_facets[facet][gone[facet]]
+                found += [(at, values) for values in fit.vanishing(self.x[at])]
+        return found
+
+    def _nearest(self, drop, m: int):
+        """A remaining multiplier of the same patch, in the facet nearest to a dropped one's."""
+        mine = np.where(self.on_facets >= 0, self.patch[self.on_facets] == self.patch[m], False)
+        free = mine & ~drop[self.on_facets]
+        facets = np.flatnonzero(free.any(axis=1))
+        if not len(facets):
+            return np.empty(0), np.empty(0, dtype=np.intp)
+        centres = self.surface.nodes.mean(axis=1)
+        own = centres[self.facets_of(m)[0]].mean(axis=0)
+        facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
+        return np.ones(1), self.on_facets[facet][free[facet]][:1]
+
+    def _fit(self, drop, facets) -> "_Fit | None":
+        """Polynomials of degree k − 1 through the multipliers that remain around some facets.
+
+        From as few rings of facets as determine them; None without any multiplier beside these.
+        """
+        v = self.surface.x[self.surface.facets[facets[0]]]
+        exponents, fits = _exponents(self.surface.element), []
+        for _ in range(AROUND_FOLLOWED):
+            known = self.on_facets[facets]
+            facets = np.flatnonzero(np.isin(self.on_facets, known[known >= 0]).any(axis=1))
+            known = self.on_facets[facets]
+            known = np.unique(known[(known >= 0) & ~drop[known]])
+            fits.append(_Fit(known, self.x[known], v[1:3] - v[0], exponents))
+            if fits[-1].rank == exponents.shape[1]:
+                return fits[-1]
+        return max(fits, key=lambda fit: fit.rank) if fits[0].rank else None
+
+
+class _Fit:
+    """Polynomials of degree k − 1 through the values at some multipliers."""
+
+    def __init__(self, found, x, edges, exponents):
+        """Fit to multipliers at x, ``(num_found, n)``, on the scale of a facet's n − 1 edges."""
+        self.found, self._exponents = found, exponents
+        self._origin = x.sum(axis=0) / max(len(x), 1)
+        # Axes along their line and across it, with the facet's lengths
+        plane = np.linalg.svd(edges, full_matrices=False)[2].T
+        axes = plane @ np.linalg.svd((x - self._origin) @ plane)[2].T
+        self._axes = axes / np.abs(edges @ axes).max(axis=0)
+        U, size, V = np.linalg.svd(self._monomials(x))
+        self.rank = int((size > INDEPENDENT_NEIGHBOURS).sum())
+        """Number of determined polynomials."""
+        self._pinv = V[: self.rank].T / size[: self.rank] @ U[:, : self.rank].T
+        self._null = V[self.rank :].T
+
+    def _monomials(self, x) -> npt.NDArray[np.float64]:
+        along = (x - self._origin) @ self._axes
+        return np.prod(along[..., None] ** self._exponents, axis=-2)
+
+    def weights(self, x) -> npt.NDArray[np.float64]:
+        """Weights of the values for the polynomial, constant across their line, at a point."""
+        return self._monomials(x) @ self._pinv
+
+    def vanishing(self, x) -> npt.NDArray[np.float64]:
+        """Values at points of the polynomials that vanish at all of them, ``(num, num_points)``."""
+        return (self._monomials(x) @ self._null).T
+
+
+def _exponents(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.intp]:
+    """Exponents of the monomials of degree k − 1, the constant first, ``(dim, num_monomials)``."""
+    dim = element.points.shape[1]
+    exponents = np.indices((element.degree,) * dim).reshape(dim, -1)
+    return exponents[:, exponents.sum(axis=0) < element.degree]
+
+
+@lru_cache(maxsize=1024)
+def _determined(element: basix.finite_element.FiniteElement, free: tuple[bool, ...]) -> bool:
+    """True if the free dofs determine a polynomial of degree k − 1."""
+    P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)
+    where = np.asarray(free)
+    return bool(where.any() and np.linalg.matrix_rank(P[where]) == P.shape[1])
+
+
+@lru_cache(maxsize=1024)
+def _extension(
+    element: basix.finite_element.FiniteElement, local: int, free: tuple[bool, ...]
+) -> npt.NDArray[np.float64]:
+    """Weights of a facet's free dofs that extend a polynomial of degree k − 1 to another dof."""
+    P = np.prod(element.points[:, :, None] ** _exponents(element), axis=1)  # (dof, monomial)
+    return P[local] @ np.linalg.pinv(P[np.asarray(free)])
+
+
+def smooth_pieces(surfaces: Sequence[Surface]) -> list[npt.NDArray[np.int32]]:
+    """Smooth pieces of surfaces that are parts of one body's boundary.
+
+    Args:
+        surfaces: Parts that may touch or share facets; their dofs are one space's.
+
+    Returns:
+        For each surface, the piece of each facet, numbered across all surfaces.
+    """
+    first = surfaces[0]
+    starts = np.cumsum([0, *(len(s.facets) for s in surfaces)])
+    dofs = np.vstack([s.dofs for s in surfaces])
+    corner = [d[0] for d in first.element.entity_dofs[0]]
+    _, at, facet = np.unique(np.sort(dofs, axis=1), axis=0, return_index=True, return_inverse=True)
+    vertices = np.vstack([s.x[s.facets] for s in surfaces])[at]  # (facet, vertex, n)
+    dofs = dofs[at]
+    key, where, number = np.unique(dofs[:, corner], return_index=True, return_inverse=True)
+    union = replace(
+        first,
+        x=vertices.reshape(-1, first.gdim)[where],
+        facets=number.reshape(-1, len(corner)).astype(np.int32),
+        nodes=np.vstack([s.nodes for s in surfaces])[at],
+        dofs=dofs,
+        owner=np.concatenate([s.owner for s in surfaces])[at],
+    )
+    if first.gdim == 2:
+        corners = turns(union)[1]
+        before = np.full(len(key), -1)
+        before[union.facets[:, 1]] = np.arange(len(union.facets))
+        start = union.facets[:, 0]
+        joined = (before[start] >= 0) & ~corners[start]
+        i, j = np.flatnonzero(joined), before[start[joined]]
+    else:
+        behind = neighbours(union.polygons, union.name, union.x)
+        apart = np.zeros(behind.shape, dtype=bool)
+        apart[kinks(union, behind)] = True
+        f, k = np.nonzero((behind > np.arange(len(behind))[:, None]) & ~apart)
+        i, j = f, behind[f, k]
+    piece = components(len(union.facets), i, j)[facet.ravel()]
+    return np.split(piece, starts[1:-1])

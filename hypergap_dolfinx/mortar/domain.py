@@ -3,10 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The gap domain Σ as a distributed DOLFINx mesh with the field α."""
+"""The gap domain Σ as a distributed DOLFINx mesh with the field α, and warnings about it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -26,15 +28,17 @@ from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT
+from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
 from hypergap_dolfinx.surface.quadrilaterals import middle_rows
 from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
-from hypergap_dolfinx.surface.trace import Surface, tabulate
+from hypergap_dolfinx.surface.trace import Surface, tabulate, thinness
+
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
 
 @dataclass(frozen=True)
 class GapDomain:
-    """Σ: simplices with nodes (x, α), and where its nodes lie on the bodies' surfaces.
+    """Σ: simplices with nodes (x, α), and the nodes' places on the bodies' surfaces.
 
     The rows of the arrays are the cells of this rank, in the order of ``mesh``.
     """
@@ -54,7 +58,7 @@ class GapDomain:
     normal: npt.NDArray[np.float64]
     """Reference normals from Γ0 to Γ1, ``(num_cells, n)``."""
     curved: npt.NDArray[np.bool_]
-    """Which cells have a curved edge, ``(num_cells,)``."""
+    """Mask of cells with a curved edge, ``(num_cells,)``."""
     hosts: Hosts
     """Hosts of the nodes of ``space``."""
     patch: npt.NDArray[np.int32]
@@ -65,18 +69,29 @@ class GapDomain:
     """Least share of a function's square that this part has, ``(num_facets1,)``; see
     :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
     overhang: Overhang | None = None
-    """What is beyond what both sides have in common, to be taken out of integrals; None if nothing.
-    See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
+    """Parts of cells beyond what both sides have in common, to be subtracted from integrals; None
+    without any. See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
 
-    @property
+    @cached_property
     def geometry(self) -> basix.finite_element.FiniteElement:
         """Basix element of the cells' geometry."""
         return self.mesh.ufl_domain().ufl_coordinate_element().basix_element  # type: ignore[union-attr]
 
-    @property
+    @cached_property
     def element(self) -> basix.finite_element.FiniteElement:
         """Basix element of the φ_a."""
         return self.space.ufl_element().basix_element
+
+    @cached_property
+    def nodes(self) -> npt.NDArray[np.int64]:
+        """Global nodes of this rank's cells, ``(num_cells, num_nodes)``."""
+        dofmap = self.space.dofmap
+        return dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+
+    def entries(self, W: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Rows and columns (nodes), and values, of a sum of element matrices."""
+        i, j = self.nodes[:, :, None], self.nodes[:, None, :]
+        return np.broadcast_to(i, W.shape), np.broadcast_to(j, W.shape), W
 
     def distance(self) -> float:
         """Mean distance of Γ0 and Γ1: the volume between them over their area. Collective."""
@@ -100,7 +115,7 @@ class GapDomain:
             ``(num_cells, num_nodes, num_nodes)``.
 
         Raises:
-            InvertedCellError: A cell is turned over.
+            InvertedCellError: A cell is inverted.
         """
         k, nodes = self.element.degree, self.element.dim
         G = np.empty((len(self.x), nodes, nodes))
@@ -127,10 +142,20 @@ class GapDomain:
         raise_on_all(self.mesh.comm, error, InvertedCellError)
         return G
 
+    def summable_gap_matrices(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Element matrices to be added up as they are, and the narrow cells, where they are 0.
+
+        Without the overhang. Collective.
+        """
+        G, narrow = self.gap_matrices(), self.narrow_cells()
+        G[narrow] = 0
+        if self.overhang is not None:
+            subtract_squares(G, self.overhang, self.overhang_derivatives()[0])
+        return G, narrow
+
     def narrow_cells(self) -> npt.NDArray[np.intp]:
         """Cells whose matrices have large entries that cancel each other, ``(num_narrow,)``."""
-        middle = kernel.GapElement.with_quadrature(self.geometry, self.element, 0)
-        _, v = kernel.geometry_at_points(middle, self.x, self.alpha_vertices)
+        _, v = kernel.geometry_at_points(self.quadrature(0), self.x, self.alpha_vertices)
         return np.flatnonzero((np.abs(v) > NARROW_CELL).any(axis=(1, 2)))
 
     @property
@@ -155,7 +180,7 @@ class GapDomain:
         return D, np.sign(element.weights)
 
     def overhang_derivatives(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """∂φ_a/∂α and unit normals at the points of the overhang, whose weights are not in them.
+        """∂φ_a/∂α and unit normals at the points of the overhang, without its weights.
 
         Returns:
             ``(num_points, num_nodes)`` and ``(num_points, n)``.
@@ -170,6 +195,12 @@ class GapDomain:
         X = np.einsum("pmi,pmj->pij", x - x[:, :1], dpsi)
         N, v = kernel.normal_and_direction(X, alpha[:, 1:] - alpha[:, :1])
         return np.einsum("paj,pj->pa", dphi, v), N / np.linalg.norm(N, axis=1, keepdims=True)
+
+
+def subtract_squares(W: npt.NDArray[np.float64], points: Overhang, f: npt.NDArray[np.float64]):
+    """Subtract Σ w f_a f_b over points from element matrices; f is ``(num_points, num_nodes)``."""
+    outer = points.weights[:, None, None] * f[:, :, None] * f[:, None]
+    np.subtract.at(W, points.cells, outer)
 
 
 def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> GapDomain:
@@ -221,14 +252,14 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
 def distributed(
     comm: MPI.Comm, cells, x, rank, element: basix.ufl._ElementBase
 ) -> tuple[Mesh, npt.NDArray[np.intp]]:
-    """A mesh of cells that every rank knows, each on the rank that it is for. Collective.
+    """A distributed mesh of cells that every rank knows. Collective.
 
     Args:
         comm: Communicator.
         cells: Nodes of the cells, ``(num_cells, num_cell_nodes)``.
         x: Nodes, ``(num_nodes, n)``.
-        rank: Where each cell is to be, ``(num_cells,)``.
-        element: Of the coordinates.
+        rank: Rank of each cell, ``(num_cells,)``.
+        element: Element of the coordinates.
 
     Returns:
         The mesh, and the numbers of this rank's cells in its order.
@@ -245,7 +276,7 @@ def distributed(
 
 
 def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:
-    """Which cells' geometry nodes leave the vertex simplex, ``(num_cells,)``."""
+    """Mask of cells with geometry nodes off the simplex of their vertices, ``(num_cells,)``."""
     n = x.shape[2]
     if x.shape[1] == n + 1:
         return np.zeros(len(x), dtype=bool)
@@ -264,18 +295,13 @@ def _lattice(element: basix.finite_element.FiniteElement) -> npt.NDArray[np.int6
 
 
 def _number_nodes(cells, lattice, degree: int):
-    """Number the Lagrange nodes of a mesh; a shared node gets one number.
+    """Number the Lagrange nodes of a mesh, shared ones once; ``lattice`` is from :func:`_lattice`.
 
-    A node is told by its vertices and their barycentric weights, so no coordinates are compared.
-
-    Args:
-        cells: Vertices, ``(num_cells, n + 1)``.
-        lattice: Nodes of the reference simplex times the degree, ``(num_nodes, n)``.
-        degree: Degree of the nodes.
+    A node is identified by its vertices and their barycentric weights; coordinates aren't compared.
 
     Returns:
-        Nodes of each cell, ``(num_cells, num_nodes)``, and for each number the first place (in
-        the flattened cells) that has it.
+        Nodes of each cell, ``(num_cells, num_nodes)``, and the first position of each number in
+        the flattened cells.
     """
     weights = np.column_stack((degree - lattice.sum(axis=1), lattice))  # (node, vertex)
     key = cells[:, None, :] * (degree + 1) + weights
@@ -289,6 +315,13 @@ def _number_nodes(cells, lattice, degree: int):
     return number.reshape(len(cells), -1).astype(np.int64), first
 
 
+def places_of_dofs(surface: Surface) -> tuple[npt.NDArray, npt.NDArray[np.float64]]:
+    """Dofs (blocks) of a surface, sorted, and their positions."""
+    dofs, first = np.unique(surface.dofs, return_index=True)
+    facet, local = np.divmod(first, surface.dofs.shape[1])
+    return dofs, surface.points(facet, surface.element.points[local])
+
+
 def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     """Rows of a pull-back R_i: values of the trace's basis, times a weight.
 
@@ -297,10 +330,10 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
         facet: Host facet of each point, ``(num_points,)``.
         X: Reference coordinates, ``(num_points, n - 1)``.
         weight: 1 − α on Γ0, α on Γ1; ``(num_points,)``.
-        nodes: Element of the φ_a, whose nodes on Γ_i the points are where the weight is one.
+        nodes: Element of the φ_a; points of weight one are its nodes on Γ_i.
 
     Returns:
-        The point, the global dof (block) and the value of each nonzero entry.
+        Point, global dof (block) and value of each nonzero entry.
     """
     values = tabulate(surface.element, X)
     if surface.facets.shape[1] == 4:
@@ -313,3 +346,130 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     # A node of Σ that is a dof of the body has a single 1 in its row, and round-off beside it
     point, local = np.nonzero(np.abs(values) > NOUGHT)
     return point, surface.dofs[facet[point], local], values[point, local]
+
+
+def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
+    """Doubts about an interface, to be settled before results are trusted. Collective.
+
+    Args:
+        domain: Σ.
+        sides: Spaces and this rank's facets of Γ0 and Γ1.
+
+    Returns:
+        A line for each doubt, the same on every rank.
+    """
+    found = _far_apart(domain), _straight_facets(domain.surfaces), _uneven_facets(domain, sides)
+    return [line for line in found if line]
+
+
+def _far_apart(domain: GapDomain) -> str | None:
+    """Surfaces far apart: sometimes intended, mostly a wrong tag or a mesh in other units."""
+    apart = domain.distance()
+    length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
+    if apart <= length:
+        return None
+    return (
+        f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: are "
+        "tags and units right? They are tied across the gap."
+    )
+
+
+def _straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:
+    """Straight facets opposite curved ones, which cost spaces of degree ≥ 2 their order."""
+    if max(surface.element.degree for surface in surfaces) == 1:
+        return None
+    sags = []
+    for surface in surfaces:
+        # Along the normals: a plane with a curved outline stays one
+        bend = surface.nodes - surface.straight_nodes
+        sag = np.abs(np.einsum("fmi,fi->fm", bend, surface.normals)).max(axis=1)
+        sags.append(np.where(surface.curved, sag, 0))
+    curved = [
+        bool((sag > SAG_CURVED * s.size).any()) for sag, s in zip(sags, surfaces, strict=True)
+    ]
+    if all(curved) or not any(curved):
+        return None
+    i = curved.index(True)
+    # An arc's distance from its chord goes with the square of the length
+    curvature = (sags[i] / surfaces[i].size ** 2).max()
+    off = curvature * surfaces[1 - i].size.max() ** 2
+    return (
+        f"the facets of {surfaces[i].name} are curved and those of {surfaces[1 - i].name} are "
+        f"straight, about {off:.2g} off: that limits the accuracy whatever the spaces' degree; "
+        "curve both meshes (in Gmsh gmsh.model.mesh.setOrder(2))."
+    )
+
+
+def _widths(v, w):
+    """Facets with vertices v, ``(num, num_vertices, n)``, beside others with vertices w.
+
+    Returns:
+        Largest ratio of the other's width to the facet's own, and the latter, ``(num,)`` each.
+    """
+    n = v.shape[2]
+    plane = np.linalg.qr((v[:, 1:n] - v[:, :1]).transpose(0, 2, 1))[0]  # (facet, n, n - 1)
+
+    def spread(x):
+        y = (x - x.mean(axis=1, keepdims=True)) @ plane
+        return y.transpose(0, 2, 1) @ y / x.shape[1]
+
+    inverse = np.linalg.inv(np.linalg.cholesky(spread(v)))
+    squares, U = np.linalg.eigh(inverse @ spread(w) @ inverse.transpose(0, 2, 1))
+    direction = np.einsum("sij,si->sj", inverse, U[:, :, -1])
+    # Of an edge, a right triangle or a square of width 1
+    unit = {2: 1 / 4, 3: 2 / 9, 4: 1 / 4}[v.shape[1]]
+    return np.sqrt(squares[:, -1]), 1 / (np.sqrt(unit) * np.linalg.norm(direction, axis=1))
+
+
+def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
+    """Ratio by which Γ_i's facets are narrower than the other side's, and than its cells are deep.
+
+    The lesser of both, in the direction in which the facets differ most; a tenth of Γ_i's area has
+    a larger one. Collective.
+    """
+    n = domain.x.shape[2]
+    other = domain.surfaces[1 - i]
+    depth = thinness(*sides[i]) * float(np.median(domain.surfaces[i].size))
+    on = domain.alpha_vertices == i
+    apex = domain.alpha_vertices == 1 - i
+    base = np.flatnonzero((on.sum(axis=1) == n) & (apex.sum(axis=1) == 1))
+    base = base[:: max(1, len(base) // 5000)]  # as many on each rank are enough
+    on, apex = on[base], apex[base]
+    v = domain.x[base, : n + 1][on].reshape(-1, n, n)
+    facet = domain.hosts.facets[1 - i][base, : n + 1][apex]
+    E = v[:, 1:] - v[:, :1]
+    area = np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0))  # times a constant
+    # Facets of Γ_i are cut where the sides overlap in part
+    surface = domain.surfaces[i]
+    X = domain.hosts.X[i][base, : n + 1][on].reshape(-1, n, n - 1)
+    whole = np.abs(X - np.rint(X)).max(axis=2) < SAME_NODE  # corners of their facets
+    if surface.facets.shape[1] == 4:
+        middle = np.abs(X - 0.5).max(axis=2) < SAME_NODE
+        whole |= middle
+        if middle.any(axis=1).all():  # quarters of quadrilaterals
+            own = domain.hosts.facets[i][base, :4][on].reshape(-1, 3)
+            v = surface.x[surface.facets[own[np.arange(len(own)), middle.argmax(axis=1)]]]
+    some = (area > 0) & whole.all(axis=1)
+    v, facet, area = v[some], facet[some], area[some]
+    ratio, width = _widths(v, other.x[other.facets[facet]])
+    mine = np.column_stack((np.minimum(ratio, depth / width), area))
+    value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
+    order = np.argsort(value)
+    total = np.cumsum(area[order])
+    if not len(total):
+        return 0.0
+    return float(value[order][np.searchsorted(total, 0.9 * total[-1])])
+
+
+def _uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
+    """Γ1's nodes between Γ0's are constrained: deep cells respond with large tractions."""
+    value = unevenness(domain, sides, 1)
+    degrees = [surface.element.degree for surface in domain.surfaces]
+    if value <= UNEVEN * degrees[1]:
+        return None
+    swap = unevenness(domain, sides, 0) <= UNEVEN * degrees[0]
+    advice = "swap the tie's sides" if swap else "refine Γ0 that way, or Γ1's cells across Γ1"
+    return (
+        f"Γ1's facets are {value:.2g} times narrower one way than those of Γ0 and than its own "
+        f"cells are deep: λ oscillates, displacements hardly do. To trust λ, {advice}."
+    )

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.core.sparse import product
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
@@ -66,17 +67,10 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
 
 
 def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
-    """Parts of the weights that are of what the constraint doesn't integrate: the overhang.
+    """Shares of the weights that belong to the overhang, which the constraint doesn't integrate.
 
-    The smallest ones that have its integrals of polynomials of half the rule's degree.
-
-    Args:
-        domain: Σ.
-        points: Reference points of a Gauss rule, ``(num_points, n)``.
-        degree: Its degree.
-
-    Returns:
-        ``(num_cells, num_points)``.
+    The smallest weights, ``(num_cells, num_points)``, at the points of a Gauss rule of that degree
+    with the overhang's integrals of polynomials of half the degree.
     """
     beyond = domain.overhang
     if beyond is None:
@@ -104,18 +98,14 @@ def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.ND
     Returns:
         ``(num_cells, num_nodes, block_size)``.
     """
-    x, y = R.createVecs()
+    at_nodes = product(R, values)
     f = fem.Function(domain.space)
-    dofs, owned = domain.space.dofmap.list, domain.space.dofmap.index_map.size_local
+    dofs = domain.space.dofmap.list
     nodal = np.empty((*dofs.shape, values.shape[1]), dtype=f.dtype)
-    for component in range(values.shape[1]):
-        x.array[:] = values[:, component]
-        R.mult(x, y)
-        f.x.array[:owned] = y.array
+    for component, column in enumerate(at_nodes.T):
+        f.x.array[: len(column)] = column
         f.x.scatter_forward()
         nodal[:, :, component] = f.x.array[dofs]
-    x.destroy()
-    y.destroy()
     return nodal
 
 
@@ -138,7 +128,7 @@ def alpha_derivative(domain: GapDomain, nodal, points):
 
 
 def _discontinuous(domain: GapDomain, shape: tuple[int, ...], name: str) -> fem.Function:
-    """A function on Σ without continuity, of the degree of the φ_a."""
+    """A discontinuous function on Σ, of the degree of the φ_a."""
     element = ("Discontinuous Lagrange", domain.element.degree, shape)
     return fem.Function(fem.functionspace(domain.mesh, element), name=name)
 
@@ -160,12 +150,12 @@ def traction(
     Args:
         domain: Σ.
         constraint: The constraint on it.
-        shape: Of the values.
+        shape: Shape of a value.
         multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
     """
     f = _discontinuous(domain, shape, "traction")
     nodal = nodal_values(domain, constraint.R_A, multipliers)
-    # Around a mean, which α times itself has as its derivative: else narrow cells lose its digits
+    # Less a mean, the derivative of α times itself: else narrow cells lose its digits
     alpha = domain.hosts.alpha[..., None]
     mean = (alpha * nodal).sum(axis=1, keepdims=True) / (alpha**2).sum(axis=1, keepdims=True)
     _set(f, alpha_derivative(domain, nodal - alpha * mean, _points(f))[0] + mean)
@@ -186,7 +176,7 @@ def gap(
         constraint: The constraint on it.
         u0: Displacement of Γ0's body.
         u1: Displacement of Γ1's body.
-        turn: R where R u₀ is what u₁ is compared with.
+        turn: Rotation R if u₁ is compared with R u₀.
     """
     shape = u0.function_space.value_shape
     nodal, other = (

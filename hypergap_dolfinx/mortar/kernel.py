@@ -6,8 +6,8 @@
 r"""The gap finite element: eqs. (6)–(19) of Giffin (2024), with NumPy arrays alone.
 
 The Jacobian of eq. (6) is :math:`\mathbf J = [\mathbf X; \nabla_\xi\alpha^T]` with
-:math:`X_{ij} = \partial x_i/\partial\xi_j`. Both of what the paper needs follow from the cofactor
-matrix of :math:`\mathbf X`, in any dimension and without inverting anything:
+:math:`X_{ij} = \partial x_i/\partial\xi_j`. Both quantities needed follow from the
+cofactor matrix of :math:`\mathbf X`, in any dimension and without an inverse:
 
 * eqs. (7)–(10): the spatial part of :math:`d\Sigma` is, up to its sign,
   :math:`\mathbf N = \mathrm{cof}(\mathbf X)\,\nabla_\xi\alpha`, so that
@@ -29,11 +29,11 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InvertedCellError
-from hypergap_dolfinx.mortar.tolerances import ENOUGH, POINTS_AT_ONCE
+from hypergap_dolfinx.mortar.tolerances import ENOUGH
 
 
 def cofactor(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Cofactor matrices cof(X) = det(X) X⁻ᵀ, also of singular ones.
+    """Cofactor matrices cof(X) = det(X) X⁻ᵀ, also of singular matrices.
 
     Args:
         X: Matrices, ``(..., n, n)`` with n = 2 or 3.
@@ -76,13 +76,7 @@ def normal_and_direction(X, dalpha):
 
 
 def curved_rule(dim: int, degree: int, geometry: int) -> int:
-    """Degree of the Gauss rule for curved cells.
-
-    Args:
-        dim: Dimension of the cells.
-        degree: Degree of the φ_a.
-        geometry: Degree of the geometry.
-    """
+    """Degree of the Gauss rule for curved cells, from the degrees of φ_a and of the geometry."""
     full = 2 * (degree + geometry)
     return full if dim == 2 else min(full, max(ENOUGH, 2 * degree + 2))
 
@@ -119,8 +113,8 @@ class GapElement:
     def reference_tensors(self) -> npt.NDArray[np.float64]:
         """∂φ_a/∂ξ_i ∂φ_b/∂ξ_j times the weight at each point, its symmetric part in i and j.
 
-        Of both pairs of indices the upper triangle, i ≤ j and a ≤ b: the parts for j < i are added
-        to those for i < j. ``(num_points, n (n + 1) / 2, num_nodes (num_nodes + 1) / 2)``.
+        Upper triangles of both pairs of indices, i ≤ j and a ≤ b: the parts for j < i are added to
+        those for i < j. ``(num_points, n (n + 1) / 2, num_nodes (num_nodes + 1) / 2)``.
         """
         T = np.einsum("p,pai,pbj->pijab", self.weights, self.dphi, self.dphi, optimize=True)
         n, nodes = self.dphi.shape[2], self.dphi.shape[1]
@@ -195,12 +189,8 @@ def curved_gap_matrices(element: GapElement, x, alpha, normal):
 def _contract(dpsi, T, x, alpha, normal):
     """G_ab = Σ_p Σ_ij (|N| v_i v_j)_p T_pijab, as one product of matrices for many cells.
 
-    Args:
-        dpsi: ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``.
-        T: Reference tensors there, see :attr:`GapElement.reference_tensors`.
-        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
-        alpha: α at the vertices, ``(num_cells, n + 1)``.
-        normal: Reference normals, ``(num_cells, n)``.
+    With ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``, and the
+    :attr:`~GapElement.reference_tensors` T there.
     """
     num_points, n, num_geometry = dpsi.shape
     nodes = int(np.sqrt(2 * T.shape[2]))
@@ -210,10 +200,10 @@ def _contract(dpsi, T, x, alpha, normal):
     upper[np.triu_indices(nodes)] = np.arange(T.shape[1])
     pair = np.maximum(upper, upper.T).ravel()
     G = np.empty((len(x), nodes * nodes))
-    size = max(POINTS_AT_ONCE // num_points, 64)
+    size = max(8192 // num_points, 64)  # cells at a time: their arrays fit in a cache
     for start in range(0, len(x), size):
         part = slice(start, start + size)
-        x_part = x[part] - x[part, :1]  # what basis functions' derivatives add up to is round-off
+        x_part = x[part] - x[part, :1]  # basis functions' derivatives add up to round-off, not to 0
         xs = np.ascontiguousarray(x_part.transpose(2, 1, 0))  # (i, m, cell): long axis last
         X = (dpsi @ xs).reshape(n, n, num_points, -1)  # (i, j, point, cell)
         vertices = alpha[part].T
@@ -226,13 +216,7 @@ def _contract(dpsi, T, x, alpha, normal):
 
 
 def _check_orientation(N, normal, x):
-    """The length in eq. (12) hides the sign of dΣ; look at it before it is lost.
-
-    Args:
-        N: ``(num_points, num_cells, n)``.
-        normal: ``(num_cells, n)``.
-        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
-    """
+    """Raise if N, ``(num_points, num_cells, n)``, opposes the normal: eq. (12) hides its sign."""
     sign = sum(N[..., i] * normal[..., i] for i in range(normal.shape[-1]))
     wrong = ~(sign > 0).all(axis=0)
     if wrong.any():

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The multipliers' functions ∂φ_A/∂α at Gauss points of Σ, where an interface gives way."""
+"""The multipliers' functions ∂φ_A/∂α at Gauss points of Σ, for compliant interfaces."""
 
 from petsc4py import PETSc
 
@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core import collective
-from hypergap_dolfinx.core.sparse import coo_matrix
+from hypergap_dolfinx.core.sparse import coo_matrix, product
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint, expand
 from hypergap_dolfinx.mortar.domain import GapDomain
 
 
 class Samples(collective.Owner):
-    """D with a row for each point: ∂φ_A/∂α times the root of the point's weight."""
+    """Matrix D of ∂φ_A/∂α times the root of the weight, a row for each Gauss point."""
 
     def __init__(self, domain: GapDomain, constraint: Constraint):
         """Tabulate them. Collective.
@@ -30,10 +30,10 @@ class Samples(collective.Owner):
         self._ticket = collective.enter(domain.mesh.comm)
         self.domain = domain
         n = domain.x.shape[2]
-        # Of straight cells c and both derivatives are polynomials of degree k − 1
+        # On straight cells c and both derivatives are polynomials of degree k − 1
         rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
         self.element = domain.quadrature(rule)
-        """Tables at the points that are the same in all cells."""
+        """Tables at the Gauss points, the same in all cells."""
         N, self.v = kernel.geometry_at_points(self.element, domain.x, domain.alpha_vertices)
         length = np.linalg.norm(N, axis=2)
         self.normal: npt.NDArray[np.float64] = (N / length[..., None]).reshape(-1, n)
@@ -46,7 +46,7 @@ class Samples(collective.Owner):
         D = self.root[:, None] * dphi.reshape(-1, dphi.shape[2])
         cells = np.repeat(np.arange(len(N)), len(self.element.weights))
         self.beyond: tuple[npt.NDArray, npt.NDArray] | None = None
-        """Cells and ∂φ_a/∂α of the points of the overhang, which are the last ones."""
+        """Cells and ∂φ_a/∂α of the overhang's points, which are the last ones."""
         if (beyond := domain.overhang) is not None:
             dphi, normal = domain.overhang_derivatives()
             self.beyond = beyond.cells, dphi
@@ -58,11 +58,9 @@ class Samples(collective.Owner):
             cells = np.append(cells, beyond.cells)
         comm = domain.mesh.comm
         self._start = sum(comm.allgather(len(self.root))[: comm.rank])
-        dofmap = domain.space.dofmap
-        nodes = dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
         rows = self._start + np.arange(len(self.root))
         sizes = len(rows), constraint.R_A.getLocalSize()[0]
-        matrix = coo_matrix(comm, sizes, np.repeat(rows, D.shape[1]), nodes[cells], D)
+        matrix = coo_matrix(comm, sizes, np.repeat(rows, D.shape[1]), domain.nodes[cells], D)
         self.D: PETSc.Mat = matrix.matMult(constraint.R_A)
         """``(num_points, num_multipliers)``."""
         matrix.destroy()
@@ -118,20 +116,8 @@ class Samples(collective.Owner):
         Args:
             w: This rank's rows, ``(num_multipliers, block_size)``.
         """
-        x, y = self.D.createVecs()
-        found = np.empty((len(self.root), w.shape[1]), dtype=PETSc.ScalarType)
-        for component, column in enumerate(w.T):
-            x.array[:] = column
-            self.D.mult(x, y)
-            found[:, component] = np.divide(
-                y.array_r,
-                self.root,
-                out=np.zeros(len(self.root), y.array_r.dtype),
-                where=self.root > 0,
-            )
-        x.destroy()
-        y.destroy()
-        return found
+        rooted, root = product(self.D, w), self.root[:, None]
+        return np.divide(rooted, root, out=np.zeros_like(rooted), where=root > 0)
 
     def forces(self, f: npt.NDArray) -> npt.NDArray:
         """∫∫ f ∂φ_A/∂α dΓ_α dα, ``(num_multipliers, block_size)`` of this rank. Collective.

@@ -41,7 +41,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.mortar.multiplier_space import smooth_pieces
+from hypergap_dolfinx.mortar.constraint import smooth_pieces
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.numbering import (
     Numbering,

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.mortar.multiplier_space import Multipliers
+from hypergap_dolfinx.mortar.constraint import Multipliers
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS, SAME_PLACE
 

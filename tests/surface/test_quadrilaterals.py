@@ -21,7 +21,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem
 from hypergap_dolfinx.gap_mesh import slab
-from hypergap_dolfinx.mortar.quality import unevenness
+from hypergap_dolfinx.mortar.domain import unevenness
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS, middle_rows
 from hypergap_dolfinx.surface.tolerances import SAME_NODE
