@@ -13,7 +13,7 @@ the facet f:
 
 .. math:: \min_v \int_p v^2 \, dX \Big/ \int_f v^2 \, dX
 
-over the functions v that the facet carries, in its reference coordinates. Where this is small, λ
+over the functions v that the facet carries, in its reference coordinates. If this is small, λ
 follows from forces of hardly any size, with as many times their round-off. The area alone isn't
 enough: for a corner with 30 % of a quadrilateral the minimum is 4e-3 for degree 1 and 2e-5 for
 degree 2, for 30 % in a corner of a triangle 3e-2 and 2e-3.

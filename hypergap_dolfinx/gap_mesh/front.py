@@ -280,12 +280,7 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
 
 
 def ready(problem: Problem, make: Callable) -> Front | None:
-    """Cells between matching triangulations, None if they don't match.
-
-    Args:
-        problem: The surfaces.
-        make: ``prisms.between_twins`` or ``prisms.between_quarters``.
-    """
+    """Cells between matching triangulations, made by a function of `prisms`, or None."""
     (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
     cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
     if cells is None:

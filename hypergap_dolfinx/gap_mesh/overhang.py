@@ -99,11 +99,7 @@ def _walls(slab: Slab) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def _twins(slab: Slab, triangles, normal, length) -> npt.NDArray[np.intp]:
     """The vertex of the other side beside each vertex, −1 if there is none.
 
-    Args:
-        slab: Cells.
-        triangles: An edge's ends and a node of the other side for each wall, ``(num, 3)``.
-        normal: The cells' reference normals, ``(num, 3)``.
-        length: The edges' lengths, ``(num,)``.
+    Wall triangles are an edge's ends and a node of the other side; length is the edge's.
     """
     longest = np.zeros(len(slab.x))
     np.maximum.at(longest, triangles[:, :2], length[:, None])

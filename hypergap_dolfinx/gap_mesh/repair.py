@@ -155,12 +155,7 @@ def improve(
     alpha: npt.NDArray[np.float64],
     margins: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.float64]],
 ) -> npt.NDArray[np.integer]:
-    """Swap inverted cells for others, as long as the worst get better.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        alpha: α at the vertices.
-        margins: Distance of cells from inversion, not positive where they are inverted.
+    """Swap cells whose margin isn't positive for others, as long as the worst get better.
 
     Returns:
         The cells, of which none is worse than the worst that it replaces.

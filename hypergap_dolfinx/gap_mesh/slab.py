@@ -104,21 +104,16 @@ def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
     return GapElement.with_quadrature(element, element, degree)
 
 
-def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
-    """Least N · n of each cell with the surfaces' curved geometry, over its longest edge².
+def _curved_margins(slab: Slab, nodes) -> npt.NDArray[np.float64]:
+    """Least N · n of each cell with curved geometry, over its longest edge².
 
-    Args:
-        slab: Cells.
-        nodes: Their geometry's nodes if no edges were straight, ``(num_cells, num_nodes, 3)``.
+    Its nodes, ``(num_cells, num_nodes, 3)``, are given as if no edges were straight.
     """
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
     element = geometry_element(surfaces, k)
     points = element.basix_element.points
     v = slab.x[slab.cells]
-    if nodes is None:
-        each = np.arange(len(slab.cells))
-        nodes = interpolate_geometry(surfaces, slab.hosts(points, each))
     x = straightened(nodes, points, marked(slab.cells, slab.straight), v)
     tables = _tables(element, curved_rule(3, k, element.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
@@ -145,7 +140,7 @@ class _Margins:
         moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
         if len(moved):
             slab = _slab(self.sides, filling.with_cells(filling.cells[moved]))
-            values[moved] = curved_margins(slab, self._nodes[at[moved]])
+            values[moved] = _curved_margins(slab, self._nodes[at[moved]])
         return values
 
     def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
@@ -165,7 +160,7 @@ class _Margins:
             nodes = interpolate_geometry([side.surface for side in self.sides], self._hosts[-1])
             at[new] = len(self._nodes) + np.arange(len(new))  # a cell may be among them twice
             self._nodes = np.concatenate((self._nodes, nodes))
-            self._values = np.concatenate((self._values, curved_margins(slab, nodes)))
+            self._values = np.concatenate((self._values, _curved_margins(slab, nodes)))
             self._number.update((keys[i], at[i]) for i in new)
         return at
 
@@ -285,11 +280,6 @@ def _no_compiler() -> str | None:
 
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
-
-    Args:
-        comm: Communicator.
-        surface0: Γ0.
-        surface1: Γ1.
 
     Returns:
         The cells, the same on every rank.

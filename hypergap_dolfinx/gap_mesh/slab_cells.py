@@ -189,14 +189,7 @@ class Slab:
         return Hosts(self.alpha, (facets[0], facets[1]), (X[0], X[1]))
 
     def _at_vertices(self, cells, local, some, found: Hosts):
-        """Fill in the hosts of points at the cells' vertices.
-
-        Args:
-            cells: ``(num_cells,)``.
-            local: The vertex at each point, ``(num_points,)``.
-            some: Mask of the points at vertices, ``(num_points,)``.
-            found: The hosts of all points.
-        """
+        """Fill in the hosts of some points: those at vertices, of local numbers ``local``."""
         module = library()
         at, cells = np.flatnonzero(some), np.ascontiguousarray(cells, dtype=np.int64)
         found.alpha[:, some] = self.alpha[self.cells[cells][:, local[some]]]
@@ -215,13 +208,9 @@ class Slab:
             )
 
     def _between(self, cells, weights, some, found: Hosts):
-        """Fill in the hosts of points between equally many vertices; shared points only once.
+        """Fill in the hosts of some points between equally many vertices; shared ones only once.
 
-        Args:
-            cells: ``(num_cells,)``.
-            weights: Barycentric coordinates of the points, ``(num_points, 4)``.
-            some: Mask of these points, ``(num_points,)``.
-            found: The hosts of all points.
+        Weights are the barycentric coordinates of all points, ``(num_points, 4)``.
         """
         number = int((weights[some][0] > 0).sum())
         support = np.argsort(weights[some] == 0, axis=1, kind="stable")[:, :number]

@@ -220,17 +220,9 @@ def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chai
 def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: list[Chain]):
     """Pairs of chains, cut to the parts that face each other.
 
-    Where one chain goes on beyond the end of the other, it is cut at the projection of this end, or
-    at its own node if that is within `END` of it; vertices beyond belong to no pair.
-
-    Args:
-        surface0: Γ0.
-        surface1: Γ1.
-        chains0: Pieces of Γ0.
-        chains1: Pieces of Γ1, in Γ0's direction of travel.
-
-    Returns:
-        Pairs of :class:`Chain`.
+    A chain that goes on beyond the end of the other one is cut at the projection of this end, or at
+    its own node if that is within `END` of it; vertices beyond belong to no pair. All chains are in
+    Γ0's direction of travel.
 
     Raises:
         NotFacingError: Nothing of Γ1 faces Γ0.
@@ -400,8 +392,8 @@ def merge(m0, m1):
     """Triangles between two chains by the apex rule, from their edges' midpoints.
 
     The apex of an edge is the node of the other chain nearest to its midpoint m, that is, the node
-    between the last edge whose midpoint is before m and the first one behind it. Of equal midpoints
-    Γ0's comes first.
+    between the last edge whose midpoint is before m and the first one behind it. If midpoints are
+    equal, Γ0's comes first.
 
     Args:
         m0: Increasing parameters of the midpoints of Γ0's edges, ``(num_edges0,)``.

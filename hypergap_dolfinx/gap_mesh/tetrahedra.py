@@ -63,12 +63,7 @@ def areas(x, alpha, normal):
 
 
 def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
-    """The first triangle with given vertices, −1 where there is none, ``(num,)``.
-
-    Args:
-        triangles: ``(num_triangles, 3)``.
-        corners: ``(num, 2)`` or ``(num, 3)``; no triangle has more.
-    """
+    """The first triangle with some vertices, ``(num, 2)`` or more columns; −1 if there is none."""
     num, size = corners.shape
     found = np.full(num, -1, dtype=np.int32)
     if num and size < 4 and len(triangles):
@@ -150,11 +145,6 @@ def straighten(cells, alpha, margins: Margins) -> npt.NDArray[np.integer]:
 
     Edges through the gap come first, since no body has them; then edges on the surfaces, for each
     cell the one that helps most.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        alpha: α at the vertices.
-        margins: Margins of the cells.
     """
     edges = NONE
     for _ in range(6 * len(cells) + 1):  # each time another edge at least

@@ -253,12 +253,7 @@ def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[WallRim]):
 
 
 def in_walls(vertices: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
-    """Mask of the edges or triangles that are in walls, ``(num,)``.
-
-    Args:
-        vertices: ``(num, 2)`` or ``(num, 3)``; with more columns none is.
-        walls: Triangles, ``(num_walls, 3)``.
-    """
+    """Mask of the edges or triangles, ``(num, 2)`` or ``(num, 3)``, that are in walls."""
     return find(walls, vertices) >= 0
 
 
