@@ -294,19 +294,16 @@ def ready(problem: Problem, make: Callable) -> Front | None:
 
 
 def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
-    """Cells between two surfaces, by the first front that gets through.
+    """Cells between two surfaces, by the first front that gets through; None if all attempts fail.
 
-    If none does, the cavities of the one that gets farthest are filled with cones.
+    If none gets through, cavities of the one that gets farthest are filled with cones. Inverted
+    curved cells are swapped for others. If some remain in all attempts, the attempt with the fewest
+    is taken, and these are replaced with cones, or some of their edges straightened.
 
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
-        margins: Margins of curved cells against inversion, None if surfaces are straight. Inverted
-            cells are swapped for others. If some remain in all attempts, the attempt with the
-            fewest is taken, and these are replaced with cones, or some of their edges straightened.
-
-    Returns:
-        The cells, None if no attempt succeeds.
+        margins: Margins of curved cells against inversion; None if surfaces are straight.
     """
     for flat in (THIN_CELL, FLAT_GAP_CELL):
         filling = _construct(problem, place, margins, flat)

@@ -32,9 +32,7 @@ VERTICES = np.vstack((np.zeros(3), np.eye(3)))  # of the reference tetrahedron
 def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
     """Excess of slabs over the common part of their sides, None if there is none.
 
-    Args:
-        slabs: Cells, numbered one slab after the other.
-        degree: Degree of the functions on them.
+    Cells are numbered one slab after the other; ``degree`` is that of the functions on them.
     """
     found: tuple[list, list] = [], []
     start = 0

@@ -269,15 +269,6 @@ def summary(slabs: Sequence[Slab]) -> str:
     )
 
 
-def _no_compiler() -> str | None:
-    """Reason why this rank has no compiled C, which every rank needs; None if it has."""
-    try:
-        library()
-    except RuntimeError as error:
-        return str(error)
-    return None
-
-
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
 
@@ -289,7 +280,12 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
         RuntimeError: There is no C compiler.
     """
     start = time.perf_counter()
-    raise_on_all(comm, _no_compiler(), RuntimeError)
+    reason = None
+    try:
+        library()  # every rank needs the compiled C
+    except RuntimeError as error:
+        reason = str(error)
+    raise_on_all(comm, reason, RuntimeError)
     surfaces = surface0, surface1
     groups, num, behind = pairs_of_pieces(*surfaces)
 

@@ -150,10 +150,7 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
 
 
 def _trace(previous: npt.NDArray[np.intp]):
-    """Go back along the edges of all chains at once, in steps of 1, 2, 4, ...
-
-    Args:
-        previous: The edge before each edge, −1 before the first of a chain.
+    """Go back along all chains at once, in steps of 1, 2, 4, ...; −1 is previous to a first edge.
 
     Returns:
         For each edge, the first one of its chain (meaningless in a loop), its place in the chain,
@@ -460,10 +457,9 @@ class Strip:
     @property
     def base(self) -> npt.NDArray[np.int32]:
         """Facet (on its side) of each triangle's base, ``(num_cells,)``."""
-        facets = [c.facets for c in self.chains]
         base = np.empty(len(self.side), dtype=np.int32)
-        for i in (0, 1):
-            base[self.side == i] = facets[i][self.edge[self.side == i]]
+        for i, chain in enumerate(self.chains):
+            base[self.side == i] = chain.facets[self.edge[self.side == i]]
         return base
 
     def hosts(self, points: npt.NDArray[np.float64]) -> Hosts:

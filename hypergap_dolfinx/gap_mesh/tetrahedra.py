@@ -23,8 +23,7 @@ from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-NONE = np.empty((0, 2), dtype=np.intp)
-"""No edges."""
+NONE = np.empty((0, 2), dtype=np.intp)  # no edges
 
 Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
 """``margins(cells, edges)``: distance of cells from inversion if some edges are straight, not

@@ -53,8 +53,7 @@ Measured: up to 0.10 in test_slab, 0.07 in test_front."""
 FLAT_GAP_CELL = 1e-9
 """D of a cell, over its scale, up to which it is flat.
 
-Measured: 0.1× to 10× change nothing in 155 tests of test_front, test_slab, test_straight,
-test_curved."""
+Measured: 0.1× to 10× change nothing in test_front, test_slab, test_straight, test_curved."""
 
 THIN_CELL = 1e-4
 """The same for cells that fronts avoid at first.
@@ -120,14 +119,12 @@ Measured: 3 to 7 pass test_front, test_straight, test_curved; without them test_
 NEAR_MATCHING = 0.05
 """Distance of twins of matching surfaces, in edges.
 
-Measured: 0.1× to 10× change nothing in 155 tests of test_front, test_slab, test_straight,
-test_curved."""
+Measured: 0.1× to 10× change nothing in test_front, test_slab, test_straight, test_curved."""
 
 INSET = 0.02
 """Least distance in α of interior nodes from both surfaces.
 
-Measured: 0.1× to 10× change nothing in 155 tests of test_front, test_slab, test_straight,
-test_curved."""
+Measured: 0.1× to 10× change nothing in test_front, test_slab, test_straight, test_curved."""
 
 LARGE_CAVITY = 400
 """Faces above which a cavity is given up.

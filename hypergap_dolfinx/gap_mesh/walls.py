@@ -226,13 +226,9 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
 
 
 def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[WallRim]):
-    """Those of some walls that lie along the outlines and don't cut off a corner.
+    """Those of the walls between loops that lie along the outlines and don't cut off a corner.
 
-    Args:
-        walls: Triangles, ``(num_walls, 3)``.
-        x: Vertex coordinates of both sides.
-        n0: Number of vertices of Γ0, which come first.
-        rims: The loops that walls are between.
+    Vertices have coordinates x; the n0 ones of Γ0 come first.
     """
     edges = walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
     keep = np.ones(len(edges), dtype=bool)
@@ -280,15 +276,10 @@ class Outline:
         self.after, self.before = self.first[end], last[start]
 
     def project(self, points, vertex) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-        """Nearest places on the outline to points.
-
-        Args:
-            points: ``(num_points, 3)``.
-            vertex: Vertices of the outline at which the search starts, ``(num_points,)``.
+        """Nearest places on the outline to points, sought from a vertex of the outline for each.
 
         Returns:
-            The piece's triangle and reference coordinates in it, ``(num_points,)`` and
-            ``(num_points, 2)``.
+            The piece's triangles and reference coordinates in them, ``(num_points, 2)``.
         """
         start = self.first[vertex]  # at a corner both edges have a nearest place
         both = np.concatenate((start, self.before[start]))
