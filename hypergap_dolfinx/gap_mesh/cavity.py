@@ -18,18 +18,16 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     FLAT_GAP_CELL,
     INSET,
     LARGE_CAVITY,
-    ROUNDS_CAVITY,
-    SEES,
 )
 
 Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
-"""``place(x, alpha, vertices)``: place, α and normal of a node near x that is hosted on both
-sides, and its hosts; vertices are those around."""
+"""``place(x, alpha, vertices)``: coordinates, α and normal of a node near x that is hosted on both
+sides, and its hosts; vertices are those around it."""
 
 
 @dataclass
 class Cells:
-    """Cells from which some are taken and to which others are added."""
+    """Cells between two surfaces, with α and normals at their vertices."""
 
     x: npt.NDArray[np.float64]
     """Vertex coordinates, ``(num_vertices, 3)``."""
@@ -41,27 +39,27 @@ class Cells:
     """``(num_cells, 4)``."""
 
     def flat(self, limit: float = FLAT_GAP_CELL) -> npt.NDArray[np.bool_]:
-        """Which cells are flat or inverted: D over its scale up to a limit, ``(num_cells,)``."""
+        """Mask of flat or inverted cells: D over its scale up to a limit, ``(num_cells,)``."""
         v = self.cells
         D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
         return ~(D > limit * scale)
 
 
 def is_whole(cells, outer) -> bool:
-    """Whether each face has a cell on each side, or one cell and a triangle of the boundary."""
+    """True if each face has a cell on each side, or one cell and a triangle of the boundary."""
     return single_faces(cells, outer)[1]
 
 
 def fill(mesh: Cells, outer, place: Place):
-    """Fill what is missing.
+    """Fill cavities with cones.
 
     Args:
-        mesh: The cells there are.
+        mesh: The cells around them.
         outer: The boundary's triangles, counterclockwise seen from inside.
         place: Puts a node between the surfaces.
 
     Returns:
-        The mesh, with nodes added behind the others, and their hosts; None if a cavity is left.
+        The mesh, with nodes added behind the others, and their hosts; None if a cavity remains.
     """
     faces, _ = single_faces(mesh.cells, outer)
     if not len(faces):
@@ -87,7 +85,7 @@ def fill(mesh: Cells, outer, place: Place):
 
 
 def _parts(faces) -> list[npt.NDArray[np.integer]]:
-    """Cavities: faces that hang together by edges."""
+    """Cavities: groups of faces connected by edges."""
     edge = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2).reshape(-1, 2), axis=1)
     _, which = np.unique(edge, axis=0, return_inverse=True)
     order = np.argsort(which, kind="stable")
@@ -99,7 +97,7 @@ def _parts(faces) -> list[npt.NDArray[np.integer]]:
 
 
 class _Behind:
-    """The cell behind a face of a cavity; cells can be taken away."""
+    """Map from faces of a cavity to the cells behind them; cells can be removed."""
 
     def __init__(self, cells, num_vertices: int):
         self.cells = cells
@@ -109,7 +107,7 @@ class _Behind:
         call("cells_at_vertices", num_vertices, len(cells), ints(cells), self._offset, self._at)
 
     def of(self, faces) -> npt.NDArray[np.intp]:
-        """Cells that are left and have the faces, −1 where there is none."""
+        """Remaining cells that have the faces, −1 where there is none."""
         found = np.full(len(faces), -1)
         for i, (a, b, c) in enumerate(faces.tolist()):
             near = self._at[self._offset[a] : self._offset[a + 1]]
@@ -122,7 +120,7 @@ class _Behind:
 
 
 def _without(faces, cells) -> npt.NDArray[np.integer]:
-    """The faces around a cavity after the cells behind some of them are gone."""
+    """The faces around a cavity after some cells behind them are removed."""
     kept = {tuple(sorted(face)): tuple(face) for face in faces.tolist()}
     for face in cells[:, FACES].reshape(-1, 3).tolist():
         key = tuple(sorted(face))
@@ -134,16 +132,14 @@ def _without(faces, cells) -> npt.NDArray[np.integer]:
 
 
 def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
-    """Grow a cavity till a point sees all of it.
+    """Grow a cavity until there is a point from which all of its faces are seen.
 
     Returns:
         Its faces, and the node: place, α, normal and hosts; None if there is none.
     """
-    for _ in range(ROUNDS_CAVITY):
-        if not 0 < len(faces) <= LARGE_CAVITY:
-            return None
+    while 0 < len(faces) <= LARGE_CAVITY:  # each time a cell is removed
         x, alpha, slack = _sees_best(mesh, faces)
-        if slack.min() > SEES:
+        if slack.min() > 0:
             node = place(x, alpha, np.unique(faces))
             D, scale = _seen(mesh, faces, node[0][None], np.array([node[1]]), node[2])
             D, scale = D[:, 0], scale[:, 0]
@@ -181,10 +177,10 @@ def _seen(mesh: Cells, faces, x, alpha, normal):
 
 
 def _sees_best(mesh: Cells, faces):
-    """The point that is farthest inside of all faces, in the plane of the mean normal and in α.
+    """The point farthest inside of all faces, in the plane of the mean normal and in α.
 
     Returns:
-        Its place, its α, and by how much it is inside of each face.
+        Its place, its α, and its distance inside of each face.
     """
     v = mesh.x[faces]
     centre = v.mean(axis=(0, 1))

@@ -3,18 +3,20 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-r"""What a mesher of Σ hands on: simplices between two surfaces, the same on every rank.
+r"""Cells of Σ as both meshers (`strip`, `slab`) return them, and how much of Γ1 they cover.
 
-How well functions of a facet are known where Σ reaches only a part of it.
+:class:`GapCells` holds simplices between two surfaces, the same on every rank; :class:`Hosts` the
+positions of their points on Γ0 and Γ1.
 
-Of a part p of a facet f that is
+:func:`covered_parts` tells how well functions of a facet are known where Σ reaches only a part p of
+the facet f:
 
 .. math:: \min_v \int_p v^2 \, dX \Big/ \int_f v^2 \, dX
 
-over the functions v that the facet carries, in its reference coordinates. Where it is small, λ is
-found from forces of hardly any size, with as many times their round-off. The area alone doesn't
-tell: of a corner with 30 % of a quadrilateral it is 4e-3 for degree 1 and 2e-5 for degree 2, of
-30 % in a corner of a triangle 3e-2 and 2e-3.
+over the functions v that the facet carries, in its reference coordinates. If this is small, λ
+follows from forces of hardly any size, with as many times their round-off. The area alone isn't
+enough: for a corner with 30 % of a quadrilateral the minimum is 4e-3 for degree 1 and 2e-5 for
+degree 2, for 30 % in a corner of a triangle 3e-2 and 2e-3.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +28,157 @@ import numpy.typing as npt
 
 import basix
 import basix.ufl
+from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.gap_mesh.tolerances import WHOLE_COVERED
 from hypergap_dolfinx.surface.trace import Surface, tabulate
+
+
+@dataclass(frozen=True)
+class Hosts:
+    """Positions of points of Σ on Γ0 and on Γ1.
+
+    A point at α has the displacement (1 − α) u₀ + α u₁, with u_i taken in its host facet on Γ_i.
+    """
+
+    alpha: npt.NDArray[np.float64]
+    """``(num_cells, num_points)``."""
+    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    """Host facets on both sides, ``(num_cells, num_points)`` each."""
+    X: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    """Reference coordinates in the host facets, ``(num_cells, num_points, n - 1)`` each."""
+
+    def __getitem__(self, cells) -> "Hosts":
+        """Hosts of some of the cells."""
+        return Hosts(
+            self.alpha[cells],
+            (self.facets[0][cells], self.facets[1][cells]),
+            (self.X[0][cells], self.X[1][cells]),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Hosts"]) -> "Hosts":
+        """Hosts of several groups of cells, one behind the other."""
+
+        def side(i, name):
+            return np.concatenate([getattr(part, name)[i] for part in parts])
+
+        return cls(
+            np.concatenate([part.alpha for part in parts]),
+            (side(0, "facets"), side(1, "facets")),
+            (side(0, "X"), side(1, "X")),
+        )
+
+
+@dataclass(frozen=True)
+class Overhang:
+    """Quadrature points in cells for the excess in integrals dΓ_α dα over Σ."""
+
+    cells: npt.NDArray[np.intp]
+    """``(num_points,)``."""
+    X: npt.NDArray[np.float64]
+    """Reference coordinates, ``(num_points, n)``."""
+    weights: npt.NDArray[np.float64]
+    """``(num_points,)``; negative where the integrals lack something."""
+    rims: "Overhang | None" = None
+    """The same for integrals over Γ0 and Γ1: points on cell edges in the outlines."""
+
+    def at(self, cells: npt.NDArray[np.intp], num_cells: int) -> "Overhang":
+        """The points in some of all cells, with these cells' new numbers."""
+        number = np.full(num_cells, -1)
+        number[cells] = np.arange(len(cells))
+        some = number[self.cells] >= 0
+        rims = self.rims and self.rims.at(cells, num_cells)
+        return Overhang(number[self.cells[some]], self.X[some], self.weights[some], rims)
+
+
+@dataclass(frozen=True)
+class GapCells:
+    """Σ before it is distributed.
+
+    The cells are oriented such that pulling Γ1 away from Γ0 gives them a positive volume.
+    """
+
+    x: npt.NDArray[np.float64]
+    """Vertex coordinates, ``(num_vertices, n)``."""
+    alpha: npt.NDArray[np.float64]
+    """α at the vertices, ``(num_vertices,)``."""
+    cells: npt.NDArray[np.int64]
+    """Vertices of each cell, ``(num_cells, n + 1)``."""
+    normal: npt.NDArray[np.float64]
+    """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
+    rank: npt.NDArray[np.int32]
+    """Rank of each cell: the owner of a body's cell beside it, ``(num_cells,)``."""
+    patch: npt.NDArray[np.int32]
+    """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
+
+    λ jumps where two pieces meet, as the traction does at a kink. So the pieces' parts of Σ share
+    no vertex there: each has its own, at the same place, and nodes on Γ1 have hosts in their own
+    piece."""
+    covered: npt.NDArray[np.float64]
+    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``: 1, or less where the facet is
+    cut at an end of Γ0, or 0 where it lies beyond."""
+    least: npt.NDArray[np.float64]
+    """Least share of a function's square in this part, ``(num_facets1,)``; see
+    :func:`covered_parts`."""
+    degree: int
+    """Degree of the φ_a: on simplices they span what both sides have in their facets."""
+    hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
+    """``hosts(points, cells)``: positions of points of the reference simplex on both surfaces."""
+    straight: npt.NDArray[np.bool_] | None = None
+    """Mask of the tetrahedra's edges that stay straight, ``(num_cells, 6)``; None if there are
+    none."""
+    overhang: Overhang | None = None
+    """Excess of Σ over the common part of both sides; None if there is none."""
+
+    def geometry_nodes(
+        self, surfaces: Sequence[Surface], points: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Coordinates of the cells' geometry nodes, ``(num_cells, num_points, n)``.
+
+        Args:
+            surfaces: Γ0 and Γ1.
+            points: Nodes of the reference simplex, ``(num_points, n)``.
+        """
+        x = interpolate_geometry(surfaces, self.hosts(points, np.arange(len(self.cells))))
+        if self.straight is None:
+            return x
+        return straightened(x, points, self.straight, self.x[self.cells])
+
+
+def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:
+    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
+    shape = hosts.alpha.shape
+    x0, x1 = (
+        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
+        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
+    )
+    alpha = hosts.alpha[..., None]
+    return (1 - alpha) * x0 + alpha * x1
+
+
+def geometry_element(surfaces: Sequence[Surface], degree: int):
+    """Basix' UFL element of Σ's coordinates: linear unless a surface is curved.
+
+    On triangles the bilinear map of a quadrilateral is of degree 2. Geometry is then taken at the
+    nodes of the φ_a, as displacements are, so that linear ones are exact; with φ_a of degree 1
+    these are the vertices.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        degree: Degree of the φ_a.
+    """
+    n = surfaces[0].gdim
+    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
+    variant = basix.LagrangeVariant.equispaced
+    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
+        g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
+    cell = {2: "triangle", 3: "tetrahedron"}[n]
+    return _lagrange(cell, g, variant, n)
+
+
+@cache
+def _lagrange(cell: str, degree: int, variant: basix.LagrangeVariant, n: int):
+    return basix.ufl.element("Lagrange", cell, degree, lagrange_variant=variant, shape=(n,))
 
 
 def covered_parts(
@@ -36,18 +187,18 @@ def covered_parts(
     X: npt.NDArray[np.float64],
     shares: npt.NDArray[np.float64],
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """What pieces cover of a surface's facets.
+    """Cover of a surface's facets by pieces of them.
 
     Args:
         surface: Γ1.
-        facets: The facet of each piece, ``(num_pieces,)``.
+        facets: Facet of each piece, ``(num_pieces,)``.
         X: Reference coordinates of the pieces' corners in it, ``(num_pieces, n, n - 1)``; edges
             are taken straight.
-        shares: Part of its facet that each piece is, ``(num_pieces,)``.
+        shares: Size of each piece over its facet's, ``(num_pieces,)``.
 
     Returns:
-        The share of each facet's size, and the least share of the square of a function on it,
-        ``(num_facets,)`` each.
+        The covered share of each facet's size, and the least share of the square of a function on
+        it, ``(num_facets,)`` each.
     """
     num, dim = len(surface.facets), X.shape[2]
     covered = np.bincount(facets, shares, minlength=num)
@@ -73,149 +224,17 @@ def covered_parts(
 
 @lru_cache(maxsize=32)
 def _rule(element: basix.finite_element.FiniteElement) -> tuple[npt.NDArray, ...]:
-    """A rule for squares of functions on a simplex, and what makes them orthonormal on the facet.
+    """Quadrature for squares of functions on a simplex, and their orthonormalisation on the facet.
 
     Returns:
         Points, weights whose sum is one, and L⁻¹ with L Lᵀ the mean of φ φᵀ over the facet.
     """
     simplices = {1: basix.CellType.interval, 2: basix.CellType.triangle}
     simplex = simplices[element.points.shape[1]]
-    # In a triangle those of a quadrilateral have twice the degree
+    # On a triangle, functions of a quadrilateral have twice the degree
     degree = 2 * element.degree * (1 if element.cell_type == simplex else 2)
     points, weights = basix.make_quadrature(simplex, degree)
     x, w = basix.make_quadrature(element.cell_type, 2 * element.degree)
     phi = tabulate(element, x)
     mass = (phi * w[:, None]).T @ phi / w.sum()
     return points, weights / weights.sum(), np.linalg.inv(np.linalg.cholesky(mass))
-
-
-@dataclass(frozen=True)
-class Hosts:
-    """Where points of Σ lie on Γ0 and on Γ1.
-
-    A point at α has the displacement (1 − α) u₀ + α u₁, with u_i taken in its host facet on Γ_i.
-    """
-
-    alpha: npt.NDArray[np.float64]
-    """``(num_cells, num_points)``."""
-    facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
-    """Host facets on both sides, ``(num_cells, num_points)`` each."""
-    X: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-    """Reference coordinates in the host facets, ``(num_cells, num_points, n - 1)`` each."""
-
-    def __getitem__(self, cells) -> "Hosts":
-        """The hosts of some of the cells."""
-        return Hosts(
-            self.alpha[cells],
-            (self.facets[0][cells], self.facets[1][cells]),
-            (self.X[0][cells], self.X[1][cells]),
-        )
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Hosts"]) -> "Hosts":
-        """The hosts of several lots of cells."""
-
-        def side(i, name):
-            return np.concatenate([getattr(part, name)[i] for part in parts])
-
-        return cls(
-            np.concatenate([part.alpha for part in parts]),
-            (side(0, "facets"), side(1, "facets")),
-            (side(0, "X"), side(1, "X")),
-        )
-
-
-@dataclass(frozen=True)
-class Overhang:
-    """Points of cells, with weights of what integrals dΓ_α dα over Σ have too much."""
-
-    cells: npt.NDArray[np.intp]
-    """``(num_points,)``."""
-    X: npt.NDArray[np.float64]
-    """Reference coordinates, ``(num_points, n)``."""
-    weights: npt.NDArray[np.float64]
-    """``(num_points,)``; negative where they lack something."""
-    rims: "Overhang | None" = None
-    """The same of integrals over Γ0 and Γ1: points on the edges of cells that are in outlines."""
-
-    def at(self, cells: npt.NDArray[np.intp], num_cells: int) -> "Overhang":
-        """What some of all cells have of it, with their new numbers."""
-        number = np.full(num_cells, -1)
-        number[cells] = np.arange(len(cells))
-        some = number[self.cells] >= 0
-        rims = self.rims and self.rims.at(cells, num_cells)
-        return Overhang(number[self.cells[some]], self.X[some], self.weights[some], rims)
-
-
-@dataclass(frozen=True)
-class GapCells:
-    """Σ before it is distributed.
-
-    The cells are oriented such that pulling Γ1 away from Γ0 gives them a positive volume.
-    """
-
-    x: npt.NDArray[np.float64]
-    """Vertex coordinates, ``(num_vertices, n)``."""
-    alpha: npt.NDArray[np.float64]
-    """α at the vertices, ``(num_vertices,)``."""
-    cells: npt.NDArray[np.int64]
-    """Vertices of each cell, ``(num_cells, n + 1)``."""
-    normal: npt.NDArray[np.float64]
-    """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
-    rank: npt.NDArray[np.int32]
-    """The rank that each cell goes to: the owner of a body's cell beside it."""
-    patch: npt.NDArray[np.int32]
-    """Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
-
-    λ jumps where two pieces meet, as the traction does at a kink. So the pieces' parts of Σ share
-    no vertex there: each has its own, at the same place, and nodes on Γ1 have hosts in their own
-    piece."""
-    covered: npt.NDArray[np.float64]
-    """Part of each facet of Γ1 that Γ0 covers, ``(num_facets1,)``."""
-    least: npt.NDArray[np.float64]
-    """Least share of a function's square that this part has, ``(num_facets1,)``; see
-    :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
-    degree: int
-    """Degree of the φ_a that have on simplices what both sides have in their facets."""
-    hosts: Callable[[npt.NDArray[np.float64], npt.NDArray[np.intp]], Hosts]
-    """``hosts(points, cells)``: where points of the reference simplex lie on both surfaces."""
-    straight: npt.NDArray[np.bool_] | None = None
-    """Which edges of each tetrahedron stay straight, ``(num_cells, 6)``; None if none has to."""
-    overhang: Overhang | None = None
-    """What Σ has beyond what both sides have in common; None if nothing."""
-
-
-def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArray[np.float64]:
-    """(1 − α) X₀ + α X₁ at each point, ``(num_cells, num_points, n)``."""
-    shape = hosts.alpha.shape
-    x0, x1 = (
-        surface.points(f.ravel(), X.reshape(-1, X.shape[-1])).reshape(*shape, -1)
-        for surface, f, X in zip(surfaces, hosts.facets, hosts.X)
-    )
-    alpha = hosts.alpha[..., None]
-    return (1 - alpha) * x0 + alpha * x1
-
-
-def geometry_element(surfaces: Sequence[Surface], degree: int):
-    """Basix' UFL element of Σ's coordinates: linear unless a surface is curved.
-
-    On triangles the bilinear map of a quadrilateral is of degree 2. Then geometry is taken at the
-    nodes of the φ_a: as displacements are, so that linear ones are exact. With φ_a of degree 1
-    that is at the vertices.
-
-    Args:
-        surfaces: Γ0 and Γ1.
-        degree: Degree of the φ_a.
-    """
-    n = surfaces[0].gdim
-    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
-    variant = basix.LagrangeVariant.equispaced
-    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
-        g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
-    cell = {2: "triangle", 3: "tetrahedron"}[n]
-    return _lagrange(cell, g, variant, n)
-
-
-@cache
-def _lagrange(cell: str, degree: int, variant: basix.LagrangeVariant, n: int):
-    return basix.ufl.element("Lagrange", cell, degree, lagrange_variant=variant, shape=(n,))

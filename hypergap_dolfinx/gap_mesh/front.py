@@ -3,7 +3,11 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``)."""
+"""Tetrahedra between two triangulated surfaces, by an advancing front of flips (``front.c``).
+
+:func:`construct` tries fronts in several orders (`VARIANTS`), and has the best result mended
+(:mod:`.repair`).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,7 +19,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.compiled import call, ints
 from hypergap_dolfinx.gap_mesh import cavity, prisms
 from hypergap_dolfinx.gap_mesh.cavity import Place
-from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, Workshop
+from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, MeshRepair
 from hypergap_dolfinx.gap_mesh.tolerances import (
     CELLS,
     EXTRAPOLATE,
@@ -27,10 +31,8 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     SWEEPS,
     SWEPT,
     THIN_CELL,
-    VISITS,
-    VISITS_EACH,
 )
-from hypergap_dolfinx.gap_mesh.walls import Rim, along, rims
+from hypergap_dolfinx.gap_mesh.walls import WallRim, along, rims
 from hypergap_dolfinx.surface.pieces import Side
 
 GENERIC = np.array((0.5377, 0.6819, 0.4961))  # no mesh has edges or planes in this direction
@@ -38,8 +40,8 @@ VARIANTS = (
     *((True, False, 1.0), (True, True, 1.0), (False, False, 1.0), (False, True, 1.0)),
     *((False, False, 1e-8), (False, True, 1e-8)),
 )
-"""Whether with weights, whether from Γ1 to Γ0, and what share of the displacement: the first that
-gets through is taken. Facets that are cut may be narrower than a displacement."""
+"""True if with weights, true if from Γ1 to Γ0, and the share of the displacement of each attempt:
+the first front that gets through is taken. Cut facets may be narrower than a displacement."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +59,14 @@ class Problem:
     boundary, a, b, c, −1: ``(num_edges, 4)``."""
     normals: npt.NDArray[np.float64]
     """Unit normals of the vertices, from Γ0 to Γ1."""
-    rims: list[Rim]
-    """Boundaries that face each other; none of closed surfaces."""
+    rims: list[WallRim]
+    """Pairs of facing boundaries; empty for closed surfaces."""
     curved: bool = False
-    """Whether a side is."""
+    """True if a side is curved."""
 
     @classmethod
     def between(cls, side0: Side, side1: Side) -> "Problem":
-        """The problem of two facing pieces.
+        """The problem for two facing pieces.
 
         Raises:
             InterfaceError: Their boundaries don't match.
@@ -96,7 +98,8 @@ class Problem:
     def order(self) -> npt.NDArray[np.intp]:
         """The vertices of Γ0 and then those of Γ1, each along a curve that fills space.
 
-        What is near in space is then near in memory: of large meshes that is most of the time.
+        Neighbours in space are then neighbours in memory, which decides about the speed of large
+        meshes.
         """
         low = self.x.min(axis=0)
         grid = ((self.x - low) * (1023 / max(np.ptp(self.x), 1e-300))).astype(np.int64)
@@ -106,9 +109,9 @@ class Problem:
 
     @cached_property
     def shift(self) -> npt.NDArray[np.float64]:
-        """By what Γ1 is displaced for the order of the moves, so that no two are tied.
+        """Displacement of Γ1 that makes the order of the front's moves unique.
 
-        Edges that are parallel stay so, which decides about all cells between two edges: the
+        Parallel edges stay parallel, which decides about all cells between two edges: the
         displacement is constant on a closed surface and a dilation of an open one, so that its
         walls lean outwards. Where a wall would still lean inwards, as in a hole, its rim is moved.
         """
@@ -135,7 +138,7 @@ class Problem:
         return np.vstack(found) if found else np.empty((0, 3), dtype=np.intp)
 
     def along(self, walls: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
-        """Of walls, ``(num_walls, 3)``, those that lie along the outlines."""
+        """Those of some walls, ``(num_walls, 3)``, that lie along the outlines."""
         return along(walls, self.x, self.n0, self.rims)
 
 
@@ -148,26 +151,27 @@ def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Front:
-    """What a front has made."""
+    """Cells that a front has made."""
 
     cells: npt.NDArray[np.intp]
     """``(num_cells, 4)``."""
     walls: npt.NDArray[np.intp]
     """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
     left: int
-    """Number of its triangles that are no facets of the surface where it ends: beside cavities."""
+    """Number of its last triangles that are no facets of the surface where it ends, but lie at
+    cavities."""
     wrong: tuple[int, int]
     """Number of cells that are flat or inverted, and of faces that don't have one cell or a cavity
-    on each side; where much is left nobody looks."""
+    on each side; not counted where many triangles are left."""
 
     @property
     def is_valid(self) -> bool:
-        """Whether the cells are valid, and nothing is missing."""
+        """True if the cells are valid, and nothing is missing."""
         return self.left == 0 and not any(self.wrong)
 
     @property
     def is_through(self) -> bool:
-        """Whether the cells are valid, and hardly anything is missing."""
+        """True if the cells are valid, and hardly anything is missing."""
         return self.left <= LEFT * len(self.cells) and not any(self.wrong)
 
 
@@ -178,10 +182,10 @@ def advance(
 
     Args:
         problem: The surfaces.
-        weighted: Whether weights make the surfaces' edges locally regular.
-        reverse: Whether it goes from Γ1 to Γ0.
-        share: By what share of the problem's shift Γ1 is displaced.
-        flat: Up to which D, over its scale, it does without a cell.
+        weighted: True if weights make the surfaces' edges locally regular.
+        reverse: True if it goes from Γ1 to Γ0.
+        share: Displacement of Γ1 over the problem's shift.
+        flat: D over its scale up to which a cell is avoided.
     """
     x, n, n0, shift = problem.x, len(problem.x), problem.n0, share * problem.shift
     n1, sign = n - n0, -1 if reverse else 1
@@ -207,7 +211,7 @@ def advance(
             inner = edges[:, 3] >= 0
             edges[inner, :2] = edges[inner, 1::-1]
         edges = ints(edges[np.argsort(edges[:, 0], kind="stable")])
-        visits = max(VISITS, VISITS_EACH * len(edges))
+        visits = 30 * max(len(edges), 1_000_000)  # a second or more; 5 to 15 per edge suffice
         call("front_weights", n, vertices, len(edges), edges, SWEEPS, visits)
     sides = (n1, n0) if reverse else (n0, n1)
     if not problem.rims or n > SWEPT:
@@ -241,11 +245,11 @@ def advance(
 
 
 def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
-    """How many cells are flat or inverted, and how many faces lack a neighbour or have too many.
+    """Number of cells that are flat or inverted, and of faces with no or too many neighbours.
 
     Args:
         n0: Number of vertices of the surface where the front starts.
-        vertices: Place, displaced place, normal and weight of all, ``(num_vertices, 10)``.
+        vertices: Place, displaced place, normal and weight of each, ``(num_vertices, 10)``.
         cells: ``(num_cells, 4)``.
         outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
     """
@@ -257,15 +261,7 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
 
 
 def ready(problem: Problem, make: Callable) -> Front | None:
-    """Cells between surfaces whose triangulations tell them: where a front would have to guess.
-
-    Args:
-        problem: The surfaces.
-        make: ``prisms.between_twins`` or ``prisms.between_quarters``.
-
-    Returns:
-        None if they don't tell.
-    """
+    """Cells between matching triangulations, made by a function of `prisms`, or None."""
     (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
     cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
     if cells is None:
@@ -279,19 +275,16 @@ def ready(problem: Problem, make: Callable) -> Front | None:
 
 
 def construct(problem: Problem, place: Place, margins: Margins | None = None) -> Filling | None:
-    """Cells between two surfaces, by the first front that gets through.
+    """Cells between two surfaces, by the first front that gets through; None if all attempts fail.
 
-    If none does, what the one leaves that gets farthest is filled with cones.
+    If none gets through, cavities of the one that gets farthest are filled with cones. Inverted
+    curved cells are swapped for others. If some remain in all attempts, the attempt with the fewest
+    is taken, and these are replaced with cones, or some of their edges straightened.
 
     Args:
         problem: The surfaces.
         place: Puts a node between the surfaces.
-        margins: Tells cells that are turned over though their vertices' simplices aren't: curved
-            ones. They are swapped for others. Where some stay, the cells with the fewest are taken,
-            and cones in their place; if that doesn't do, edges of these are made straight.
-
-    Returns:
-        The cells, None if there are none.
+        margins: Margins of curved cells against inversion; None if surfaces are straight.
     """
     for flat in (THIN_CELL, FLAT_GAP_CELL):
         filling = _construct(problem, place, margins, flat)
@@ -301,13 +294,13 @@ def construct(problem: Problem, place: Place, margins: Margins | None = None) ->
 
 
 def _construct(problem: Problem, place: Place, margins: Margins | None, flat: float):
-    """The same by fronts that do without cells as flat as that."""
+    """The same by fronts that avoid cells whose D over its scale is ``flat`` or less."""
     alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
 
-    def workshop(front: Front) -> Workshop:
+    def repair_of(front: Front) -> MeshRepair:
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
-        return Workshop(outer, place, margins, problem.along)
+        return MeshRepair(outer, place, margins, problem.along)
 
     tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
     tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
@@ -320,28 +313,28 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
         filling = Filling(mesh, [])
         if problem.curved:
             filling = replace(filling, walls=problem.along(front.walls))
-        shop = workshop(front)
+        repair = repair_of(front)
         if front.left and front.is_through:
-            made = shop.coned(filling)
+            made = repair.coned(filling)
             if made is None:
                 continue
             filling = made
         elif not front.is_valid:
             fronts.append((front, filling))
             continue
-        filling = shop.swapped(filling)
-        found.append((shop.num_bad(filling), filling, shop))
+        filling = repair.swapped(filling)
+        found.append((repair.num_bad(filling), filling, repair))
         if not found[-1][0]:
             return filling
     for front, filling in sorted(fronts, key=lambda pair: pair[0].left):
         if found:
             break
-        shop = workshop(front)
-        made = shop.coned(filling, filling.mesh.flat())
+        repair = repair_of(front)
+        made = repair.coned(filling, filling.mesh.flat())
         if made is not None:
-            made = shop.swapped(made)
-            found.append((shop.num_bad(made), made, shop))
+            made = repair.swapped(made)
+            found.append((repair.num_bad(made), made, repair))
     if not found:
         return None
-    _, filling, shop = min(found, key=lambda entry: entry[0])
-    return shop.straightened(shop.mended(filling))
+    _, filling, repair = min(found, key=lambda entry: entry[0])
+    return repair.straightened(repair.refilled(filling))

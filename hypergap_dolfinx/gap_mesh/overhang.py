@@ -3,14 +3,14 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What Σ has beyond the part that both sides have in common, where outlines nearly match.
+"""Overhang: the excess of Σ over the common part of both sides, where outlines nearly match.
 
-Outlines with nodes beside each other, off by next to nothing, aren't cut: that would leave
-triangles as narrow. Σ goes from all of Γ0 to all of Γ1, and its walls lean. Linear displacements
-fulfil the constraint all the same, since nodes have their true places on both sides. But tractions
-act on what both sides have in common only if Σ is as wide as that at each α: so what is beyond it
-is taken out of the integrals, as what the walls have times how far these are out. What is left of
-the error is of second order.
+Outlines whose nodes are beside each other at a tiny distance aren't cut: that would leave triangles
+as narrow. Σ then goes from all of Γ0 to all of Γ1, and its walls lean. Linear displacements still
+fulfil the constraint, since nodes have their true places on both sides. But tractions act on the
+common part only if Σ is as wide as this part at each α: so the excess is taken out of the
+integrals, as integrals over the walls times the distance by which these are outside. The remaining
+error is of second order.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,9 @@ VERTICES = np.vstack((np.zeros(3), np.eye(3)))  # of the reference tetrahedron
 
 
 def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
-    """What slabs have beyond what their sides have in common.
+    """Excess of slabs over the common part of their sides, None if there is none.
 
-    Args:
-        slabs: Cells, numbered one slab after the other.
-        degree: Of the functions on them.
-
-    Returns:
-        None if there is none.
+    Cells are numbered one slab after the other; ``degree`` is that of the functions on them.
     """
     found: tuple[list, list] = [], []
     start = 0
@@ -55,12 +50,12 @@ def overhang(slabs: Sequence[Slab], degree: int) -> Overhang | None:
 
 
 def _leaning(slab: Slab) -> tuple[npt.NDArray, ...]:
-    """Triangles of walls that lean: an edge of one side's outline, and a node of the other one.
+    """Triangles of leaning walls: an edge of one side's outline, and a node of the other side.
 
     Returns:
-        The cell that each is a face of; the edge's ends and the node, which is beside the second
-        one, among its vertices, ``(num, 3)``; the edge's length; and how far the other outline is
-        outside of it at its ends, ``(num, 2)``.
+        The cell with this face; local numbers of the edge's ends and of the node, which is beside
+        the second end, ``(num, 3)``; the edge's length; and the distance by which the other outline
+        is outside of it at its ends, ``(num, 2)``.
     """
     cells, corners = _walls(slab)
     v = slab.cells[cells[:, None], corners]
@@ -80,9 +75,9 @@ def _leaning(slab: Slab) -> tuple[npt.NDArray, ...]:
 
 
 def _walls(slab: Slab) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Cells with a face in a wall, and its corners: the ends of an edge, a node of the other side.
+    """Cells with a face in a wall, and its corners, counterclockwise seen from outside.
 
-    They are counterclockwise seen from outside.
+    The corners are the ends of an edge, then a node of the other side.
     """
     rim = np.zeros(len(slab.x), dtype=bool)
     for side, start in zip(slab.sides, slab.offsets, strict=True):
@@ -102,11 +97,7 @@ def _walls(slab: Slab) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def _twins(slab: Slab, triangles, normal, length) -> npt.NDArray[np.intp]:
     """The vertex of the other side beside each vertex, −1 if there is none.
 
-    Args:
-        slab: Cells.
-        triangles: Of walls: an edge's ends, and a node of the other side, ``(num, 3)``.
-        normal: Their cells', ``(num, 3)``.
-        length: Of the edges, ``(num,)``.
+    Wall triangles are an edge's ends and a node of the other side; length is the edge's.
     """
     longest = np.zeros(len(slab.x))
     np.maximum.at(longest, triangles[:, :2], length[:, None])
@@ -124,18 +115,14 @@ def _twins(slab: Slab, triangles, normal, length) -> npt.NDArray[np.intp]:
 
 
 def _points(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArray, ...]:
-    """Points of leaning walls for products of two derivatives of functions of a degree.
+    """Quadrature on leaning walls for products of two derivatives of functions of a degree.
 
-    A wall triangle has its points at s along the edge and at a share of the way up to the other
-    outline, s at most. There it is out by that share of what the node is; what is in common ends
-    with the inner one of both outlines.
-
-    Args:
-        triangles: As from :func:`_leaning`.
-        degree: Of the functions.
+    A point of a wall triangle (:func:`_leaning`) is at s along the edge and at a share of the way
+    up to the other outline, s at most. It is outside by that share of the node's distance; the
+    common part ends at the inner one of both outlines.
 
     Returns:
-        Their cells, reference coordinates and weights, with the width that is left out.
+        Cells, reference coordinates and weights, which contain the width that is left out.
     """
     cells, corners, length, off = triangles
     gauss, weights = basix.make_quadrature(basix.CellType.interval, 2 * degree + 2)
@@ -160,15 +147,11 @@ def _points(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArra
 
 
 def _rims(triangles: tuple[npt.NDArray, ...], degree: int) -> tuple[npt.NDArray, ...]:
-    """Points of outlines' edges for products of two functions of a degree.
-
-    Args:
-        triangles: As from :func:`_leaning`.
-        degree: Of the functions.
+    """Quadrature on outlines' edges for products of two functions of a degree.
 
     Returns:
-        Their cells, reference coordinates and weights, with the width that the edge is outside of
-        the other outline.
+        Cells, reference coordinates and weights, which contain the width by which the edge is
+        outside of the other outline.
     """
     cells, corners, length, off = triangles
     s, weights = basix.make_quadrature(basix.CellType.interval, 2 * degree + 1)

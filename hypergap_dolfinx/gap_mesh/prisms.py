@@ -3,32 +3,28 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Surfaces that match or nearly do, and such of which one is the other with quartered facets.
+"""Cells between surfaces that match or nearly do, or whose facets are quarters of the other's.
 
-Each facet and its twin make three tetrahedra; each facet and its four quarters make seven.
+Each facet and its twin make three tetrahedra (:func:`between_twins`); each facet and its four
+quarters make seven (:func:`between_quarters`).
+
+All functions take the surfaces as ``x0, facets0, x1, facets1, size``: vertices of Γ0,
+``(num_vertices0, 3)``, its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``, the same of
+Γ1, whose facets turn like Γ0's, and the length of the finer side's edges.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap_mesh.tolerances import CROWD, NEAR_MATCHING, SOME
+from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
 
-DIRECTION = np.array((0.6130, 0.5023, 0.6098))  # vertices are told apart by their place along it
+SPACE_DIRECTION = np.array(
+    (0.6130, 0.5023, 0.6098)
+)  # vertices are told apart by their place along it
 
 
 def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
-    """The vertex of Γ1 at each vertex of Γ0, if facets match too.
-
-    Args:
-        x0: Γ0's vertices, ``(num_vertices, 3)``.
-        facets0: Its facets, ``(num_facets, 3)``.
-        x1: Γ1's vertices.
-        facets1: Its facets, turned like Γ0's.
-        size: Length of the edges.
-
-    Returns:
-        ``(num_vertices,)``; None if the surfaces don't match.
-    """
+    """The vertex of Γ1 at each vertex of Γ0, ``(num_vertices0,)``; None if surfaces don't match."""
     if len(x0) != len(x1) or len(facets0) != len(facets1):
         return None
     twin = _nearest(x0, x1, NEAR_MATCHING * size)
@@ -38,16 +34,16 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
 
 
 def _nearest(x0, x1, reach: float) -> npt.NDArray[np.intp] | None:
-    """The vertex of Γ1 nearest to each of Γ0's, each another one; None if they are further away."""
-    for x in x0[:: max(len(x0) // SOME, 1)]:  # most surfaces have none at the first already
+    """The vertex of Γ1 nearest to each of Γ0, no two the same; None if one is out of reach."""
+    for x in x0[:: max(len(x0) // 8, 1)]:  # a few first: mostly the very first has none near it
         difference = x1 - x
         if np.einsum("vi,vi->v", difference, difference).min() > reach**2:
             return None
-    order = np.argsort(x1 @ DIRECTION, kind="stable")
-    place = (x1 @ DIRECTION)[order]
-    low = np.searchsorted(place, x0 @ DIRECTION - reach)
-    count = np.searchsorted(place, x0 @ DIRECTION + reach) - low
-    if count.min() == 0 or count.sum() > CROWD * len(x0):
+    order = np.argsort(x1 @ SPACE_DIRECTION, kind="stable")
+    place = (x1 @ SPACE_DIRECTION)[order]
+    low = np.searchsorted(place, x0 @ SPACE_DIRECTION - reach)
+    count = np.searchsorted(place, x0 @ SPACE_DIRECTION + reach) - low
+    if count.min() == 0 or count.sum() > 500 * len(x0):  # or they take too much memory
         return None
     i = np.repeat(np.arange(len(x0)), count)
     j = order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - low, count)]
@@ -62,16 +58,9 @@ def _nearest(x0, x1, reach: float) -> npt.NDArray[np.intp] | None:
 def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """Γ1's vertices at Γ0's vertices and edges, if its facets are quarters of Γ0's.
 
-    Args:
-        x0: Γ0's vertices, ``(num_vertices0, 3)``.
-        facets0: Its facets, ``(num_facets0, 3)``.
-        x1: Γ1's vertices.
-        facets1: Its facets, turned like Γ0's.
-        size: Length of Γ1's edges.
-
     Returns:
         For each facet of Γ0 the vertices at its corners, and those in the middle of the edges
-        opposite to them, ``(num_facets0, 6)``; None if the surfaces aren't so.
+        opposite to them, ``(num_facets0, 6)``; None if its facets aren't quarters.
     """
     if len(facets1) != 4 * len(facets0):
         return None
@@ -95,7 +84,7 @@ def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | Non
 
 
 def _quarters(six) -> npt.NDArray[np.intp]:
-    """Quarters of facets by their corners and middles: three corners, and what is between."""
+    """Quarters of facets from their corners and middles: three at the corners, and the middle."""
     a, b, c, bc, ca, ab = six.T
     parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab))
     return np.vstack([np.column_stack(part) for part in parts])
@@ -104,18 +93,11 @@ def _quarters(six) -> npt.NDArray[np.intp]:
 def between_quarters(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
     """Cells between facets of one side and their quarters on the other: neighbours always agree.
 
-    A quarter at a corner has a cell to it. Between these is an octahedron, cut along one of its
-    diagonals: four cells, of which none is flat if no facet is.
-
-    Args:
-        x0: Γ0's vertices, ``(num_vertices0, 3)``.
-        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``.
-        x1: Γ1's vertices.
-        facets1: Its facets, turned like Γ0's.
-        size: Length of the finer side's edges.
+    There is a cell between each corner and its quarter. Between these is an octahedron, cut along
+    one of its diagonals: four cells, of which none is flat if no facet is.
 
     Returns:
-        ``(7 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces aren't so.
+        ``(7 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if facets aren't quarters.
     """
     n0 = len(x0)
     six = middles(x0, facets0, x1, facets1, size)
@@ -135,23 +117,16 @@ def _sevens(facets, six) -> npt.NDArray[np.intp]:
 
 
 def _sorted(facets):
-    """Facets that begin with their smallest vertex, in rising order."""
+    """Facets rotated to begin with their smallest vertex, in increasing order."""
     first = facets.argmin(axis=1)[:, None]
     facets = np.take_along_axis(facets, (first + np.arange(3)) % 3, axis=1)
     return facets[np.lexsort(facets.T[::-1])]
 
 
 def between_twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
-    """Cells between facets and their twins.
+    """Cells between facets and their twins: prisms cut by the order of their vertices.
 
-    Cut by the order of their vertices, so that neighbours agree.
-
-    Args:
-        x0: Γ0's vertices, ``(num_vertices, 3)``.
-        facets0: Its facets, counterclockwise seen from Γ1, ``(num_facets, 3)``.
-        x1: Γ1's vertices.
-        facets1: Its facets, turned like Γ0's.
-        size: Length of the edges.
+    So neighbours agree.
 
     Returns:
         ``(3 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces don't match.

@@ -3,9 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What is between two surfaces once a front got through: cells that are turned over are mended.
+"""Mesh repair: inverted cells of a front that got through are replaced.
 
-Swaps of cells that share a face or an edge for others that fill the same room better.
+:class:`MeshRepair` has three means, in this order: swaps of cells that share a face or an edge for
+others that fill the same room (:func:`improve`), cones in place of cells, and straight edges.
 """
 
 from collections import defaultdict
@@ -16,15 +17,137 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.gap_mesh import cavity, repair
+from hypergap_dolfinx.gap_mesh import cavity
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.tetrahedra import FACES, NONE, straighten
-from hypergap_dolfinx.gap_mesh.tolerances import AROUND_SWAPS, PARALLEL_RIMS, ROUNDS_SWAPS
+from hypergap_dolfinx.gap_mesh.tolerances import AROUND_SWAPS, PARALLEL_RIMS
 from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, in_walls
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Cells between two surfaces."""
+
+    mesh: cavity.Cells
+    """The cells; interior vertices are numbered behind the others."""
+    hosts: list[tuple]
+    """Hosts of the interior vertices: α, facets on both sides and coordinates in them."""
+    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
+    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
+    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
+    """Walls along the outlines, if the surfaces are curved, ``(num_walls, 3)``."""
+
+    @property
+    def cells(self) -> npt.NDArray[np.integer]:
+        """``(num_cells, 4)``."""
+        return self.mesh.cells
+
+    def with_cells(self, cells) -> "Filling":
+        """Other cells between the same vertices."""
+        return replace(self, mesh=replace(self.mesh, cells=cells))
+
+
+Margins = Callable[[Filling], npt.NDArray[np.float64]]
+"""Distance of cells from inversion, not positive where a cell is inverted somewhere."""
+
+
+@dataclass
+class MeshRepair:
+    """Repair of cells in a closed room between two surfaces and their walls."""
+
+    outer: npt.NDArray[np.integer]
+    """The room's boundary: triangles, counterclockwise seen from inside."""
+    place: Place
+    margins: Margins | None
+    """None if surfaces are straight."""
+    along: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.integer]]
+    """The function that selects walls along the outlines."""
+
+    def num_bad(self, filling: Filling) -> int:
+        """Number of inverted cells."""
+        return int((self.margins(filling) <= 0).sum()) if self.margins else 0
+
+    def coned(self, filling: Filling, gone=None) -> Filling | None:
+        """The filling with cones where cells are missing or, by a mask, taken away; or None."""
+        if gone is not None:
+            filling = filling.with_cells(filling.cells[~gone])
+        made = cavity.fill(filling.mesh, self.outer, self.place)
+        if made is None or not cavity.is_whole(made[0].cells, self.outer):
+            return None
+        return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])
+
+    def swapped(self, filling: Filling) -> Filling:
+        """The filling with inverted cells swapped for others."""
+        margins = self.margins
+        if margins is None:
+            return filling
+        mesh = filling.mesh
+
+        def upright(cells):  # simplices of vertices too: else straight edges don't help
+            flat = filling.with_cells(cells).mesh.flat()
+            values = np.full(len(cells), -np.inf)
+            values[~flat] = margins(filling.with_cells(cells[~flat]))
+            return values
+
+        cells = improve(mesh.cells, mesh.alpha, upright)
+        whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
+        return filling.with_cells(cells) if whole else filling
+
+    def refilled(self, filling: Filling) -> Filling:
+        """The filling with cones in place of inverted cells, while that leaves fewer of them.
+
+        (A cell between two edges that are parallel up to their curvature may be inverted though the
+        simplex of its vertices isn't.)
+        """
+        margins = self.margins
+        if margins is None:
+            return filling
+        filling = self.peeled(filling)
+        bad = margins(filling) <= 0
+        while bad.any() and (made := self.coned(filling, bad)):
+            made = self.swapped(made)
+            left = margins(made) <= 0
+            if left.sum() >= bad.sum():
+                break
+            filling, bad = made, left
+        return filling
+
+    def peeled(self, filling: Filling) -> Filling:
+        """The filling without cells that are as thin as walls are bent: walls replace them."""
+        assert self.margins
+        found = bool(self.num_bad(filling))
+        while found:
+            found = False
+            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL_RIMS)
+            gone &= (filling.mesh.alpha[filling.cells] == 0).sum(axis=1) == 2
+            for i in np.flatnonzero(gone)[::-1]:
+                faces = filling.cells[i][FACES]
+                on = in_walls(faces, filling.walls)
+                fresh = self.along(faces[~on]) if on.sum() == 2 else NO_WALLS
+                if len(fresh) == 2:
+                    left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
+                    walls, self.outer = (np.vstack((w, fresh)) for w in left)
+                    filling = filling.with_cells(np.delete(filling.cells, i, axis=0))
+                    filling = replace(filling, walls=walls)
+                    found = True
+        return filling
+
+    def straightened(self, filling: Filling) -> Filling:
+        """The filling with straight edges in inverted cells."""
+        margins = self.margins
+        if margins is None:
+            return filling
+
+        def with_straight(cells, edges):
+            return margins(replace(filling.with_cells(cells), straight=edges))
+
+        edges = straighten(filling.cells, filling.mesh.alpha, with_straight)
+        return replace(filling, straight=edges)
+
 
 Cell = tuple[int, ...]
 Swap = tuple[tuple[int, ...], list[Cell]]
-"""Numbers of the cells that go, and the cells that come."""
+"""Numbers of the old cells, and the new cells."""
 
 
 def improve(
@@ -32,18 +155,13 @@ def improve(
     alpha: npt.NDArray[np.float64],
     margins: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.float64]],
 ) -> npt.NDArray[np.integer]:
-    """Swap cells that are turned over somewhere for others, as long as the worst get better.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        alpha: α at the vertices.
-        margins: How far cells are from being turned over: not positive where they are.
+    """Swap cells whose margin isn't positive for others, as long as the worst get better.
 
     Returns:
         The cells, of which none is worse than the worst that it replaces.
     """
     value = margins(cells)
-    for _ in range(ROUNDS_SWAPS):
+    while True:  # it ends: each round replaces cells with better ones
         bad = np.flatnonzero(value <= 0)
         swaps = list(_swaps(cells, alpha, bad)) if len(bad) else []
         if not swaps:
@@ -68,7 +186,7 @@ def improve(
 
 
 def _swaps(cells, alpha, bad) -> Iterator[Swap]:
-    """All swaps in which some cells take part."""
+    """All swaps of some cells with their neighbours."""
     near = np.flatnonzero(np.isin(cells, cells[bad]).sum(axis=1) >= 2)
     around: dict[frozenset, list[int]] = defaultdict(list)  # cells at an edge or a face
     corners = {int(c): cells[c].tolist() for c in near}
@@ -93,7 +211,7 @@ def _swaps(cells, alpha, bad) -> Iterator[Swap]:
 
 
 def _may_be_edge(a: int, b: int, alpha) -> bool:
-    """An edge inside of Σ goes from one side to the other, or to a vertex between them."""
+    """True if an edge inside of Σ may be: one between both sides, or to a vertex between them."""
     return alpha[a] != alpha[b] or 0 < alpha[a] < 1
 
 
@@ -134,7 +252,7 @@ def _of_edge(a, b, ring, corners, alpha) -> Iterator[Swap]:
 
 @cache
 def _triangulations(n: int) -> list[tuple[list[Cell], list[tuple[int, int]]]]:
-    """All ways to cut a polygon into triangles, each turning like it; and the edges inside."""
+    """All triangulations of a polygon, each triangle oriented like it, and their inner edges."""
 
     def cuts(first: int, last: int) -> Iterator[list[Cell]]:
         if last - first < 2:
@@ -152,127 +270,6 @@ def _triangulations(n: int) -> list[tuple[list[Cell], list[tuple[int, int]]]]:
 
 
 def _is_odd(v, w) -> bool:
-    """Whether an odd permutation makes one cell of another with the same vertices."""
+    """True if an odd permutation makes one cell of another with the same vertices."""
     at = [w.index(i) for i in v]
     return sum(at[i] > at[j] for i in range(4) for j in range(i + 1, 4)) % 2 == 1
-
-
-@dataclass(frozen=True)
-class Filling:
-    """Cells between two surfaces."""
-
-    mesh: cavity.Cells
-    """The cells; interior vertices are numbered behind the others."""
-    hosts: list[tuple]
-    """Where the interior vertices lie: α, facets on both sides and coordinates in them."""
-    straight: npt.NDArray[np.integer] = field(default_factory=lambda: NONE)
-    """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
-    walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
-    """Walls along the outlines, if the surfaces are curved, ``(num_walls, 3)``."""
-
-    @property
-    def cells(self) -> npt.NDArray[np.integer]:
-        """``(num_cells, 4)``."""
-        return self.mesh.cells
-
-    def with_cells(self, cells) -> "Filling":
-        """Other cells between the same vertices."""
-        return replace(self, mesh=replace(self.mesh, cells=cells))
-
-
-Margins = Callable[[Filling], npt.NDArray[np.float64]]
-"""How far cells are from being turned over: not positive where they are somewhere."""
-
-
-@dataclass
-class Workshop:
-    """Between which triangles cells are sought, and how they are mended."""
-
-    outer: npt.NDArray[np.integer]
-    """The boundary's, counterclockwise seen from inside."""
-    place: Place
-    margins: Margins | None
-    """None if surfaces are straight."""
-    along: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.integer]]
-    """Of some walls those that lie along the outlines."""
-
-    def num_bad(self, filling: Filling) -> int:
-        """Number of cells that are turned over."""
-        return int((self.margins(filling) <= 0).sum()) if self.margins else 0
-
-    def coned(self, filling: Filling, gone=None) -> Filling | None:
-        """Cones where cells are missing, or are taken away."""
-        if gone is not None:
-            filling = filling.with_cells(filling.cells[~gone])
-        made = cavity.fill(filling.mesh, self.outer, self.place)
-        if made is None or not cavity.is_whole(made[0].cells, self.outer):
-            return None
-        return replace(filling, mesh=made[0], hosts=filling.hosts + made[1])
-
-    def swapped(self, filling: Filling) -> Filling:
-        """Other cells where some are turned over."""
-        margins = self.margins
-        if margins is None:
-            return filling
-        mesh = filling.mesh
-
-        def upright(cells):  # so are their vertices' simplices: else no straight edges help
-            flat = filling.with_cells(cells).mesh.flat()
-            values = np.full(len(cells), -np.inf)
-            values[~flat] = margins(filling.with_cells(cells[~flat]))
-            return values
-
-        cells = repair.improve(mesh.cells, mesh.alpha, upright)
-        whole = cells is mesh.cells or cavity.is_whole(cells, self.outer)
-        return filling.with_cells(cells) if whole else filling
-
-    def mended(self, filling: Filling) -> Filling:
-        """Cones where cells stay turned over, as long as that leaves fewer of them.
-
-        A cell between two edges that are parallel but for what they are curved may be turned over
-        though its vertices' simplex isn't.
-        """
-        margins = self.margins
-        if margins is None:
-            return filling
-        filling = self.peeled(filling)
-        bad = margins(filling) <= 0
-        while bad.any() and (made := self.coned(filling, bad)):
-            made = self.swapped(made)
-            left = margins(made) <= 0
-            if left.sum() >= bad.sum():
-                break
-            filling, bad = made, left
-        return filling
-
-    def peeled(self, filling: Filling) -> Filling:
-        """Without cells that are nothing but what walls bend by: walls take their places."""
-        assert self.margins
-        found = bool(self.num_bad(filling))
-        while found:
-            found = False
-            gone = (self.margins(filling) <= 0) | filling.mesh.flat(PARALLEL_RIMS)
-            gone &= (filling.mesh.alpha[filling.cells] == 0).sum(axis=1) == 2
-            for i in np.flatnonzero(gone)[::-1]:
-                faces = filling.cells[i][FACES]
-                on = in_walls(faces, filling.walls)
-                fresh = self.along(faces[~on]) if on.sum() == 2 else NO_WALLS
-                if len(fresh) == 2:
-                    left = [w[~in_walls(w, faces[on])] for w in (filling.walls, self.outer)]
-                    walls, self.outer = (np.vstack((w, fresh)) for w in left)
-                    filling = filling.with_cells(np.delete(filling.cells, i, axis=0))
-                    filling = replace(filling, walls=walls)
-                    found = True
-        return filling
-
-    def straightened(self, filling: Filling) -> Filling:
-        """Straight edges where cells stay turned over."""
-        margins = self.margins
-        if margins is None:
-            return filling
-
-        def with_straight(cells, edges):
-            return margins(replace(filling.with_cells(cells), straight=edges))
-
-        edges = straighten(filling.cells, filling.mesh.alpha, with_straight)
-        return replace(filling, straight=edges)

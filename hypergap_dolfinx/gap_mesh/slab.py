@@ -5,14 +5,16 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
 
-Surfaces are taken apart into smooth pieces that face each other and cut to what both sides have in
-common; a front of flips fills the slab between two pieces.
+:func:`mesh_slab` is the door: surfaces are split into smooth pieces that face each other
+(:mod:`~hypergap_dolfinx.trimming.parting`) and cut to their common part
+(:mod:`~hypergap_dolfinx.trimming.clip`); a front of flips (:mod:`.front`) fills the slab between
+two pieces.
 """
 
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -52,14 +54,14 @@ LOG = logging.getLogger("hypergap_dolfinx")
 
 @dataclass(frozen=True)
 class SlabCells(GapCells):
-    """Σ in space, which remembers what it consists of."""
+    """Σ in space, with the slabs that it consists of."""
 
     slabs: Sequence[Slab] = ()
-    """A slab for each two pieces that face each other."""
+    """One for each pair of facing pieces."""
 
 
 def _place(sides: tuple[Side, Side]) -> Place:
-    """How an interior node is hosted: where it projects to on both sides."""
+    """The function that puts an interior node between its projections to both sides."""
     seeds = []
     for side in sides:
         seed = np.empty(len(side.x), dtype=np.intp)
@@ -97,26 +99,21 @@ def _slab(sides: tuple[Side, Side], filling: Filling) -> Slab:
 
 @cache
 def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
-    """Of the geometry, at the points of a Gauss rule: small scenes ask for it more than they do."""
+    """The geometry element at the points of a Gauss rule; making it outweighs small scenes."""
     element = geometry.basix_element
     return GapElement.with_quadrature(element, element, degree)
 
 
-def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
-    """The least N · n of each cell with the surfaces' curved geometry, over its longest edge².
+def _curved_margins(slab: Slab, nodes) -> npt.NDArray[np.float64]:
+    """Least N · n of each cell with curved geometry, over its longest edge².
 
-    Args:
-        slab: Cells.
-        nodes: Their geometry's nodes if no edges were straight, ``(num_cells, num_nodes, 3)``.
+    Its nodes, ``(num_cells, num_nodes, 3)``, are given as if no edges were straight.
     """
     surfaces = [side.surface for side in slab.sides]
     k = max(side.degree for side in slab.sides)
     element = geometry_element(surfaces, k)
     points = element.basix_element.points
     v = slab.x[slab.cells]
-    if nodes is None:
-        each = np.arange(len(slab.cells))
-        nodes = interpolate_geometry(surfaces, slab.hosts(points, each))
     x = straightened(nodes, points, marked(slab.cells, slab.straight), v)
     tables = _tables(element, curved_rule(3, k, element.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
@@ -125,10 +122,10 @@ def curved_margins(slab: Slab, nodes=None) -> npt.NDArray[np.float64]:
 
 
 class _Margins:
-    """How far cells are from being turned over; where their nodes lie is looked for once."""
+    """Margins of cells against inversion, :data:`~.repair.Margins`; hosts of nodes are cached."""
 
     def __init__(self, sides: tuple[Side, Side], points: npt.NDArray[np.float64]):
-        """Between two pieces, with a geometry that has its nodes at some points."""
+        """Margins between two pieces, for a geometry with nodes at some reference points."""
         self.sides, self.points = sides, points
         self._num_vertices = sum(len(side.x) for side in sides)
         self._number: dict[bytes, int] = {}
@@ -143,11 +140,11 @@ class _Margins:
         moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
         if len(moved):
             slab = _slab(self.sides, filling.with_cells(filling.cells[moved]))
-            values[moved] = curved_margins(slab, self._nodes[at[moved]])
+            values[moved] = _curved_margins(slab, self._nodes[at[moved]])
         return values
 
     def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
-        """The numbers of cells, which are those of their nodes and of these nodes' hosts."""
+        """Numbers of cells in the cache; cells that aren't there yet are added."""
         # Interior vertices have other numbers in another filling
         lot = [self._inner.setdefault(id(h), (len(self._inner), h))[0] for h in filling.hosts]
         number = np.append(np.arange(self._num_vertices), self._num_vertices + np.array(lot, int))
@@ -163,12 +160,12 @@ class _Margins:
             nodes = interpolate_geometry([side.surface for side in self.sides], self._hosts[-1])
             at[new] = len(self._nodes) + np.arange(len(new))  # a cell may be among them twice
             self._nodes = np.concatenate((self._nodes, nodes))
-            self._values = np.concatenate((self._values, curved_margins(slab, nodes)))
+            self._values = np.concatenate((self._values, _curved_margins(slab, nodes)))
             self._number.update((keys[i], at[i]) for i in new)
         return at
 
-    def tell(self, slab: Slab, filling: Filling):
-        """Let a slab of these cells know what was found."""
+    def hand_over(self, slab: Slab, filling: Filling):
+        """Give the cached hosts to the slab of a filling's cells."""
         if self._hosts:
             each = self._find(filling)
             moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
@@ -178,12 +175,12 @@ class _Margins:
 
 
 def _check_folded(side: Side):
-    """Nothing fits on curved facets that are folded: what makes them straight would hide it."""
+    """Refuse curved facets that are folded: straight edges would hide them."""
     surface, element = side.surface, side.surface.geometry
     points, _ = basix.make_quadrature(basix.CellType.triangle, 2 * element.degree)
     dX = element.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
     facets = np.unique(side.facets)
-    facets = facets[surface.curved[facets]]  # not what they are cut into: slivers face anywhere
+    facets = facets[surface.curved[facets]]  # whole ones: parts may be slivers facing anywhere
     d, e = (np.einsum("pa,fai->fpi", derivative, surface.nodes[facets]) for derivative in dX)
     folded = (np.einsum("fpi,fi->fp", np.cross(d, e), surface.normals[facets]) <= 0).any(axis=1)
     if folded.any():
@@ -215,23 +212,19 @@ def fill(sides: tuple[Side, Side]) -> Slab:
         for side in sides:
             _check_folded(side)
     slab = _slab(sides, filling)
-    margins.tell(slab, filling)
+    margins.hand_over(slab, filling)
     return slab
 
 
 def fill_common(side0: Side, side1: Side) -> list[Slab]:
-    """Cells between what two facing pieces have in common.
+    """Cells between the common parts of two facing pieces, of Γ0 and of Γ1.
 
-    Where outlines are hardly further apart than what is taken for none, they leave edges as short
-    as that, beside which the other side's nodes may lie anywhere. If there are no cells for that
-    reason, such outlines are taken for one.
-
-    Args:
-        side0: A piece of Γ0.
-        side1: The one of Γ1 that faces it.
+    Outlines that are hardly further apart than the tolerance leave edges as short as that, beside
+    which the other side's nodes may lie anywhere. If no mesh is found for that reason, such
+    outlines are taken for one: the tolerance grows.
 
     Raises:
-        NotFacingError: They have nothing in common.
+        NotFacingError: The pieces have no common part.
         InterfaceError: There is no valid mesh.
     """
     first: InterfaceError | None = None
@@ -250,11 +243,11 @@ def fill_common(side0: Side, side1: Side) -> list[Slab]:
 
 
 def summary(slabs: Sequence[Slab]) -> str:
-    """What cells were made, in a line: how many of what kind, how flat, and with what trouble.
+    """Number, kinds and quality of the cells made, in a line for the log.
 
-    A cell's quality is its D over what it would be at best: the cosine between a base and n, or the
-    sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds tell how many vertices are on
-    Γ0 and on Γ1; others are between them.
+    A cell's quality is its D over its scale (:func:`~.tetrahedra.areas`): the cosine between a base
+    and n, or the sine between an edge on Γ0 and one on Γ1; 0 if it is flat. Kinds are the numbers
+    of vertices on Γ0 and on Γ1; others are between them.
     """
     D: list[npt.NDArray[np.float64]] = []
     kinds: Counter[tuple[int, int]] = Counter()
@@ -276,22 +269,8 @@ def summary(slabs: Sequence[Slab]) -> str:
     )
 
 
-def _no_compiler() -> str | None:
-    """Why this rank has no C, if it hasn't: all find facets' neighbours in it."""
-    try:
-        library("space")
-    except RuntimeError as error:
-        return str(error)
-    return None
-
-
 def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells:
     """Mesh Σ between two surfaces in space, on rank 0. Collective.
-
-    Args:
-        comm: Communicator.
-        surface0: Γ0.
-        surface1: Γ1.
 
     Returns:
         The cells, the same on every rank.
@@ -301,7 +280,12 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
         RuntimeError: There is no C compiler.
     """
     start = time.perf_counter()
-    raise_on_all(comm, _no_compiler(), RuntimeError)
+    reason = None
+    try:
+        library("space")  # every rank needs the compiled C
+    except RuntimeError as error:
+        reason = str(error)
+    raise_on_all(comm, reason, RuntimeError)
     surfaces = surface0, surface1
     groups, num, behind = pairs_of_pieces(*surfaces)
 
@@ -315,33 +299,14 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
         ]
         return [slab for pair in sides for slab in fill_common(*pair)]
 
-    gap = share(comm, surfaces, groups[1], make)
+    gap = _joined(surfaces, groups[1], _on_all_ranks(comm, surfaces, make))
     if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
         LOG.info("Σ has %s; %.2g s", summary(gap.slabs), time.perf_counter() - start)
     return gap
 
 
-def share(
-    comm: MPI.Comm,
-    surfaces: tuple[Surface, Surface],
-    patch: npt.NDArray[np.int32],
-    make: Callable[[], list[Slab]],
-) -> SlabCells:
-    """Σ from slabs that one rank makes. Collective.
-
-    Args:
-        comm: Communicator.
-        surfaces: Γ0 and Γ1.
-        patch: Smooth piece that each facet of Γ1 belongs to, ``(num_facets1,)``.
-        make: Makes them, on rank 0.
-
-    Returns:
-        The cells, the same on every rank.
-
-    Raises:
-        InterfaceError: As ``make`` does.
-        RuntimeError: There is no C compiler.
-    """
+def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> list[Slab]:
+    """The slabs that ``make()`` returns or the error it raises on rank 0. Collective."""
     result: list[tuple] = []
     slabs: list[Slab] = []
     error = None
@@ -364,6 +329,11 @@ def share(
             Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
             for own, other, *part in result
         ]
+    return slabs
+
+
+def _joined(surfaces: tuple[Surface, Surface], patch, slabs: list[Slab]) -> SlabCells:
+    """Σ from its slabs, numbered one after the other; patch is as in :class:`GapCells`."""
     covered, least = covered_parts(
         surfaces[1],
         np.concatenate([slab.sides[1].facets for slab in slabs]),

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tetrahedra between two facing pieces: α, normals, and where their points lie on both sides."""
+"""Tetrahedra between two facing pieces: α, normals, and hosts of their points on both sides."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -33,7 +33,7 @@ class Slab:
     walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
     """Triangles along the curved outlines of both sides, ``(num_walls, 3)``."""
     known: dict[bytes, Hosts] = field(default_factory=dict, init=False)
-    """Hosts of all cells' points, by :func:`key_of` points: each is asked for twice or more."""
+    """Cached hosts of all cells' points, by :func:`key_of` points."""
 
     @cached_property
     def x(self) -> npt.NDArray[np.float64]:
@@ -58,7 +58,7 @@ class Slab:
 
     @cached_property
     def seeds(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """A facet of each side at each vertex, in the piece's numbers; −1 where there is none."""
+        """A facet of each side at each vertex, in the piece's numbers; −1 if there is none."""
         found = []
         for i, side in enumerate(self.sides):
             seed = np.full(len(self.alpha), -1)
@@ -71,15 +71,12 @@ class Slab:
 
     @cached_property
     def _cells(self) -> npt.NDArray[np.int32]:
-        """The cells as C has them."""
+        """The cells as the C library takes them."""
         return np.ascontiguousarray(self.cells, dtype=np.int32)
 
     @cached_property
     def bases(self) -> npt.NDArray[np.int32]:
-        """The facet of each side that is a face of the cell, −1 where there is none.
-
-        ``(2, num_cells)``.
-        """
+        """The facet of each side that is a face of the cell or −1, ``(2, num_cells)``."""
         bases = np.empty((2, len(self.cells)), dtype=np.int32)
         sides = [(len(side.triangles), ints(side.triangles)) for side in self.sides]
         num = [len(side.x) for side in self.sides]
@@ -90,9 +87,9 @@ class Slab:
 
     @cached_property
     def beside(self) -> npt.NDArray[np.int32]:
-        """A facet of each side at each cell: at a vertex on it, else at an interior one.
+        """A facet of each side at a vertex of each cell, ``(2, num_cells)``.
 
-        ``(2, num_cells)``.
+        At a vertex on that side if there is one, else at an interior vertex.
         """
         beside = np.empty((2, len(self.cells)), dtype=np.int32)
         cells = len(self.cells), self._cells
@@ -133,11 +130,11 @@ class Slab:
         return rank
 
     def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
-        """Where points of the reference tetrahedron lie on both surfaces.
+        """Positions of points of the reference tetrahedron on both surfaces.
 
         Nodes of Γ0 and Γ1 are found in their own facet. A node between them or on a straight edge
-        is projected: a walk over the surface, from a facet at the cell, ends in the nearest one. In
-        a wall it is projected to the outlines.
+        is projected by a walk over the surface from a facet at the cell, a node in a wall to the
+        outlines.
 
         Args:
             points: Reference points, ``(num_points, 3)``.
@@ -170,7 +167,7 @@ class Slab:
 
     @cached_property
     def _vertices(self) -> Hosts:
-        """Where the vertices lie, ``(num_vertices, 1)``; −1 of Γ0's on Γ1 and the reverse."""
+        """Hosts of the vertices, ``(num_vertices,)``; facet −1 of Γ0's on Γ1 and the reverse."""
         num, num_inner = len(self.alpha), self.inner.alpha.size
         facets, X = [], []
         for i, side in enumerate(self.sides):
@@ -187,14 +184,7 @@ class Slab:
         return Hosts(self.alpha, (facets[0], facets[1]), (X[0], X[1]))
 
     def _at_vertices(self, cells, local, some, found: Hosts):
-        """Fill in the hosts of points at the cells' vertices.
-
-        Args:
-            cells: ``(num_cells,)``.
-            local: The vertex at each point, ``(num_points,)``.
-            some: Which points, ``(num_points,)``.
-            found: The hosts of all points.
-        """
+        """Fill in the hosts of some points: those at vertices, of local numbers ``local``."""
         at, cells = np.flatnonzero(some), np.ascontiguousarray(cells, dtype=np.int64)
         found.alpha[:, some] = self.alpha[self.cells[cells][:, local[some]]]
         points = some.size, at.size, ints(local[some]), ints(at)
@@ -205,13 +195,9 @@ class Slab:
             call("vertex_hosts", *given, found.facets[i], found.X[i])
 
     def _between(self, cells, weights, some, found: Hosts):
-        """Fill in the hosts of points between as many vertices each; what cells share once.
+        """Fill in the hosts of some points between equally many vertices; shared ones only once.
 
-        Args:
-            cells: ``(num_cells,)``.
-            weights: Of the vertices, ``(num_points, 4)``.
-            some: Which points, ``(num_points,)``.
-            found: The hosts of all points.
+        Weights are the barycentric coordinates of all points, ``(num_points, 4)``.
         """
         number = int((weights[some][0] > 0).sum())
         support = np.argsort(weights[some] == 0, axis=1, kind="stable")[:, :number]
@@ -229,7 +215,7 @@ class Slab:
             on, off = (alpha == i).all(axis=1) & ~moved, (alpha == 1 - i).all(axis=1)
             triangle, xi = self.beside[i][cell], np.zeros((len(v), 2))
             triangle[on], xi[on] = self._own_facet(i, v[on], w[on])
-            # From what lies around the point: other cells that have it find the same
+            # Seeds depend on the point's vertices alone, so all cells that share it agree
             seed = self.seeds[i][v].max(axis=1)
             away = ~on & ~off & ~wall
             triangle[away], xi[away] = side.project(
@@ -258,19 +244,15 @@ class Slab:
 
 
 def key_of(points: npt.NDArray[np.float64]) -> bytes:
-    """What tells points of the reference cell from others, but for round-off."""
+    """A key for points of the reference cell, the same for the same points up to round-off."""
     return (np.round(points, 12) + 0.0).tobytes()
 
 
 def _same(vertices, weights):
-    """Points that are one, by their vertices and weights.
-
-    Args:
-        vertices: ``(num_points, 2)``, or 3 or 4.
-        weights: As many.
+    """Identify points by their vertices and weights, ``(num_points, 2)`` or 3 or 4 columns.
 
     Returns:
-        Where each is met first, and the number of each point's.
+        Indices of the distinct points, and for each point its number among them.
     """
     number = vertices.shape[1]
     if number == 4:  # inside of a cell
@@ -278,17 +260,10 @@ def _same(vertices, weights):
     values, code = np.unique(np.round(weights, 9), return_inverse=True)
     key = vertices * len(values) + code.reshape(weights.shape)
     key.sort(axis=1)
-    size = int(key.max(initial=0)) + 1
-    if size**number < 2**63:
-        _, first, which = np.unique(
-            np.ravel_multi_index(tuple(key.T), (size,) * number),
-            return_index=True,
-            return_inverse=True,
-        )
-        return first, which
-    order = np.lexsort(key.T)
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (key[order[1:]] != key[order[:-1]]).any(axis=1)
-    which = np.empty(len(order), dtype=np.intp)
-    which[order] = np.cumsum(new) - 1
-    return order[new], which
+    code, size = np.zeros(len(key), dtype=np.int64), int(key.max(initial=0)) + 1
+    for column in key.T:  # into one number: whole rows take much longer to sort
+        if int(code.max(initial=0)) * size >= 2**62:
+            code = np.unique(code, return_inverse=True)[1]
+        code = code * size + column
+    _, first, which = np.unique(code, return_index=True, return_inverse=True)
+    return first, which

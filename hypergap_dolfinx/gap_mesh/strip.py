@@ -5,9 +5,16 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Σ in two dimensions: the strip of triangles between two chains of edges.
 
-The chains are parametrised by arc length and triangulated by the Delaunay rule: the apex of an
-edge is the node of the other chain that is nearest to its midpoint. Merging the sorted edge
-midpoints of both chains is all that takes.
+**The apex rule** picks each triangle's apex: for an edge of one chain it is the node of the other
+chain that is nearest to the edge's midpoint, in a common parameter (arc length) of both chains.
+This is the Delaunay rule for a strip, and :func:`merge` applies it: sorting the edge midpoints of
+both chains together gives all triangles.
+
+**Ends.** Chains are cut to the parts that face each other (:func:`facing`), so what lies of Γ1
+beyond the end of Γ0 gets no cell of Σ. The facet of Γ1 at which Γ0 ends is covered in part, those
+beyond not at all (``GapCells.covered``). A vertex of Γ1 beyond the end has a multiplier only if
+enough of a facet beside it is covered; otherwise λ there follows its neighbours
+(:mod:`~hypergap_dolfinx.multipliers.existence`).
 """
 
 from collections.abc import Sequence
@@ -20,17 +27,11 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
-from hypergap_dolfinx.gap_mesh.tolerances import (
-    COINCIDE_CHAINS,
-    END,
-    SAME_TURN,
-    SAMPLES_CHAINS,
-    TIE,
-)
+from hypergap_dolfinx.gap_mesh.tolerances import ALIGNED, COINCIDE, END, SAME_TURN
 from hypergap_dolfinx.surface.tolerances import CORNER, NOISE, STANDS_OUT, TURN
 from hypergap_dolfinx.surface.trace import Surface
 
-DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
+PLANE_DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
 
 
 def _length(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -45,7 +46,7 @@ class Chain:
     facets: npt.NDArray[np.int32]
     """Facet of each edge, ``(num_edges,)``."""
     X: npt.NDArray[np.float64]
-    """Where each edge starts and ends in its facet's reference coordinate, ``(num_edges, 2)``."""
+    """Start and end of each edge in its facet's reference coordinate, ``(num_edges, 2)``."""
     x: npt.NDArray[np.float64]
     """Node coordinates, ``(num_edges + 1, 2)``; a closed chain's last node is its first."""
     closed: bool
@@ -88,7 +89,7 @@ class Chain:
         )
 
     def project(self, point: npt.NDArray[np.float64]) -> tuple[int, float, float]:
-        """The edge, the position on it (0 to 1) and the distance of the point nearest to one."""
+        """Nearest place to a point: its edge, the position on it (0 to 1) and the distance."""
         a, t = self.x[:-1], self.tangents
         position = np.clip(np.einsum("ei,ei->e", point - a, t) / (t**2).sum(axis=1), 0, 1)
         distance = _length(a + position[:, None] * t - point)
@@ -114,7 +115,7 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
 
     Args:
         surface: The surface.
-        breaks: Vertices at which a chain ends and the next one begins, ``(num_vertices,)``.
+        breaks: Mask of vertices at which a chain ends and the next begins, ``(num_vertices,)``.
 
     Raises:
         InterfaceError: The edges branch.
@@ -149,14 +150,11 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
 
 
 def _trace(previous: npt.NDArray[np.intp]):
-    """Go back along the edges of all chains at once, in steps of 1, 2, 4, ...
-
-    Args:
-        previous: The edge before each edge, −1 before the first of a chain.
+    """Go back along all chains at once, in steps of 1, 2, 4, ...; −1 is previous to a first edge.
 
     Returns:
-        For each edge, the first one of its chain, its place in the chain, and the smallest number
-        of an edge in reach. In a loop there is no first one.
+        For each edge, the first one of its chain (meaningless in a loop), its place in the chain,
+        and the smallest number of an edge in reach.
     """
     edges = np.arange(len(previous), dtype=np.int32)  # with int32 each step reads half as much
     back = np.where(previous >= 0, previous, edges).astype(np.int32)
@@ -169,10 +167,10 @@ def _trace(previous: npt.NDArray[np.intp]):
 
 
 def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """By what angle a surface turns at its vertices, and where that is a corner.
+    """Angles by which a surface turns at its vertices, and mask of its corners.
 
-    A corner turns and there is hardly a turn beside it; a polygon that stands for a smooth curve
-    turns at all of its vertices about as much.
+    At a corner there is a turn with hardly any beside it; a polygon that approximates a smooth
+    curve turns at all of its vertices about as much.
 
     Returns:
         Angles (0 where they are round-off) and corners, ``(num_vertices,)`` each.
@@ -195,9 +193,9 @@ def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.boo
 def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:
     """The smooth pieces of both surfaces, all travelled in the direction of Γ0.
 
-    One ends and the next begins where both surfaces have a node at a kink: a corner of both, or a
-    corner of one where the other turns by the same angle. (With one edge a side, a polygon's own
-    corners can't be told from a curve; nodes on a curve turn by different angles if edges differ.)
+    Pieces meet where both surfaces have a node at a kink: a corner of both, or a corner of one
+    where the other turns by the same angle. (With one edge a side, a polygon's own corners look
+    like a curve; nodes on a curve turn by different angles if edges differ.)
 
     Raises:
         InterfaceError: The edges branch.
@@ -219,20 +217,15 @@ def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chai
 def facing(surface0: Surface, surface1: Surface, chains0: list[Chain], chains1: list[Chain]):
     """Pairs of chains, cut to the parts that face each other.
 
-    Args:
-        surface0: Γ0.
-        surface1: Γ1.
-        chains0: Pieces of Γ0.
-        chains1: Pieces of Γ1, in Γ0's direction of travel.
-
-    Returns:
-        Pairs of :class:`Chain`.
+    A chain that goes on beyond the end of the other one is cut at the projection of this end, or at
+    its own node if that is within `END` of it; vertices beyond belong to no pair. All chains are in
+    Γ0's direction of travel.
 
     Raises:
         NotFacingError: Nothing of Γ1 faces Γ0.
     """
-    # With one chain on each side there is no doubt which faces which: they may be as far apart as
-    # they are long. Of several, those face each other that are within a facet's length
+    # Single chains face each other even if they are as far apart as they are long. Of several,
+    # those within a facet's length of each other do
     alone = len(chains0) == len(chains1) == 1
     h = max(surface0.size.max(), surface1.size.max())
     pairs = []
@@ -275,7 +268,7 @@ def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: 
             arc = chain.arc * chain.lengths.sum()
             s = arc[edge] + position * length
             inset = s if end == 0 else arc[-1] - s
-            # Across a gap the foot of an end may lie beside the other end: that is no overlap
+            # Across a gap an end may project to a place beside the other end: no overlap
             inside.append(inset > max(END * length, distance) and distance <= reach)
         for i, chain in enumerate((c0, c1)):
             edge, position, _ = hits[i]
@@ -293,7 +286,7 @@ def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: 
 
 
 def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
-    """A cut that leaves no sliver: a node is a node."""
+    """A cut moved to a node that is close to it, so that it leaves no sliver."""
     if end == 0 and position > 1 - END:
         return edge + 1, 0.0
     if end == -1 and position < END:
@@ -302,15 +295,16 @@ def _snapped(edge: int, position: float, end: int) -> tuple[int, float]:
 
 
 def _aligned(c0: Chain, c1: Chain) -> bool:
-    """Whether two chains run side by side in the same direction."""
-    s = (np.arange(SAMPLES_CHAINS) + 0.5) / SAMPLES_CHAINS
+    """True if two chains run side by side in the same direction, in the mean."""
+    num = 64  # samples of the cosine between both directions
+    s = (np.arange(num) + 0.5) / num
     edges = [np.searchsorted(c.arc[1:-1], s) for c in (c0, c1)]
     tangents = [c.tangents[e] / c.lengths[e, None] for c, e in zip((c0, c1), edges, strict=True)]
-    return bool(np.einsum("si,si->s", *tangents).mean() > 0)
+    return bool(np.einsum("si,si->s", *tangents).mean() > ALIGNED)
 
 
 def _not_facing(surface0, surface1, chains0, chains1) -> InterfaceError:
-    """What is to be raised if nothing of two surfaces faces each other."""
+    """The error to raise if nothing of two surfaces faces each other, with the likely cause."""
     c0, c1 = chains0[0], chains1[0]
     distance = min(c0.project(x)[2] for x in c1.x)
     for i, j in ((i, j) for i in chains0 for j in chains1):
@@ -329,16 +323,16 @@ def _not_facing(surface0, surface1, chains0, chains1) -> InterfaceError:
 
 
 def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Indices of the points of two sets that lie at the same place."""
+    """Indices of coincident points of two sets."""
     origin = np.array([min(a.min(), b.min()) for a, b in zip(x0.T, x1.T, strict=True)])
     size = max(max(a.max(), b.max()) - o for a, b, o in zip(x0.T, x1.T, origin, strict=True))
-    cell = COINCIDE_CHAINS * size + NOISE * np.abs(x0).max()
-    # Positions along one line sort out most points: few have one of the other set near them there
-    near = _near(x0 @ DIRECTION, x1 @ DIRECTION, 2 * cell)
+    cell = COINCIDE * size + NOISE * np.abs(x0).max()
+    # Positions along one line rule out most points: few have one of the other set near them there
+    near = _near(x0 @ PLANE_DIRECTION, x1 @ PLANE_DIRECTION, 2 * cell)
     x0, x1 = x0[near[0]], x1[near[1]]
     found: set[tuple[int, int]] = set()
-    # Points in one cell of a grid are at the same place. A border may lie between two that are, so
-    # there are four grids: what is at a border of one is well inside a cell of another
+    # Points in one cell of a grid coincide. A border may lie between two that do, so there are
+    # four grids: a point at a border of one is well inside a cell of another
     for shift in ((0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)):
         grid = (np.rint((x - origin) / cell + shift).astype(np.int64) for x in (x0, x1))
         z0, z1 = ((z[:, 0] << 31) + z[:, 1] for z in grid)  # less than 2³⁰ each
@@ -349,7 +343,7 @@ def _coincident(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 
 
 def _near(a, b, distance: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Which of a have one of b within a distance, on a line, and which of b one of a."""
+    """Numbers of those in a that have one of b within a distance, on a line, and the reverse."""
     orders = np.argsort(a), np.argsort(b)
     a, b = a[orders[0]], b[orders[1]]
     low = np.searchsorted(b, a - distance)  # a search for sorted values stays in the cache
@@ -363,14 +357,14 @@ def _near(a, b, distance: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.i
 
 
 def _shared_nodes(x0, x1) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Nodes of two chains at the same place: their indices, increasing in both."""
+    """Indices of coincident nodes of two chains, increasing in both."""
     i, j = _coincident(x0, x1)
     forward = j == np.maximum.accumulate(j) if len(j) else j
     return i[forward], j[forward]
 
 
 def parametrise(c0: Chain, c1: Chain) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Parameters from 0 to 1 of the nodes of two facing chains; equal where nodes coincide."""
+    """Common parameters (0 to 1) of the nodes of two facing chains, equal where nodes coincide."""
     s0, s1 = c0.arc, c1.arc
     i = j = np.empty(0, dtype=np.intp)
     if len(s0) > 2 and len(s1) > 2:
@@ -387,31 +381,27 @@ def parametrise(c0: Chain, c1: Chain) -> tuple[npt.NDArray[np.float64], npt.NDAr
 
 
 def triangulate(s0, s1):
-    """Delaunay triangles between two parametrised chains.
-
-    Args:
-        s0: Increasing parameters of the nodes of Γ0, ``(num_edges0 + 1,)``.
-        s1: The same for Γ1.
-
-    Returns:
-        For each triangle, in the order of travel: the side of its base edge (0 or 1), the index
-        of that edge, and the index of its apex on the other chain; ``(num_edges0 + num_edges1,)``
-        each.
-    """
+    """Triangles between two chains with known parameters of their nodes; see :func:`merge`."""
     return merge((s0[1:] + s0[:-1]) / 2, (s1[1:] + s1[:-1]) / 2)
 
 
 def merge(m0, m1):
-    """Triangles between two chains whose edges are known by their midpoints' parameters.
+    """Triangles between two chains by the apex rule, from their edges' midpoints.
+
+    The apex of an edge is the node of the other chain nearest to its midpoint m, that is, the node
+    between the last edge whose midpoint is before m and the first one behind it. If midpoints are
+    equal, Γ0's comes first.
 
     Args:
-        m0: Increasing parameters of Γ0's edges, ``(num_edges0,)``.
+        m0: Increasing parameters of the midpoints of Γ0's edges, ``(num_edges0,)``.
         m1: The same for Γ1.
 
     Returns:
-        As :func:`triangulate`.
+        For each triangle, in the order of travel: the side of its base edge (0 or 1), the index
+        of this edge, and the index of its apex on the other chain; ``(num_edges0 + num_edges1,)``
+        each.
     """
-    m1 = m1 + TIE
+    m1 = m1 + COINCIDE
     side = np.repeat((0, 1), (len(m0), len(m1)))
     edge = np.concatenate((np.arange(len(m0)), np.arange(len(m1))))
     apex = np.concatenate((np.searchsorted(m1, m0), np.searchsorted(m0, m1)))
@@ -421,7 +411,7 @@ def merge(m0, m1):
 
 @dataclass(frozen=True)
 class Strip:
-    """The triangles between two chains, and which points of the surfaces belong to them."""
+    """The triangles between two chains, and the hosts of their points on both."""
 
     chains: tuple[Chain, Chain]
     s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -467,17 +457,16 @@ class Strip:
     @property
     def base(self) -> npt.NDArray[np.int32]:
         """Facet (on its side) of each triangle's base, ``(num_cells,)``."""
-        facets = [c.facets for c in self.chains]
         base = np.empty(len(self.side), dtype=np.int32)
-        for i in (0, 1):
-            base[self.side == i] = facets[i][self.edge[self.side == i]]
+        for i, chain in enumerate(self.chains):
+            base[self.side == i] = chain.facets[self.edge[self.side == i]]
         return base
 
     def hosts(self, points: npt.NDArray[np.float64]) -> Hosts:
-        """Where points of the reference triangle lie on both surfaces.
+        """Positions of points of the reference triangle on both surfaces.
 
         Nodes of Γ0 and Γ1 are found through their edge, points between them through the common
-        parameter of the chains: there is nothing to project or to search for.
+        parameter of the chains, without projection or search.
 
         Args:
             points: Reference points, ``(num_points, 2)``.
@@ -516,7 +505,7 @@ class Strip:
 
 
 def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
-    """Mesh Σ between two surfaces in the plane.
+    """Mesh Σ between two surfaces in the plane: see the module's docstring.
 
     Raises:
         InterfaceError: Edges that don't form chains, or don't face each other.

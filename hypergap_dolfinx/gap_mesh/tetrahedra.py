@@ -3,14 +3,13 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tetrahedra between two surfaces: their areas, their faces, and whether they are valid.
+"""Tetrahedra between two surfaces: their measure D, their faces, and their straight edges.
 
-Straight edges of curved tetrahedra: where these are turned over, and as few as it takes.
-
-Cells are made such that their vertices' simplices aren't turned over. So there is always a way:
-cells become straight one edge after the other, together with those beside them that share the edge.
-The nodes of such an edge have hosts where they project to, so Σ stays consistent along the surfaces
-and is off them by what the edge is curved.
+D (:func:`areas`) is positive for the simplex of each cell's vertices. A curved cell may be inverted
+all the same, so :func:`straighten` chooses edges to be straight, as few as it takes: it always
+succeeds, since a cell becomes its simplex one edge after the other, together with the cells that
+share the edge. Nodes on such an edge are hosted at their projections, so Σ stays consistent along
+the surfaces and is off them by the edge's sag.
 """
 
 from collections.abc import Callable
@@ -23,6 +22,12 @@ from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
+EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+NONE = np.empty((0, 2), dtype=np.intp)  # no edges
+
+Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
+"""``margins(cells, edges)``: distance of cells from inversion if some edges are straight, not
+positive where a cell is inverted somewhere."""
 
 
 def areas(x, alpha, normal):
@@ -34,9 +39,9 @@ def areas(x, alpha, normal):
         normal: Normals n of any length, ``(num_cells, 3)``.
 
     Returns:
-        D, and what it is compared with, ``(num_cells,)`` each: the area of a base on a surface
-        (doubled), the product of two edges on the surfaces' lengths, or the square of the longest
-        edge from the first vertex.
+        D, and its scale, ``(num_cells,)`` each: the doubled area of a base on a surface, the
+        product of the lengths of two edges on the surfaces, or the square of the longest edge from
+        the first vertex.
     """
     n = normal / np.maximum(lengths(normal), 1e-300)[:, None]
     e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
@@ -57,15 +62,7 @@ def areas(x, alpha, normal):
 
 
 def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
-    """The first triangle that has the given vertices, −1 where there is none.
-
-    Args:
-        triangles: ``(num_triangles, 3)``.
-        corners: ``(num, 2)`` or ``(num, 3)``; if more none has them.
-
-    Returns:
-        ``(num,)``.
-    """
+    """The first triangle with some vertices, ``(num, 2)`` or more columns; −1 if there is none."""
     num, size = corners.shape
     found = np.full(num, -1, dtype=np.int32)
     if num and size < 4 and len(triangles):
@@ -77,14 +74,14 @@ def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
 
 
 def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
-    """Faces around what is missing: of cells without a neighbour, and of the boundary without cell.
+    """Faces around cavities: of cells without a neighbour, and of the boundary without a cell.
 
     Args:
         cells: ``(num_cells, 4)``.
         outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
 
     Returns:
-        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``; and whether each face
+        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``; and true if each face
         has a cell on each side, or one cell and a triangle of the boundary.
     """
     faces = np.empty((4 * len(cells) + len(outer), 3), dtype=np.int32)
@@ -96,24 +93,8 @@ def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
     return faces[: counts[1]].astype(np.intp), counts[0] == 0
 
 
-EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-NONE = np.empty((0, 2), dtype=np.intp)
-
-Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
-"""``margins(cells, edges)``: how far cells are from being turned over if some edges are straight,
-not positive where they are somewhere."""
-
-
 def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
-    """Whether two of some vertices are the ends of one of some edges.
-
-    Args:
-        vertices: ``(num, num_vertices)``.
-        edges: ``(num_edges, 2)``.
-
-    Returns:
-        ``(num,)``.
-    """
+    """Mask of vertex sets, ``(num, num_vertices)``, that contain one of some edges."""
     if not len(edges):
         return np.zeros(len(vertices), dtype=bool)
     i, j = np.triu_indices(vertices.shape[1], 1)
@@ -122,67 +103,40 @@ def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
 
 
 def marked(cells: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):
-    """Which edges of cells are among some.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        edges: ``(num_edges, 2)``.
-
-    Returns:
-        ``(num_cells, 6)``.
-    """
+    """Mask of the cells' edges that are among some, ``(num_cells, 6)``."""
     if not len(edges):
         return np.zeros((len(cells), 6), dtype=bool)
     return np.isin(_keys(cells[:, EDGES]), _keys(edges))
 
 
 def _keys(edges) -> npt.NDArray[np.int64]:
-    """A number for each edge that depends on its vertices only."""
+    """A number for each edge, whatever the order of its ends."""
     edges = np.sort(edges, axis=-1).astype(np.int64)
     return (edges[..., 0] << 32) + edges[..., 1]
 
 
-def on_straight(marks: npt.NDArray[np.bool_], points: npt.NDArray[np.float64]):
-    """Which points of cells lie on a straight edge or between it and other vertices.
-
-    Args:
-        marks: Which edges are straight, ``(num_cells, 6)``.
-        points: Reference points, ``(num_points, 3)``.
-
-    Returns:
-        ``(num_cells, num_points)``.
-    """
-    weights = np.column_stack((1 - points.sum(axis=1), points))
-    between = (np.abs(weights[:, EDGES]) > 1e-12).all(axis=2)  # (point, edge)
-    return (marks[:, None] & between).any(axis=2)
-
-
 def straightened(x, points, marks, vertices) -> npt.NDArray[np.float64]:
-    """Geometry nodes of cells with those of straight edges on them.
+    """Geometry nodes of cells, moved to where straight edges put them.
+
+    Nodes move that lie on a straight edge, or between it and other vertices.
 
     Args:
         x: ``(num_cells, num_points, 3)``.
-        points: Where the nodes are in the reference cell, ``(num_points, 3)``.
-        marks: Which edges are straight, ``(num_cells, 6)``.
-        vertices: The cells', ``(num_cells, 4, 3)``.
+        points: Nodes of the reference cell, ``(num_points, 3)``.
+        marks: Mask of the straight edges, ``(num_cells, 6)``.
+        vertices: The cells' vertices, ``(num_cells, 4, 3)``.
     """
     weights = np.column_stack((1 - points.sum(axis=1), points))
-    return np.where(on_straight(marks, points)[..., None], weights @ vertices, x)
+    between = (np.abs(weights[:, EDGES]) > 1e-12).all(axis=2)  # (point, edge)
+    move = (marks[:, None] & between).any(axis=2)
+    return np.where(move[..., None], weights @ vertices, x)
 
 
 def straighten(cells, alpha, margins: Margins) -> npt.NDArray[np.integer]:
-    """Edges to be straight so that no cell is turned over.
+    """Edges to be straight so that no cell is inverted, ``(num_edges, 2)``.
 
-    Those through the gap first: no body has them. Of those on the surfaces one at a time, which
-    helps most.
-
-    Args:
-        cells: ``(num_cells, 4)``.
-        alpha: α at the vertices.
-        margins: Tells cells that are turned over.
-
-    Returns:
-        ``(num_edges, 2)``.
+    Edges through the gap come first, since no body has them; then edges on the surfaces, for each
+    cell the one that helps most.
     """
     edges = NONE
     for _ in range(6 * len(cells) + 1):  # each time another edge at least
@@ -201,7 +155,7 @@ def straighten(cells, alpha, margins: Margins) -> npt.NDArray[np.integer]:
 
 
 def _best(cells, left, edges, margins: Margins) -> npt.NDArray[np.integer]:
-    """Of the edges that each cell has left the one that helps it most."""
+    """For each cell, the one of its remaining edges that helps it most."""
     found = []
     for cell, own in zip(cells, left, strict=True):
         tries = cell[EDGES[own]]

@@ -3,12 +3,12 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Walls that close the gap at the boundaries of two facing pieces.
+"""Walls: the triangles that close Σ at the outlines of two facing pieces.
 
-Where points in the walls of Σ lie on both sides: on the curved edges at which pieces end.
-
-An edge through the gap between nodes of both outlines is a chord of these. What lies between its
-ends belongs on the outlines, or Σ is as much smaller or larger as chords are off.
+:func:`rims` pairs the boundary loops of both pieces; :class:`WallRim` makes the walls between two
+loops; :class:`Outline` places points of walls on curved outlines. (An edge through the gap between
+nodes of both outlines is a chord of these. Its inner points belong on the outlines, or Σ is too
+small or too large by the distance of chords.)
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,7 @@ from hypergap_dolfinx.gap_mesh.strip import merge
 from hypergap_dolfinx.gap_mesh.tetrahedra import EDGES, find
 from hypergap_dolfinx.gap_mesh.tolerances import (
     APPROXIMATED,
-    COINCIDE_WALLS,
-    CONVERGED_RIM,
-    FURTHER_RIM,
+    COINCIDE,
     NEWTON_RIM,
     REACH_WALLS,
     WITHIN,
@@ -36,9 +34,11 @@ from hypergap_dolfinx.surface.tolerances import CORNER, NOISE
 from hypergap_dolfinx.surface.trace import lengths
 from hypergap_dolfinx.trimming.outlines import is_along
 
+NO_WALLS = np.empty((0, 3), dtype=np.intp)
+
 
 @dataclass(frozen=True)
-class Rim:
+class WallRim:
     """A pair of facing boundary loops, in Γ0's direction of travel, with a common start."""
 
     nodes: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
@@ -46,20 +46,20 @@ class Rim:
     s: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
     """Their parameters from 0 to 1, equal where nodes coincide; the last closes the loop."""
     tangents: npt.NDArray[np.float64]
-    """Of Γ1's edges: how the parameter grows with the place, ``(num_nodes1, 3)``."""
+    """Gradient of the parameter along Γ1's edges, ``(num_nodes1, 3)``."""
     length: float
     """Length of the loops."""
     shared: npt.NDArray[np.float64]
     """Parameters of coincident nodes, from 0 to 1, where walls end; infinite if there are none."""
 
     def walls(self, n0: int, shift, weights) -> npt.NDArray[np.intp]:
-        """Triangles between the loops.
+        """Triangles between the loops, by the apex rule of :func:`~.strip.merge`.
 
         Args:
             n0: Number of vertices of Γ0's piece; Γ1's are numbered behind them.
-            shift: By what Γ1's vertices are displaced, so that ties are decided as elsewhere,
-                ``(num_vertices1, 3)``.
-            weights: Of both sides' vertices, ``(num_vertices0 + num_vertices1,)``.
+            shift: Displacement of Γ1's vertices, so that equal distances are decided as in the
+                front, ``(num_vertices1, 3)``.
+            weights: Weights of both sides' vertices, ``(num_vertices0 + num_vertices1,)``.
 
         Returns:
             Vertices, counterclockwise seen from outside, ``(num_triangles, 3)``.
@@ -85,20 +85,20 @@ class Rim:
 
 
 def _middles(start, end, weights):
-    """Where the two ends of each edge are equally far in power: its middle if weights are equal."""
+    """Places at equal power distance from the ends of edges: middles if weights are equal."""
     ds, dw = end - start, np.roll(weights, -1) - weights
     return (start + end) / 2 + dw / (2 * np.where(ds > 0, ds, 1))
 
 
 def _squeezed(s, start, end):
-    """Numbers between 0 and 1 in the order of parameters, which may lie before or behind a wall."""
+    """Parameters, which may lie before or behind a wall, mapped to 0 to 1 in the same order."""
     if not np.isfinite(start).all():
         return s
     t = (2 * s - start - end) / (end - start)
     return (1 + t / (1 + np.abs(t))) / 2
 
 
-def rims(side0: Side, side1: Side) -> list[Rim]:
+def rims(side0: Side, side1: Side) -> list[WallRim]:
     """Pairs of boundary loops of two facing pieces.
 
     Raises:
@@ -119,12 +119,12 @@ def rims(side0: Side, side1: Side) -> list[Rim]:
         edge = np.roll(x, -1, axis=0) - x
         size = np.linalg.norm(edge, axis=1)
         t = edge / np.maximum(size, 1e-300)[:, None] / size.sum()
-        found.append(Rim((c0, c1), (s0, s1), t, size.sum(), shared))
+        found.append(WallRim((c0, c1), (s0, s1), t, size.sum(), shared))
     return found
 
 
 def _distance(x, y) -> tuple[bool, float]:
-    """Whether two loops go different ways round, and how far they are apart in the mean.
+    """Sort key for matching loops: True if they go different ways round, then mean distance.
 
     Both rims of a narrow band are near each other, but the band is on the left of both.
     """
@@ -138,8 +138,8 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
     """Roll two loops to a common start, and give their nodes parameters from 0 to 1.
 
     Returns:
-        The loops, and parameters (one more than nodes: the last closes the loop), equal at
-        coincident nodes; and those.
+        The loops; their parameters (one more than nodes: the last closes the loop), equal at
+        coincident nodes; and the parameters of these nodes.
 
     Raises:
         InterfaceError: The loops are apart.
@@ -148,7 +148,7 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
     nearest = on_loop(x1, x0).node
     distance = lengths(x1 - x0[nearest])
     size = np.ptp(x0, axis=0).max()
-    shared = distance < COINCIDE_WALLS * size + NOISE * np.abs(x0).max()
+    shared = distance < COINCIDE * size + NOISE * np.abs(x0).max()
     curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
     if curved:
         shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
@@ -172,16 +172,16 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
         ends = np.array((-np.inf, np.inf))
         t = x0[1] - x0[0]
         s1 = s1 + np.clip((x1[0] - x0[0]) @ t / (t @ t), -0.5, 0.5) * s0[1]
-    elif curved:  # where edges are short, surfaces may be further apart than that
+    elif curved:  # beside short edges surfaces may be further apart
         ends = np.union1d(ends, _joined(s0, s1))
     return loop0, loop1, s0, s1, ends
 
 
 def _joined(s0, s1) -> npt.NDArray[np.float64]:
-    """Make parameters of nodes one, in place, that are one but for the surfaces' approximation.
+    """Replace parameters of Γ1 by Γ0's, in place, if only the surfaces' approximation parts them.
 
     Returns:
-        Those of Γ0 that some of Γ1 became.
+        The new parameters.
     """
     inner, d0, d1 = s1[1:-1], np.diff(s0), np.diff(s1)
     k = np.clip(np.searchsorted((s0[1:] + s0[:-1]) / 2, inner), 1, len(s0) - 2)  # the nearest
@@ -193,22 +193,25 @@ def _joined(s0, s1) -> npt.NDArray[np.float64]:
 
 def _shortest(x) -> npt.NDArray[np.float64]:
     """The shorter edge at each node of a closed loop."""
-    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+    edges = _edges(x)
     return np.minimum(edges, np.roll(edges, 1))
+
+
+def _edges(x) -> npt.NDArray[np.float64]:
+    """Lengths of a closed loop's edges."""
+    return np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
 
 
 def _arc(x) -> npt.NDArray[np.float64]:
     """Arc length along a closed loop, from 0 to 1."""
-    edges = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
-    s = np.append(0, np.cumsum(edges))
+    s = np.append(0, np.cumsum(_edges(x)))
     return s / s[-1]
 
 
 def _check_apart(side0: Side, loop0, side1: Side, loop1):
-    """Outlines that match, or were cut to match, are near each other."""
+    """Raise an error unless outlines are near each other: they match, or were cut to match."""
     x0, x1 = side0.x[loop0], side1.x[loop1]
-    t = np.roll(x0, -1, axis=0) - x0
-    size = max(lengths(t).max(), np.linalg.norm(np.roll(x1, -1, axis=0) - x1, axis=1).max())
+    size = max(_edges(x0).max(), _edges(x1).max())
     there = on_loop(x1, x0)
     n = side0.vertex_normals[loop0[there.edge]]
     apart = there.apart - np.einsum("pi,pi->p", there.apart, n)[:, None] * n  # a gap is fine
@@ -221,20 +224,10 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
         )
 
 
-NO_WALLS = np.empty((0, 3), dtype=np.intp)
+def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[WallRim]):
+    """Those of the walls between loops that lie along the outlines and don't cut off a corner.
 
-
-def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
-    """Walls that lie along the outlines: those that don't cut off a corner.
-
-    Args:
-        walls: Triangles, ``(num_walls, 3)``.
-        x: Vertex coordinates of both sides.
-        n0: Number of vertices of Γ0, which come first.
-        rims: The loops that walls are between.
-
-    Returns:
-        Some of them.
+    Vertices have coordinates x; the n0 ones of Γ0 come first.
     """
     edges = walls[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
     keep = np.ones(len(edges), dtype=bool)
@@ -253,20 +246,12 @@ def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[Rim]):
 
 
 def in_walls(vertices: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
-    """Whether edges or triangles are some walls' or edges of these.
-
-    Args:
-        vertices: ``(num, 2)`` or ``(num, 3)``; if more none is.
-        walls: Triangles, ``(num_walls, 3)``.
-
-    Returns:
-        ``(num,)``.
-    """
+    """Mask of the edges or triangles, ``(num, 2)`` or ``(num, 3)``, that are in walls."""
     return find(walls, vertices) >= 0
 
 
 def kinds(cells: npt.NDArray[np.integer], walls: npt.NDArray[np.integer]):
-    """A number for each cell that tells which of its faces and edges are in walls, ``(num,)``."""
+    """Bit mask for each cell of its faces and edges that are in walls, ``(num,)``."""
     parts = [cells[:, [i for i in range(4) if i != k]] for k in range(4)]
     parts += [cells[:, edge] for edge in EDGES]
     return sum(in_walls(part, walls).astype(int) << i for i, part in enumerate(parts))
@@ -276,7 +261,7 @@ class Outline:
     """The (curved) edges at which a piece ends."""
 
     def __init__(self, side: Side):
-        """All loops of a piece."""
+        """Set up all loops of a piece."""
         self.side = side
         self.triangle, self.corner = np.nonzero(side.behind < 0)
         start = side.triangles[self.triangle, self.corner]
@@ -288,15 +273,10 @@ class Outline:
         self.after, self.before = self.first[end], last[start]
 
     def project(self, points, vertex) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
-        """Where the outline is nearest to points.
-
-        Args:
-            points: ``(num_points, 3)``.
-            vertex: Vertices of the outline near which it is looked for, ``(num_points,)``.
+        """Nearest places on the outline to points, sought from a vertex of the outline for each.
 
         Returns:
-            The piece's triangle and reference coordinates in it, ``(num_points,)`` and
-            ``(num_points, 2)``.
+            The piece's triangles and reference coordinates in them, ``(num_points, 2)``.
         """
         start = self.first[vertex]  # at a corner both edges have a nearest place
         both = np.concatenate((start, self.before[start]))
@@ -312,13 +292,13 @@ class Outline:
     def _walk(self, edge, points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Edges and parameters on them at which a walk from some edges ends."""
         edge, s = edge.copy(), np.zeros(len(points))
-        way = np.zeros(len(points))  # which way along the outline each came
+        way = np.zeros(len(points))  # direction in which each came along the outline
         active = np.arange(len(points))
-        for _ in range(FURTHER_RIM):
+        for _ in range(len(self.triangle)):  # a few: points lie beside their start
             found = self._nearest(edge[active], points[active])
             go = np.sign(np.where(found > 1, 1, np.minimum(found, 0)))
             s[active] = np.clip(found, 0, 1)
-            on = (go != 0) & (go != -way[active])  # who would turn round is at a corner
+            on = (go != 0) & (go != -way[active])  # a walk that would turn round is at a corner
             active, go = active[on], go[on]
             if not len(active):
                 break
@@ -345,6 +325,6 @@ class Outline:
             square = np.maximum(np.einsum("pi,pi->p", tangent, tangent), 1e-300)
             before, s = s, s - np.einsum("pi,pi->p", x - points, tangent) / square
             s = np.clip(s, -1, 2)
-            if np.abs(s - before).max() < CONVERGED_RIM:
+            if np.abs(s - before).max() < NOISE:
                 break
         return s

@@ -23,10 +23,9 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InvertedCellError
-from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element, interpolate_geometry
+from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
-from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
 from hypergap_dolfinx.surface.quadrilaterals import middle_rows
@@ -219,11 +218,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     cells, x = gap.cells, gap.x
     if g > 1:
         cells, first = _number_nodes(gap.cells, _lattice(coordinates.basix_element), g)
-        hosts = gap.hosts(points, np.arange(len(cells)))
-        x = interpolate_geometry(surfaces, hosts)
-        if gap.straight is not None:
-            x = straightened(x, points, gap.straight, gap.x[gap.cells])
-        x = x.reshape(-1, tdim)[first]
+        x = gap.geometry_nodes(surfaces, points).reshape(-1, tdim)[first]
     mesh, order = distributed(comm, cells, x, gap.rank, coordinates)
 
     alpha_vertices = gap.alpha[gap.cells[order]]
