@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.load_path import LoadPath
 from hypergap_dolfinx.contact import Contact
-from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching
+from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core import progress
@@ -138,7 +138,7 @@ class ContactProblem(ContactSystem):
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
-        touching = []
+        pairs = []
         for c, contact in enumerate(contacts):
             bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
@@ -150,13 +150,13 @@ class ContactProblem(ContactSystem):
                     "more pressures than displacements; swap its sides."
                 )
             fields = u[bodies[0]], u[bodies[1]]
-            touching.append(Touching(contact, fields, (numbers[0], numbers[1])))
+            pairs.append(ContactPair(contact, fields, (numbers[0], numbers[1])))
         super().__init__(
             forms,
             [u[i] for i in elastic],
             bcs,
             Joined(ties),
-            touching,
+            pairs,
             names=[f"body {i}" for i in elastic],
             rtol=rtol,
             petsc_options_prefix=petsc_options_prefix,
@@ -166,8 +166,6 @@ class ContactProblem(ContactSystem):
             jit_options=jit_options,
         )
         self._contacts = list(contacts)
-        for contact, rows in zip(self._contacts, self._rows, strict=True):
-            contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
         arrays = [array for law in laws for array in law.arrays]
@@ -270,14 +268,14 @@ class ContactProblem(ContactSystem):
                     self._path.stop(done)
                     if done or self._solved:
                         for rows in self._rows:
-                            rows.look()
+                            rows.update_geometry()
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}{lost}"
                     ) from error
                 progress.show(comm, f"load {s:.3g}: {error}")
             else:
                 for rows in self._rows:
-                    rows.accept()
+                    rows.commit()
                 done, size = s, min(2 * size, 1.0)
                 progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
         self._path.stop()
@@ -293,13 +291,13 @@ class ContactProblem(ContactSystem):
         halved = f", halved {self._halvings} times" if self._halvings else ""
         num, every = (
             sum(int(part.sum()) for part in parts)
-            for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
+            for parts in ([rows.state.active for rows in self._rows], [r.valid for r in self._rows])
         )
-        rubbing = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
-        sticking = f", {sum(rows.stuck.sum() for rows in rubbing)} of them stick"
+        frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
+        sticking = f", {sum(rows.stuck.sum() for rows in frictional)} of them stick"
         return (
             f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
-            f"{num} of {every} vertices in contact{sticking if rubbing else ''}"
+            f"{num} of {every} vertices in contact{sticking if frictional else ''}"
         )
 
     def _warn_of_stiffness(self, comm):

@@ -58,7 +58,7 @@ class Relaxation:
         self.share = 0.0
         """Of the bodies' stiffness, to be added to the tangent."""
 
-    def look(self, residual: float):
+    def update(self, residual: float):
         """Choose the share for the next step.
 
         Args:

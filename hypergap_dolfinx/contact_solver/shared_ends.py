@@ -49,7 +49,7 @@ class _Places:
         self._parent[self.find(a)] = self.find(b)
 
 
-def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
+def condensations(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
     """Which vertices of Γ1 have no pressure of their own, and whose they share.
 
     At the end of a contact the gap of a place may be held already: both bodies are tied or

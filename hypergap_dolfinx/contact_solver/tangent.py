@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The matrix of Newton's steps for bodies in contact: one whose pattern, once analysed, is kept.
+"""The matrix of Newton's steps for bodies in contact, of which pattern and analysis are kept.
 
-Sets change from step to step, and what faces each other. So there is an equation of each
-multiplier, of what isn't in contact p = 0, and room for the entries of what may come next.
+Active sets change from step to step, and so do the facets that face each other. So each multiplier
+has an equation, p = 0 if it is inactive, and there is room for entries that may come next.
 """
 
 from collections.abc import Iterator, Sequence
@@ -102,7 +102,7 @@ class Numbering:
 
 
 @dataclass
-class _Kept:
+class _Retained:
     """A matrix with a pattern, and a solver that knows it."""
 
     patterns: list[Pattern]
@@ -212,18 +212,18 @@ class Tangent:
         """
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
         self._prefix, self._ways = prefix, list(ways)
-        self._kept: _Kept | None = None
+        self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = 0
 
     def destroy(self):
         """Destroy the PETSc objects."""
-        if self._kept is not None:
-            self._kept.destroy()
-            self._kept = None
+        if self._retained is not None:
+            self._retained.destroy()
+            self._retained = None
 
-    def set_out(self):
-        """A load step begins: what faced each other in the last one need not be kept."""
+    def start_step(self):
+        """A load step begins: what faced each other in the last one need not be retained."""
         self._load_step += 1
 
     def solve(
@@ -256,9 +256,9 @@ class Tangent:
                     self.destroy()
                 if not fresh:  # what was analysed with other values may lead to poor pivots
                     break
-                if self._kept is None:
+                if self._retained is None:
                     raise
-                self._kept.forget()
+                self._retained.forget()
             else:
                 self._ways = self._ways[number:]
                 return solution
@@ -280,10 +280,12 @@ class Tangent:
         self, equations: Sequence[Linear], num_base: int
     ) -> list[npt.NDArray[np.float64]] | None:
         """This rank's entries of equations, by contact; None if there is no place for all."""
-        kept, found = self._kept, []
-        fits = kept is not None and kept.num_base == num_base
-        if kept is not None:
-            for pattern, mine, linear in zip(kept.patterns, kept.mine, equations, strict=True):
+        retained, found = self._retained, []
+        fits = retained is not None and retained.num_base == num_base
+        if retained is not None:
+            for pattern, mine, linear in zip(
+                retained.patterns, retained.mine, equations, strict=True
+            ):
                 values = pattern.values(linear.matrix)
                 fits &= values is not None
                 found.append(np.empty(0) if values is None else values[mine])
@@ -291,23 +293,23 @@ class Tangent:
 
     def _solve(self, right, equations, values, way: Way):
         """Solve in one way, with values for all places."""
-        kept = self._kept
-        assert kept is not None
-        ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
-        near = way.keeps and kept.units is None and kept.has_factors_near(values)
-        kept.fill(values)
-        x, b = kept.vectors
+        retained = self._retained
+        assert retained is not None
+        ksp = retained.ksp = retained.ksp or self._created(retained.A, way)
+        near = way.keeps and retained.units is None and retained.has_factors_near(values)
+        retained.fill(values)
+        x, b = retained.vectors
         pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
         own = [linear.right[mine] for linear, mine in pairs]
         b.array[:] = np.concatenate([*right, *own])
         start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
-        if not (near and kept.iterate(np.concatenate(start))):
+        if not (near and retained.iterate(np.concatenate(start))):
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
-            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
+            message = saddle.failure(ksp, units=retained.units, bound=way.residual)
             if message:
                 raise SolveError(message)
-            kept.factorised()
+            retained.factorised()
         if not np.isfinite(x.norm()):
             raise SolveError("the linear solve gave no numbers.")
         ends = np.cumsum([len(part) for part in start])
@@ -322,15 +324,15 @@ class Tangent:
         patterns = [rows.pattern() for rows in self._rows]
         for c, linear in enumerate(equations):
             patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
-            if self._kept is not None and self._kept.load_step == self._load_step:
-                patterns[c] = patterns[c].joined(self._kept.patterns[c])
+            if self._retained is not None and self._retained.load_step == self._load_step:
+                patterns[c] = patterns[c].joined(self._retained.patterns[c])
         self.destroy()
-        self._kept = self._made(patterns)
-        values = self._values(equations, self._kept.num_base)
+        self._retained = self._made(patterns)
+        values = self._values(equations, self._retained.num_base)
         assert values is not None
         return values
 
-    def _made(self, patterns: list[Pattern]) -> _Kept:
+    def _made(self, patterns: list[Pattern]) -> _Retained:
         """A matrix with room for what the nested one has, and for patterns of contacts."""
         nest = self._nest
         comm = nest.comm.tompi4py()
@@ -366,7 +368,9 @@ class Tangent:
             units = np.ones(size)
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
-        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs())
+        return _Retained(
+            patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs()
+        )
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
         """A KSP for a matrix."""

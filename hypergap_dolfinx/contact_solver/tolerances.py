@@ -26,16 +26,6 @@ DIGITS_SETS = 9
 
 Measured: –"""
 
-GAP_ZERO = 1e-9
-"""Balance, pressure and work, over the largest, that are none.
-
-Measured: –"""
-
-PIVOTS = 50
-"""Exchanges of the simplex method, for each free motion.
-
-Measured: a beam on rollers under a punch: 2.3."""
-
 NEAR_ENDS = 0.5
 """Distance of both sides' ends, in facet lengths, up to which they are at one place.
 

@@ -94,6 +94,7 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
+        self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
@@ -110,7 +111,7 @@ class NonlinearSystem(TiedSystem):
         super()._assign(x)
         openings = self._constraints.openings
         parts = x.getNestSubVecs()
-        start = len(parts) - len(self._constraints.bodies) - len(openings)
+        start = len(parts) - self._num_ties - len(openings)
         for opening, part in zip(openings, parts[start:], strict=False):
             opening.take(part)
 
@@ -124,7 +125,7 @@ class NonlinearSystem(TiedSystem):
         Prescribed values are lifted: r is F at displacements that hold them, to first order.
         """
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
-        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
+        num_bodies, num_ties = len(self._u), self._num_ties
         multipliers = x_parts[len(x_parts) - num_ties :]
         lifted, tied = self._lifted(), bool(multipliers)
         self._forces = []
@@ -135,7 +136,7 @@ class NonlinearSystem(TiedSystem):
             self._F,
             self._a,
             self._bcs,
-            self._constraints.prescribed,
+            self._held,
             self._scales,
             lifted,
         ):
