@@ -225,7 +225,7 @@ def test_relaxation():
         for _ in range(30):
             F, slope = force(x)
             if use != "none":
-                relaxation.look(abs(F))
+                relaxation.update(abs(F))
             dx = F / (slope + relaxation.share)
             work = slope * dx**2 if use == "back" else 1.0
             x -= relaxation.takes([np.array([dx])], work, exact=True) * dx
@@ -238,23 +238,23 @@ def test_relaxation():
     for before in (True, False):  # what puts an inexact step right is no turn
         relaxation = Relaxation(MPI.COMM_SELF)
         for move, exact in ((1.0, before), (-0.9, True)):
-            relaxation.look(1.0)
+            relaxation.update(1.0)
             assert relaxation.takes([np.array([move])], 1.0, exact=exact)
-        relaxation.look(1.0)
+        relaxation.update(1.0)
         assert relaxation.acts == before
     for k in range(9):
         assert relaxation.creeps == (k > 3)  # the share grows as long as it helps nothing
         relaxation.takes([np.array([(-1.0) ** k])], 1.0, exact=True)
-        relaxation.look(1.0)
+        relaxation.update(1.0)
 
 
 def test_shortened_steps():
     """A step that leads to where residuals are much larger, or none, is shortened, not for ever."""
     for residual, exact, times in ((2.9, True, 0), (3.1, True, 4), (3.1, False, 0), (np.nan, 0, 4)):
         relaxation = Relaxation(MPI.COMM_SELF)
-        relaxation.look(9.0)
+        relaxation.update(9.0)
         assert relaxation.takes([np.ones(1)], 1.0, exact=True) == 1
-        relaxation.look(1.0)
+        relaxation.update(1.0)
         assert relaxation.takes([np.ones(1)], 1.0, exact=bool(exact)) == 1
         assert [relaxation.shortens(residual) for _ in range(5)] == [k < times for k in range(5)]
 

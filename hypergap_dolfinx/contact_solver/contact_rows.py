@@ -68,8 +68,8 @@ class NormalState:
 class Linear:
     """Linearised equations of a contact; unknowns are both sides' dofs, then the multipliers."""
 
-    matrix: Sparse
-    """Addition to the bodies' matrix: forces, rows of gaps, and p = 0 of inactive multipliers."""
+    blocks: tuple[Sparse, ...]
+    """Additions to the bodies' matrix: forces, rows of gaps, and p = 0 of inactive multipliers."""
     right: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
     scale: npt.NDArray[np.float64]
@@ -79,7 +79,12 @@ class Linear:
 
     def stiffened(self, H: Sparse) -> "Linear":
         """The same equations with H subtracted from the matrix."""
-        return replace(self, matrix=joined(self.matrix, Sparse(H.i, H.j, -H.values)))
+        return replace(self, blocks=(*self.blocks, Sparse(H.i, H.j, -H.values)))
+
+    @cached_property
+    def matrix(self) -> Sparse:
+        """The sum of the blocks."""
+        return joined(*self.blocks)
 
 
 _ROWS: "WeakKeyDictionary[ContactInterface, list[ref[ContactRows]]]" = WeakKeyDictionary()
@@ -241,6 +246,7 @@ class ContactRows:
         state, c, g = self.state, stiffness / self.typical_area, self.clearance
         if last is not None:  # what a step leaves of a closed gap is curvature's: p alone decides
             g = np.where(state.active, np.minimum(g, 0), g)
+        closed, apart = self.closed, self._apart
         active = active_set.pushing(
             state.p, g, self.m, self.valid, self.in_series(c), state.active, zero
         )
@@ -248,7 +254,7 @@ class ContactRows:
         if last is None:
             self._apart = None
             if not state.p.any():
-                state.active |= self.distance <= self.closed
+                state.active |= self.distance <= closed
                 self._apart = self.distance
         elif ahead:
             state.active = active_set.shrunk(
@@ -256,8 +262,8 @@ class ContactRows:
                 state.active,
                 self.sides[1].reference.facets,
                 state.p * self.m,
-                self._apart,
-                self.closed,
+                apart,
+                closed,
             )
 
     def activate(self, active: npt.NDArray[np.bool_]):
@@ -395,16 +401,18 @@ class ContactRows:
         flat = np.bincount(self.C.j, self.C.values * p[self.C.i], sum(num) * self._n)
         return np.split(flat.astype(float).reshape(-1, self._n), num[:1])
 
-    def subtract(
-        self,
-        forces: Sequence[npt.NDArray],
-        residual: Sequence[npt.NDArray],
-        prescribed: Sequence[npt.NDArray[np.bool_]],
-    ):
-        """Subtract forces from this rank's residual of each body, but for prescribed dofs."""
+    def subtract_forces(
+        self, residual: Sequence[npt.NDArray], prescribed: Sequence[npt.NDArray[np.bool_]]
+    ) -> list[npt.NDArray[np.float64]]:
+        """Subtract the contact forces from this rank's residual of each body; give them back.
+
+        Prescribed dofs have no residual.
+        """
+        forces = self.contact_forces()
         for body, force, (mine, dofs) in zip(self.bodies, forces, self._owned_dofs, strict=True):
             if body is not None:
                 residual[body][dofs] -= force[mine].ravel() * ~prescribed[body][dofs]
+        return forces
 
     @cached_property
     def _owned_dofs(self) -> list[tuple[npt.NDArray, npt.NDArray]]:
@@ -549,7 +557,7 @@ class ContactRows:
         off = start + np.flatnonzero(~on)
         parts.append(Sparse(off, off, np.full(len(off), stiffness)))
         start = np.divide(self._values, scale, out=np.zeros(len(on)), where=on & (scale != 0))
-        return Linear(joined(*parts), np.where(on, right, 0), scale, start)
+        return Linear(tuple(parts), np.where(on, right, 0), scale, start)
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
@@ -560,7 +568,7 @@ class ContactRows:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = self._num_dofs + np.arange(len(none))
-        return Linear(Sparse(every, every, none + stiffness), none, none, none)
+        return Linear((Sparse(every, every, none + stiffness),), none, none, none)
 
     @property
     def sets(self) -> npt.NDArray:

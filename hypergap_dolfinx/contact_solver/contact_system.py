@@ -191,9 +191,9 @@ class ContactSystem(NonlinearSystem):
                 self._assemble_what_moved()
             last = [rows.state.copy() for rows in self._rows]
             held = self._choose(before, ahead=step < AHEAD)
-            as_before, as_earlier = (
+            as_before, as_earlier = [
                 bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
-            )
+            ]
             returned = returned + 1 if as_earlier and not as_before else 0
             retained = returned > 1 and self._retain(last)
             if retained:
@@ -206,12 +206,12 @@ class ContactSystem(NonlinearSystem):
                 polished = True
             if step >= STEPS and not relaxation.acts:
                 break
+            lasting = bool(before) and all(map(ContactRows.as_before, self._rows, before, held))
             if way and relaxation.shortens(self._unbalanced):
                 way = self._go(*way, SHORTENED)
                 continue
             if not np.isfinite(self._unbalanced):
                 raise SolveError("Newton's iteration diverged: the residual is no number.")
-            lasting = bool(before) and all(map(ContactRows.as_before, self._rows, before, held))
             before = held
             relaxation.update(self._unbalanced)
             if relaxation.creeps:
@@ -226,9 +226,7 @@ class ContactSystem(NonlinearSystem):
             else:
                 # The last load step's pressures are as good as those of sets that are settled
                 exact = settled or lasting or (step == 0 and self._continues())
-                start = self._state()
-                increments, work = self._step(exact, jump, relaxation.share)
-                way = start, self._state()
+                way, increments, work = self._step(exact, jump, relaxation.share)
                 share = relaxation.takes(increments, work, exact=exact)
                 if share != 1:
                     way = self._go(*way, share)
@@ -370,12 +368,10 @@ class ContactSystem(NonlinearSystem):
         """
         return [rows.from_bodies([modes[:, k] for modes in every]) for k in range(self._num_free)]
 
-    def _forces_left(self, contact: Sequence[list[npt.NDArray]]) -> list[npt.NDArray]:
-        """This rank's residual of bodies and ties with the contacts' forces."""
+    def _forces_left(self) -> tuple[list[npt.NDArray], list[list[npt.NDArray]]]:
+        """This rank's residual of bodies and ties with contact forces, and those by contact."""
         found = self._right()
-        for rows, forces in zip(self._rows, contact, strict=True):
-            rows.subtract(forces, found, self._held)
-        return found
+        return found, [rows.subtract_forces(found, self._held) for rows in self._rows]
 
     def _right(self) -> list[npt.NDArray]:
         """This rank's residual of bodies and ties without the contacts' forces."""
@@ -384,9 +380,10 @@ class ContactSystem(NonlinearSystem):
     def _balances(self) -> bool:
         """True if the residual is zero within rtol and the active gaps are closed. Collective."""
         num = len(self._b.getNestSubVecs()) - self._num_ties  # forces at jumps too
-        contact = [rows.contact_forces() for rows in self._rows]
+        owned = self._owned()
+        left, contact = self._forces_left()
         closed = all([rows.is_closed() for rows in self._rows])
-        parts = [*self._forces_left(contact)[:num], *self._owned()]
+        parts = [*left[:num], *owned]
         self._left = parts[: len(self._u)]
         squares = np.array([np.vdot(part, part).real for part in parts])
         self._comm.Allreduce(MPI.IN_PLACE, squares)
@@ -456,7 +453,7 @@ class ContactSystem(NonlinearSystem):
         """
         stiffness = self._stiffness()
         self._take(
-            self._forces_left([rows.contact_forces() for rows in self._rows]),
+            self._forces_left()[0],
             [rows.without_forces(stiffness) for rows in self._rows],
             0.0,
         )
@@ -465,7 +462,7 @@ class ContactSystem(NonlinearSystem):
 
     def _step(
         self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
-    ) -> tuple[list[npt.NDArray[np.float64]], float]:
+    ) -> tuple[tuple[SystemState, SystemState], list[npt.NDArray[np.float64]], float]:
         """Solve for one Newton step, and take it. Collective.
 
         Args:
@@ -475,12 +472,13 @@ class ContactSystem(NonlinearSystem):
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
-            This rank's increments of each body's displacements, and the work of the increments of
-            forces on them: Hill's second-order work, negative where an equilibrium isn't stable.
+            The states before and after, this rank's increments of each body's displacements, and
+            the work of the increments of forces on them: Hill's second-order work, negative where
+            an equilibrium isn't stable.
         """
-        stiffness = self._stiffness()
+        stiffness, right, start = self._stiffness(), self._right(), self._state()
         rolls = self._num_free > 0  # then pressures may be all that keeps bodies in place
-        moves = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
+        moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
         prescribed = jump if moves else None
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
         equations = [
@@ -491,13 +489,15 @@ class ContactSystem(NonlinearSystem):
             )
             for rows in self._rows
         ]
-        changes, unknowns = self._take(self._right(), equations, viscous)
+        changes, unknowns = self._take(right, equations, viscous)
         for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
             rows.take(linear, values)
+        now = [part.array_r.copy() for part in self._x.getNestSubVecs()]
+        end = SystemState(now, [rows.state.copy() for rows in self._rows])
         work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
-        return changes, work
+        return (start, end), changes, work
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body; lengths of matrix rows with it. Collective."""

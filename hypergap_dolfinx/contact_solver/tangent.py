@@ -211,6 +211,7 @@ class Tangent:
             ways: How to solve; the next one is taken for good where only that can.
         """
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
+        self._mine = [part.mine for part in rows]
         self._prefix, self._ways = prefix, list(ways)
         self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
@@ -299,7 +300,7 @@ class Tangent:
         near = way.keeps and retained.units is None and retained.has_factors_near(values)
         retained.fill(values)
         x, b = retained.vectors
-        pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
+        pairs = list(zip(equations, self._mine, strict=True))
         own = [linear.right[mine] for linear, mine in pairs]
         b.array[:] = np.concatenate([*right, *own])
         start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
