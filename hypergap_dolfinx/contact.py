@@ -52,8 +52,8 @@ class Contact:
     With friction there are tractions q_a too, against the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
 
-    Surfaces that give way (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a
-    then, m_a being the area that goes with it.
+    Compliant surfaces (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a then,
+    with the area m_a of the weight.
 
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
@@ -97,7 +97,7 @@ class Contact:
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
                 stay what they are at the start, the constraints are linear.
             friction: Coulomb's coefficient: a number, a ``fem.Constant``, or a scalar Lagrange
-                function on Γ1's mesh, of which values at vertices are taken. What it holds may
+                function on Γ1's mesh, of which values at vertices are taken. Its values may
                 change between load steps. None for no friction.
             elastic_slip: Slip (a length) up to which friction grows to μ p, and which goes back
                 when it is released. With 0 nothing slips before that.
@@ -168,7 +168,7 @@ class Contact:
             b: The same of the other side.
             stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
                 facets differ by less than a tenth.
-            options: Of the constructor.
+            options: Options of the constructor.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; moduli that are none.
@@ -196,7 +196,7 @@ class Contact:
         return contact
 
     def _doubts(self):
-        """What is doubtful about the surfaces, one line each."""
+        """Warnings about the surfaces, one line each."""
         if self.finer > FINER * (1 + 1e-9):
             yield (
                 f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
@@ -241,7 +241,7 @@ class Contact:
 
     @property
     def compliance(self) -> Coefficient | None:
-        """By how much surfaces overlap under a pressure of 1, if they do."""
+        """Compliance: overlap under a pressure of 1, if there is any."""
         return self._compliance
 
     @property
@@ -251,7 +251,7 @@ class Contact:
 
     @property
     def follows(self) -> bool:
-        """Whether Σ follows the bodies."""
+        """True if Σ follows the bodies."""
         return self._sliding == "finite"
 
     @property
@@ -262,12 +262,12 @@ class Contact:
     def gaps(
         self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]
     ) -> Opening | PlaneOpening:
-        """Find Σ where the bodies are. Collective.
+        """Make Σ at given displacements. Collective.
 
         Args:
             u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
                 on every rank.
-            held: Which of them are prescribed.
+            held: Mask of the prescribed ones.
 
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
@@ -279,7 +279,7 @@ class Contact:
 
     @property
     def swapped(self) -> bool:
-        """Whether :meth:`between` made its first side Γ1."""
+        """True if :meth:`between` made its first side Γ1."""
         return self._swapped
 
     @property
@@ -536,7 +536,7 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
 
 
 def _is_round(surface: Surface) -> bool:
-    """Whether straight facets turn by small angles, as those that stand for a curve."""
+    """True if straight facets turn by small angles, as those of a curve do."""
     if surface.gdim == 2:
         turn, corner = turns(surface)
         return bool(((turn > 0) & ~corner).any())

@@ -87,7 +87,7 @@ class ContactProblem(ContactSystem):
             contacts: The contacts between them.
             ties: The ties between them.
             J: Jacobian form of each body that has a form; F's derivative if not given.
-            rtol: Residual, over the forces in the bodies, that is none.
+            rtol: Residual, over the forces in the bodies, treated as zero.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP of Newton's steps (its matrix is an AIJ); if they name
                 no type MUMPS's LDLᵀ or, with friction or where that doesn't solve, its LU.
@@ -287,7 +287,7 @@ class ContactProblem(ContactSystem):
         return self._every
 
     def _summary(self) -> str:
-        """What a load step did, in one line."""
+        """Summary of a load step, in one line."""
         halved = f", halved {self._halvings} times" if self._halvings else ""
         num, every = (
             sum(int(part.sum()) for part in parts)
@@ -346,6 +346,6 @@ def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):
 
 
 def _share(one: Contact | Tie, i: int, other: Contact | Tie, j: int) -> bool:
-    """Whether sides have facets on this rank in common."""
+    """True if two sides have common facets on this rank."""
     same = one.spaces[i].mesh is other.spaces[j].mesh
     return same and bool(np.isin(one.facets[i], other.facets[j]).any())

@@ -76,8 +76,8 @@ def test_analysis_is_kept(monkeypatch):
 def test_factors_are_kept(monkeypatch):
     """A matrix that hardly changes is solved with the factors there are, if few steps do."""
     solve, found = saddle.solve, []
-    for near, iterations in ((0.0, 8), (tangent.NEAR_FACTORS, 8), (tangent.NEAR_FACTORS, 0)):
-        monkeypatch.setattr(tangent, "NEAR_FACTORS", near)
+    for near, iterations in ((0.0, 8), (tangent.REUSED, 8), (tangent.REUSED, 0)):
+        monkeypatch.setattr(tangent, "REUSED", near)
         monkeypatch.setattr(tangent, "ITERATIONS", iterations)
         scene, count = Blocks(), []
         monkeypatch.setattr(saddle, "solve", lambda *args, c=count: c.append(1) or solve(*args))

@@ -8,7 +8,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import DIGITS_SETS, HOLDS, REST
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS, REST
 
 
 def supports(holds, load, distance) -> npt.NDArray[np.intp]:
@@ -223,7 +223,7 @@ def seeded(
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
     way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
-    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS_SETS)
+    way[can] = np.round(way[can] / max(CLOSED_GAP * np.abs(distance[can]).max(initial=0), 1e-300))
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
 
     def enlarged(leading):

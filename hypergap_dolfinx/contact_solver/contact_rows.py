@@ -23,7 +23,7 @@ from dolfinx import fem
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, COVERED_AREA, FREE
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, COVERED_AREA, HOLDS
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Gaps, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
@@ -208,7 +208,7 @@ class ContactRows:
             for weights in (1.0, ~held[self.C.j])
         )
         covered = self.m > COVERED_AREA * self._area
-        self.valid = covered & (free > FREE**2 * every) & ~self._behind
+        self.valid = covered & (free > HOLDS**2 * every) & ~self._behind
         self._transfer()
 
     def _transfer(self):
@@ -501,7 +501,7 @@ class ContactRows:
 
         Args:
             stiffness: Stiffness of the bodies' nodes.
-            increments: Those that prescribed displacements of each body still have to make, if any.
+            increments: Increments that prescribed displacements of each body have to make, if any.
             exact: True for the exact tangent, with the derivatives of the forces.
         """
         if self.state.active.any():

@@ -48,12 +48,11 @@ from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AHEAD,
-    FAR_STEP,
-    PULLS,
+    EXCEEDS,
     RELAXED,
+    REUSED,
     ROUND_OFF_FORCES,
     SHORTENED,
-    SLACK,
     STEPS,
     UNPRESSED,
 )
@@ -236,7 +235,7 @@ class ContactSystem(NonlinearSystem):
     def _assemble_what_moved(self):
         """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
         sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
-        self._slack = SLACK * float(min(sizes))
+        self._slack = REUSED * float(min(sizes))
         self.assemble_matrix()
         self._slack = 0.0
 
@@ -262,7 +261,7 @@ class ContactSystem(NonlinearSystem):
         zero = self._zero_pressure()
         for rows in self._rows:
             p = rows.state.p * rows.state.active
-            if p.min(initial=0) < -max(PULLS * np.abs(p).max(initial=0), zero):
+            if p.min(initial=0) < -max(EXCEEDS * np.abs(p).max(initial=0), zero):
                 at = spot(rows.sides[1].displaced(rows.u[1]).x[[p.argmin()]])
                 raise SolveError(
                     f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
@@ -408,8 +407,7 @@ class ContactSystem(NonlinearSystem):
         largest = max(float(abs(part).max(initial=0)) for part in jump)
         far = self._comm.allreduce(largest, MPI.MAX)
         return not self._num_free and any(
-            rows.state.p.any() and far > FAR_STEP * rows.sides[1].reference.size.max()
-            for rows in self._rows
+            rows.state.p.any() and far > rows.sides[1].reference.size.max() for rows in self._rows
         )
 
     def _lead(self):
@@ -435,7 +433,7 @@ class ContactSystem(NonlinearSystem):
             of_sides, apart = motions_of(rows, motions)
             turn = None not in of_sides and turns_together(*of_sides)
             together &= turn
-            if far and apart > FAR_STEP:
+            if far and apart > 1:  # in facet sizes
                 rows.forget()
             elif turn and isinstance(rows, FrictionRows):
                 rows.turn(of_sides[1])
