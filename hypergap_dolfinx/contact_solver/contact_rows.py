@@ -538,13 +538,8 @@ class ContactRows:
     ) -> Linear:
         """Equations of the active multipliers, and p = 0 of the others.
 
-        Args:
-            stiffness: Stiffness of the bodies' nodes.
-            rows: Block by dofs, scaled.
-            forces: Block of forces, transposed.
-            corner: Block by the multipliers.
-            right: Right-hand side.
-            scale: Multipliers over unknowns.
+        ``rows`` is the block by dofs, ``forces`` that of forces, transposed, and ``corner`` that by
+        multipliers.
         """
         on, start = self._active_unknowns, self._num_dofs
         there = self.unknowns[0] != -2

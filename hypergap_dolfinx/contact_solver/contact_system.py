@@ -242,10 +242,7 @@ class ContactSystem(NonlinearSystem):
     def _retain(self, last: Sequence[NormalState]) -> bool:
         """Retain the sticking sets, with the exact tangent, where they alternate.
 
-        The iterate that follows is checked anew: it is no solution yet.
-
-        Args:
-            last: The contacts' states before sticking sets were chosen.
+        The iterate that follows is checked anew. ``last`` are the states before sets were chosen.
         """
         if not all(
             np.array_equal(rows.state.active, a.active) for rows, a in zip(self._rows, last)
@@ -339,32 +336,18 @@ class ContactSystem(NonlinearSystem):
         return [u.x.array[: len(held)] for u, held in zip(self._u, self._held, strict=True)]
 
     def _lost(self, state: SystemState, error: Exception) -> str:
-        """Message on where a failed load step led bodies that only contact holds. Collective.
-
-        Args:
-            state: The state in which it started.
-            error: The reason why it failed.
-        """
+        """Message on where a failed step led bodies that only contact holds. Collective."""
         return self._strays.lost(state.values, self._owned(), str(error)) if self._num_free else ""
 
     def _load(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
-        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective.
-
-        Args:
-            modes: The motions of each body at its present place.
-        """
+        """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
         parts = [m.T @ b.array_r for m, b in zip(modes, self._b.getNestSubVecs(), strict=False)]
         return self._comm.allreduce(sum(parts))
 
     def _free_moves(
         self, rows: ContactRows, every: Sequence[npt.NDArray[np.float64]]
     ) -> list[Displacements]:
-        """Free rigid motions at a contact's sides at their present place. Collective.
-
-        Args:
-            rows: The contact.
-            every: The motions of each body.
-        """
+        """Free rigid motions of each body at a contact's sides. Collective."""
         return [rows.from_bodies([modes[:, k] for modes in every]) for k in range(self._num_free)]
 
     def _forces_left(self) -> tuple[list[npt.NDArray], list[list[npt.NDArray]]]:
@@ -508,12 +491,7 @@ class ContactSystem(NonlinearSystem):
     def _take(
         self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray]]:
-        """Solve, and subtract the solution. Collective.
-
-        Args:
-            right: This rank's right-hand side of bodies and ties.
-            equations: Equations of the contacts.
-            viscous: Share of the bodies' stiffness that is added.
+        """Solve, and subtract the solution; arguments as :meth:`Tangent.solve`. Collective.
 
         Returns:
             This rank's increments of each body's displacements, and the contacts' unknowns.

@@ -230,7 +230,7 @@ class Tangent:
     def solve(
         self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
-        """Solve with the values that the nested matrix has now.
+        """Solve with the present values of the nested matrix.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
