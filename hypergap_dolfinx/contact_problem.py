@@ -220,7 +220,7 @@ class ContactProblem(ContactSystem):
     def solve(self) -> list[fem.Function]:
         """Go from the last state to the values that are set now, and accept that. Collective.
 
-        Where Newton's iteration fails, the load step is halved: all constants and functions in the
+        If Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
         that was found remains. The first load step starts with the values at construction: set the
         load after that. In a time loop what is known of the last time step is among the values:

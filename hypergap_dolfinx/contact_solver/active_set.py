@@ -177,7 +177,7 @@ def as_near(before, now, distance, force, none: float, *, plane: bool) -> npt.ND
 def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
     """An active set on a chain of edges without the pull at its ends, and what balances it.
 
-    Where contact reaches too far, its last vertex pulls, and pressures beside it scatter: without
+    If contact reaches too far, its last vertex pulls, and pressures beside it scatter: without
     this the set would lose a vertex or two each step. Vertices lost wrongly overlap, and come back
     at once. Arguments as :func:`shrunk`.
     """
