@@ -20,7 +20,7 @@ RUN { printf 'path-exclude=%s\n' '/usr/share/doc/*' '*.a' && \
     && apt-get update \
     && DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends \
         python3-dolfinx python3-gmsh python3-hypothesis python3-pytest python3-pytest-xdist \
-        python3-pyvista xvfb \
+        python3-pyvista python3-scipy xvfb \
     && apt-get clean \
     && rm -rf /var/lib/apt/lists/* /var/cache/debconf/*-old /var/log/* \
     && useradd --create-home fenics \

@@ -137,7 +137,10 @@ class Ironing:
     def along_surfaces(self):
         """Shear over pressure along the surfaces, which needn't be level."""
         rows = self.contact.rows
-        p, q = rows.now.p * rows.now.on, np.linalg.norm(rows.now.q * rows.now.on, axis=0)
+        p, q = (
+            rows.state.p * rows.state.active,
+            np.linalg.norm(rows.state.q * rows.state.active, axis=0),
+        )
         return (q @ rows.m) / (p @ rows.m)
 
     def go(self, steps, size, back=0, film=None):

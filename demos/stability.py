@@ -362,7 +362,7 @@ def contact_rows(quick):
             runs = [pressed(scene | common | {"swap": swap}) for swap in (False, True)]
             error, problem = max(runs, key=lambda run: run[0])
             rows = problem.rows(problem.contacts[0])
-            gap = np.abs(rows.distance[rows.now.on]).max()
+            gap = np.abs(rows.distance[rows.state.active]).max()
             result = {"scene": "contact", "axis": axis, "value": value, **common, **nothing}
             result |= {"error": float(error), "bound": bound, "constraint": float(gap)}
             yield result | {"reason": problem.iterations, "ok": bool(error <= bound)}

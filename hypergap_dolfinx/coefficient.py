@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What a contact has at each place of Γ1, as a user gives it: how it rubs, how it gives way."""
+"""Coefficients of a contact on Γ1, as a user gives them: friction and compliance."""
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ Value = float | fem.Constant | fem.Function
 
 
 class Coefficient:
-    """Numbers from 0 on: one for all of Γ1, or one for each of its vertices."""
+    """Non-negative numbers: one for all of Γ1, or one for each of its vertices."""
 
     def __init__(
         self, value: Value, name: str, what: str, V: fem.FunctionSpace, facets: npt.ArrayLike
@@ -28,8 +28,8 @@ class Coefficient:
         Args:
             value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
                 which values at vertices are taken.
-            name: Of the argument, for messages.
-            what: Of the number, for messages.
+            name: Name of the argument, for messages.
+            what: Name of the number, for messages.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
 
@@ -65,7 +65,7 @@ class Coefficient:
         return self._value.value if isinstance(self._value, fem.Constant) else self._value
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
-        """At Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
+        """Values at Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
 
         Raises:
             ValueError: A value that is negative or no number.
@@ -87,7 +87,7 @@ class Coefficient:
 
 
 def is_number(value) -> bool:
-    """Whether it is a real number, or an array of no dimensions with one."""
+    """True for a real number, or an array of no dimensions with one."""
     kinds = int | float | np.number | np.ndarray
     return (
         isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
@@ -95,7 +95,7 @@ def is_number(value) -> bool:
 
 
 def _unfit(f: fem.Function, name: str, what: str, V: fem.FunctionSpace) -> str | None:
-    """What is wrong with a function as a coefficient."""
+    """Reason why a function can't be a coefficient; None if it can."""
     if f.function_space.mesh is not V.mesh:
         return (
             f"{name} is a function on another mesh than Γ1's; make it on that of "

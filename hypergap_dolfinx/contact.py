@@ -21,7 +21,12 @@ from hypergap_dolfinx.contact_geometry.opened import on_sigma
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching, owned_values
+from hypergap_dolfinx.contact_solver.contact_rows import (
+    ContactPair,
+    ContactRows,
+    owned_values,
+    rows_of,
+)
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError
@@ -48,8 +53,8 @@ class Contact:
     With friction there are tractions q_a too, against the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
 
-    Surfaces that give way (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a
-    then, m_a being the area that goes with it.
+    Compliant surfaces (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a then,
+    with the area m_a of the weight.
 
     Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
     Bodies with a round surface of degree 2 want curved cells.
@@ -93,7 +98,7 @@ class Contact:
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
                 stay what they are at the start, the constraints are linear.
             friction: Coulomb's coefficient: a number, a ``fem.Constant``, or a scalar Lagrange
-                function on Γ1's mesh, of which values at vertices are taken. What it holds may
+                function on Γ1's mesh, of which values at vertices are taken. Its values may
                 change between load steps. None for no friction.
             elastic_slip: Slip (a length) up to which friction grows to μ p, and which goes back
                 when it is released. With 0 nothing slips before that.
@@ -146,8 +151,6 @@ class Contact:
             if compliance is None
             else Coefficient(compliance, "compliance", "the compliance", *side1)
         )
-        self.rows: ContactRows | None = None
-        """Gaps and pressures of the last problem with this contact."""
         for doubt in self._doubts():
             if comm.rank == 0:
                 LOG.warning(doubt)
@@ -166,7 +169,7 @@ class Contact:
             b: The same of the other side.
             stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
                 facets differ by less than a tenth.
-            options: Of the constructor.
+            options: Options of the constructor.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; moduli that are none.
@@ -194,7 +197,7 @@ class Contact:
         return contact
 
     def _doubts(self):
-        """What is doubtful about the surfaces, one line each."""
+        """Warnings about the surfaces, one line each."""
         if self.finer > FINER * (1 + 1e-9):
             yield (
                 f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
@@ -239,7 +242,7 @@ class Contact:
 
     @property
     def compliance(self) -> Coefficient | None:
-        """By how much surfaces overlap under a pressure of 1, if they do."""
+        """Compliance: overlap under a pressure of 1, if there is any."""
         return self._compliance
 
     @property
@@ -249,7 +252,7 @@ class Contact:
 
     @property
     def follows(self) -> bool:
-        """Whether Σ follows the bodies."""
+        """True if Σ follows the bodies."""
         return self._sliding == "finite"
 
     @property
@@ -258,12 +261,12 @@ class Contact:
         return self._depth
 
     def gaps(self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]) -> Segments:
-        """Find Σ where the bodies are. Collective.
+        """Find the contact segments at given displacements. Collective.
 
         Args:
             u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
                 on every rank.
-            held: Which of them are prescribed.
+            held: Mask of the prescribed ones.
 
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
@@ -275,25 +278,34 @@ class Contact:
 
     @property
     def swapped(self) -> bool:
-        """Whether :meth:`between` made its first side Γ1."""
+        """True if :meth:`between` made its first side Γ1."""
         return self._swapped
 
     @property
+    def rows(self) -> ContactRows | None:
+        """Gaps and pressures in the problem solved last; ``problem.rows(contact)`` in any one."""
+        return next(iter(rows_of(self)), None)
+
+    @property
     def active(self) -> npt.NDArray[np.bool_]:
-        """Which vertices of Γ1 (``surfaces[1].x``) are in contact; the same on every rank."""
-        if self.rows is None:
+        """Mask of the vertices of Γ1 (``surfaces[1].x``) in contact; the same on every rank.
+
+        In the problem solved last; in any one: ``problem.rows(contact).state.active``.
+        """
+        rows = self.rows
+        if rows is None:
             raise ValueError("the contact is in no problem: make one, and call solve() first.")
-        return self.rows.now.on.copy()
+        return rows.state.active.copy()
 
     @property
     def sticking(self) -> npt.NDArray[np.bool_]:
-        """Which vertices of Γ1 are in contact and stick; the same on every rank."""
-        return self.active & self._rubbing(self.rows).now.sticks
+        """Mask of the vertices of Γ1 in contact that stick, as :attr:`active`."""
+        return self.active & self._friction_rows(self.rows).state.sticks
 
     @property
     def slipping(self) -> npt.NDArray[np.bool_]:
-        """Which vertices of Γ1 are in contact and slip."""
-        return self.active & ~self._rubbing(self.rows).now.sticks
+        """Mask of the vertices of Γ1 in contact that slip, as :attr:`active`."""
+        return self.active & ~self._friction_rows(self.rows).state.sticks
 
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
@@ -307,9 +319,9 @@ class Contact:
             ``(num_vertices,)``, in the order of ``surfaces[1].x``.
         """
         rows = self._solved_rows(problem)
-        if rows.now.opening is None:
+        if rows.state.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.at, rows.spread(rows.now.p))
+        return self._opening(rows).smoothed(rows.at, rows.spread(rows.state.p))
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """The pressure between the bodies. Collective.
@@ -330,7 +342,7 @@ class Contact:
         rows = self._solved_rows(problem)
         if self._on_body(on):
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.spread(rows.now.p * rows.now.on))
+        cells = self._opening(rows).cells(rows.at, rows.spread(rows.state.p * rows.state.active))
         return on_sigma(self._comm, cells, "pressure")
 
     def shears(self, problem) -> npt.NDArray[np.float64]:
@@ -342,8 +354,8 @@ class Contact:
         Returns:
             ``(num_vertices, n)``, in the order of ``surfaces[1].x``, the same on every rank.
         """
-        rows = self._rubbing(self._solved_rows(problem))
-        if rows.now.opening is None:
+        rows = self._friction_rows(self._solved_rows(problem))
+        if rows.state.opening is None:
             return np.zeros((len(rows.g), self.spaces[1].mesh.geometry.dim))
         opening = self._opening(rows)
         return np.stack([opening.smoothed(rows.at, part) for part in rows.shears.T], axis=1)
@@ -355,7 +367,7 @@ class Contact:
             problem: A solved problem with this contact.
             on: ``"sigma"`` or ``"body"``.
         """
-        rows = self._rubbing(self._solved_rows(problem))
+        rows = self._friction_rows(self._solved_rows(problem))
         if self._on_body(on):
             return self._at_vertices(self.shears(problem), "shear")
         cells = self._opening(rows).cells(rows.at, rows.shears)
@@ -370,7 +382,7 @@ class Contact:
         Returns:
             ``(num_vertices, n)``, the same on every rank; 0 where there is no contact.
         """
-        return self._rubbing(self._solved_rows(problem)).slipped.copy()
+        return self._friction_rows(self._solved_rows(problem)).slipped.copy()
 
     def slip(self, problem) -> fem.Function:
         """The same as a function of degree 1 on Γ1's body. Collective.
@@ -386,7 +398,7 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        return self._rubbing(self._solved_rows(problem)).dissipated
+        return self._friction_rows(self._solved_rows(problem)).dissipated
 
     def _solved_rows(self, problem) -> ContactRows:
         if not hasattr(problem, "rows"):
@@ -395,7 +407,7 @@ class Contact:
             )
         return problem.rows(self)
 
-    def _rubbing(self, rows: ContactRows | None) -> FrictionRows:
+    def _friction_rows(self, rows: ContactRows | None) -> FrictionRows:
         if not isinstance(rows, FrictionRows):
             raise ValueError("the contact has no friction: give it a coefficient.")
         return rows
@@ -425,8 +437,8 @@ class Contact:
         rows = self._solved_at(u0, u1)
         if rows is None:
             free = [np.zeros(len(owned_values(u)), dtype=bool) for u in (u0, u1)]
-            rows = ContactRows(Touching(self, (u0, u1), (0, 1)), free)
-            rows.look()
+            rows = ContactRows(ContactPair(self, (u0, u1), (0, 1)), free)
+            rows.update_geometry()
         opening = self._opening(rows)
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
@@ -434,9 +446,11 @@ class Contact:
         return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
-        """The last problem's rows if these are its displacements, unchanged since. Collective."""
-        rows = self.rows
-        if rows is None or rows.now.opening is None or rows.fields != (u0, u1):
+        """The rows of a problem with these displacements, unchanged since a solve. Collective."""
+        found = (rows for rows in rows_of(self) if rows.fields == (u0, u1) and rows.state.opening)
+        rows = next(found, None)
+        # Python forgets problems on each rank at its own time
+        if not self._comm.allreduce(rows is not None, MPI.LAND) or rows is None:
             return None
         now = rows.displacements([owned_values(u) for u in (u0, u1)])
         return rows if all(map(np.array_equal, now, rows.u)) else None
@@ -447,9 +461,9 @@ class Contact:
         return on == "body"
 
     def _opening(self, rows: ContactRows) -> Segments:
-        if rows.now.opening is None:
+        if rows.state.opening is None:
             raise InterfaceError("nothing of Γ1 lies opposite Γ0 where the bodies are.")
-        return rows.now.opening
+        return rows.state.opening
 
     def displaced(self, problem) -> tuple[Surface, Surface]:
         """Γ0 and Γ1 where the bodies are, gathered on every rank.
@@ -468,7 +482,7 @@ class Contact:
         Returns:
             ``(n,)``, the same on every rank.
         """
-        return self._solved_rows(problem).acting()[1].sum(axis=0)
+        return self._solved_rows(problem).contact_forces()[1].sum(axis=0)
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""
@@ -520,7 +534,7 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
 
 
 def _is_round(surface: Surface) -> bool:
-    """Whether straight facets turn by small angles, as those that stand for a curve."""
+    """True if straight facets turn by small angles, as those of a curve do."""
     if surface.gdim == 2:
         turn, corner = turns(surface)
         return bool(((turn > 0) & ~corner).any())

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.load_path import LoadPath
 from hypergap_dolfinx.contact import Contact
-from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Touching
+from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core import progress
@@ -87,7 +87,7 @@ class ContactProblem(ContactSystem):
             contacts: The contacts between them.
             ties: The ties between them.
             J: Jacobian form of each body that has a form; F's derivative if not given.
-            rtol: Residual, over the forces in the bodies, that is none.
+            rtol: Residual, over the forces in the bodies, treated as zero.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP of Newton's steps (its matrix is an AIJ); if they name
                 no type MUMPS's LDLᵀ or, with friction or where that doesn't solve, its LU.
@@ -138,7 +138,7 @@ class ContactProblem(ContactSystem):
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
-        touching = []
+        pairs = []
         for c, contact in enumerate(contacts):
             bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
@@ -150,13 +150,13 @@ class ContactProblem(ContactSystem):
                     "more pressures than displacements; swap its sides."
                 )
             fields = u[bodies[0]], u[bodies[1]]
-            touching.append(Touching(contact, fields, (numbers[0], numbers[1])))
+            pairs.append(ContactPair(contact, fields, (numbers[0], numbers[1])))
         super().__init__(
             forms,
             [u[i] for i in elastic],
             bcs,
             Joined(ties),
-            touching,
+            pairs,
             names=[f"body {i}" for i in elastic],
             rtol=rtol,
             petsc_options_prefix=petsc_options_prefix,
@@ -166,8 +166,6 @@ class ContactProblem(ContactSystem):
             jit_options=jit_options,
         )
         self._contacts = list(contacts)
-        for contact, rows in zip(self._contacts, self._rows, strict=True):
-            contact.rows = rows
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
         arrays = [array for law in laws for array in law.arrays]
@@ -222,7 +220,7 @@ class ContactProblem(ContactSystem):
     def solve(self) -> list[fem.Function]:
         """Go from the last state to the values that are set now, and accept that. Collective.
 
-        Where Newton's iteration fails, the load step is halved: all constants and functions in the
+        If Newton's iteration fails, the load step is halved: all constants and functions in the
         forms and boundary conditions are set to values between. If that fails too, the last state
         that was found remains. The first load step starts with the values at construction: set the
         load after that. In a time loop what is known of the last time step is among the values:
@@ -270,14 +268,14 @@ class ContactProblem(ContactSystem):
                     self._path.commit(done)
                     if done or self._solved:
                         for rows in self._rows:
-                            rows.look()
+                            rows.update_geometry()
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}{lost}"
                     ) from error
                 progress.show(comm, f"load {s:.3g}: {error}")
             else:
                 for rows in self._rows:
-                    rows.accept()
+                    rows.commit()
                 done, size = s, min(2 * size, 1.0)
                 progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
         self._path.commit()
@@ -289,17 +287,17 @@ class ContactProblem(ContactSystem):
         return self._every
 
     def _summary(self) -> str:
-        """What a load step did, in one line."""
+        """Summary of a load step, in one line."""
         halved = f", halved {self._halvings} times" if self._halvings else ""
         num, every = (
             sum(int(part.sum()) for part in parts)
-            for parts in ([rows.now.on for rows in self._rows], [r.valid for r in self._rows])
+            for parts in ([rows.state.active for rows in self._rows], [r.valid for r in self._rows])
         )
-        rubbing = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
-        sticking = f", {sum(rows.stuck.sum() for rows in rubbing)} of them stick"
+        frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
+        sticking = f", {sum(rows.stuck.sum() for rows in frictional)} of them stick"
         return (
             f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
-            f"{num} of {every} vertices in contact{sticking if rubbing else ''}"
+            f"{num} of {every} vertices in contact{sticking if frictional else ''}"
         )
 
     def _warn_of_stiffness(self, comm):
@@ -348,6 +346,6 @@ def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):
 
 
 def _share(one: Contact | Tie, i: int, other: Contact | Tie, j: int) -> bool:
-    """Whether sides have facets on this rank in common."""
+    """True if two sides have common facets on this rank."""
     same = one.spaces[i].mesh is other.spaces[j].mesh
     return same and bool(np.isin(one.facets[i], other.facets[j]).any())

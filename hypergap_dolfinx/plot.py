@@ -264,7 +264,7 @@ def contact(
         x = surface.x
         if dim == 3:  # before Γ0's body, also where they overlap
             rows = problem.rows(contact)
-            overlap = -(rows.g[rows.now.on] / rows.m[rows.now.on]).min(initial=0)
+            overlap = -(rows.g[rows.state.active] / rows.m[rows.state.active]).min(initial=0)
             x = x - (lift + 2 * overlap) * direction
             drawn.points = x
         plotter.add_mesh(drawn, line_width=8, **scale, **bar)

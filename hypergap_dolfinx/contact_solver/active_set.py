@@ -3,107 +3,64 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Which multipliers of a contact act: the active set of a semi-smooth Newton. NumPy alone.
-
-Where bodies that only contact holds come to rest, as rigid ones. NumPy alone.
-"""
+"""Active set of a semi-smooth Newton iteration: its changes, and how it holds rigid bodies."""
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import (
-    COVERED_AREA,
-    DIGITS_SETS,
-    GAP_ZERO,
-    HOLDS,
-    PIVOTS,
-    REST,
-)
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS, REST
 
 
-def resting(holds, load, distance) -> npt.NDArray[np.intp]:
-    """On what rigid bodies rest to which a load is applied, once they have moved there.
+def supports(holds, load, distance) -> npt.NDArray[np.intp]:
+    """Support set of rigid bodies under the applied load, once they have moved there.
 
-    They go where the load does the most work while no gap closes to less than nothing: a linear
-    program. Solved is its dual, by the simplex method: of all pressures that balance the load those
-    that do the least work in the gaps.
+    They go where the load does the most work while no gap becomes negative: a linear program.
+    Solved is its dual: of all pressures that balance the load, those that do the least work in the
+    gaps.
 
     Args:
-        holds: What a pressure does along each motion, ``(num, num_motions)``.
-        load: What balances it there, ``(num_motions,)``.
+        holds: Work of a unit pressure along each motion, ``(num, num_motions)``.
+        load: Load along each motion, ``(num_motions,)``.
         distance: Gaps, with the pressures' weights, ``(num,)``; none is negative.
 
     Returns:
-        Which have a pressure; none if no pressures balance the load.
+        The multipliers with a pressure; empty if no pressures balance the load.
     """
-    num, k = holds.shape
+    from scipy.optimize import linprog
+
     scale = np.abs(holds).max(axis=0, initial=0)
-    none = np.empty(0, dtype=np.intp)
-    if not num or not load.any() or not scale.all():
-        return none
-    b = load / scale / np.abs(load / scale).max()
-    A = np.hstack(((holds / scale).T, np.diag(np.where(b < 0, -1.0, 1.0))))
-    A[:, :num] /= np.abs(A[:, :num]).max()
-    cost = np.zeros((2, num + k))  # first that of what balances nothing
-    cost[0, num:], cost[1, :num] = 1, distance / max(distance.max(), 1e-300)
-    basis = np.arange(num, num + k)
-    for _ in range(PIVOTS * k):
-        inverse = np.linalg.inv(A[:, basis])
-        x = inverse @ b
-        lost, work = cost - cost[:, basis] @ inverse @ A
-        lost[np.abs(lost) <= GAP_ZERO] = 0
-        work = np.where(lost == 0, work, 0)
-        enters = lost.argmin() if lost.min() < 0 else work.argmin()
-        if lost[enters] >= 0 and work[enters] >= -GAP_ZERO:
-            break
-        falls = inverse @ A[:, enters]
-        ways = np.full(k, np.inf)
-        np.divide(x, falls, ways, where=falls > GAP_ZERO)
-        if not np.isfinite(ways.min()):
-            break
-        basis[ways.argmin()] = enters
-    acts = basis[x > GAP_ZERO]
-    return none if (acts >= num).any() else acts
+    if not len(holds) or not load.any() or not scale.all():
+        return np.empty(0, dtype=np.intp)
+    b, A = load / scale, (holds / scale).T
+    b, A = b / np.abs(b).max(), A / np.abs(A).max()
+    work = distance / max(distance.max(), 1e-300)
+    found = linprog(work, A_eq=A, b_eq=b, method="highs-ds")
+    acts = found.x > HOLDS if found.success else np.zeros(len(holds), dtype=bool)
+    return np.flatnonzero(acts)
 
 
-def covered(m: npt.NDArray, area: npt.NDArray) -> npt.NDArray[np.bool_]:
-    """Multipliers with enough of an area to have a pressure.
+def sources(new, lasting, active, facets) -> npt.NDArray[np.intp]:
+    """Vertices from which new multipliers take their tractions, -1 for none, ``(num,)``.
 
     Args:
-        m: Areas of the weights, ``(num,)``.
-        area: Areas of Γ1 that the vertices stand for, ``(num,)``.
-    """
-    return m > COVERED_AREA * area
-
-
-def sources(come, lasting, on, facets) -> npt.NDArray[np.intp]:
-    """Vertices whose tractions new multipliers begin with, -1 if there are none.
-
-    Args:
-        come: The new ones, ``(num,)``.
-        lasting: Which others there are, ``(num,)``.
-        on: The active set, in which all of these beside a new one must be, ``(num,)``.
+        new: Mask of the new multipliers, ``(num,)``.
+        lasting: Mask of those that existed before, ``(num,)``.
+        active: The active set, in which all of these beside a new one must be, ``(num,)``.
         facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
     """
-    result = np.full(len(come), -1)
-    i, j = _pairs(facets[come[facets].any(axis=1)])
-    use = come[i] & lasting[j]
+    result = np.full(len(new), -1)
+    i, j = _pairs(facets[new[facets].any(axis=1)])
+    use = new[i] & lasting[j]
     result[i[use]] = j[use]
-    result[i[use & ~on[j]]] = -1
+    result[i[use & ~active[j]]] = -1
     return result
 
 
-def beside(come, lasting, facets) -> npt.NDArray[np.bool_]:
-    """New multipliers, and those beside them that there were, ``(num,)``.
-
-    Args:
-        come: The new ones, ``(num,)``.
-        lasting: Which others there are, ``(num,)``.
-        facets: As for :func:`sources`.
-    """
-    result = come.copy()
-    i, j = _pairs(facets[come[facets].any(axis=1)])
-    result[j[come[i] & lasting[j]]] = True
+def beside(new, lasting, facets) -> npt.NDArray[np.bool_]:
+    """Mask of new multipliers, and of their lasting neighbours; arguments as :func:`sources`."""
+    result = new.copy()
+    i, j = _pairs(facets[new[facets].any(axis=1)])
+    result[j[new[i] & lasting[j]]] = True
     return result
 
 
@@ -113,36 +70,46 @@ def _pairs(facets) -> npt.NDArray[np.intp]:
     return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))
 
 
-def pushing(p, g, m, valid, stiffness, on, none: float) -> npt.NDArray[np.bool_]:
-    """P − c g/m > 0: closed or overlapping, and not pulling; what is at both limits stays.
+def pushing(p, g, m, valid, stiffness, active, zero: float) -> npt.NDArray[np.bool_]:
+    """Mask p − c g/m > 0: closed or overlapping, without a pull; at both limits nothing changes.
 
     Args:
         p: Pressures, ``(num,)``.
         g: Weighted gaps, ``(num,)``.
         m: Areas of the weights, ``(num,)``.
-        valid: Which multipliers there are, ``(num,)``.
+        valid: Mask of the existing multipliers, ``(num,)``.
         stiffness: c, of the size of a modulus over the size of a cell; a number or ``(num,)``.
-        on: The set so far, ``(num,)``.
-        none: Pressure that is none.
+        active: The set so far, ``(num,)``.
+        zero: Pressure treated as zero.
     """
     gap = np.divide(g, m, out=np.zeros_like(g), where=valid)
-    return valid & (p - stiffness * gap > np.where(on, -none, none))
+    return valid & (p - stiffness * gap > np.where(active, -zero, zero))
 
 
-def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]:
-    """As :func:`without_pull`, on a surface: a zone's pull goes inwards ring by ring.
-
-    What each vertex that is lost pulls is shared by its neighbours farther inside; one of which the
-    force is less is lost too, and hands on what is left.
+def shrunk(before, now, facets, force, distance, closed: float) -> npt.NDArray[np.bool_]:
+    """An active set that loses at once all that pulls, and what balances it.
 
     Args:
         before: The last set, ``(num,)``.
-        now: Those that remain, and new ones, ``(num,)``.
+        now: Its part that doesn't pull, and new multipliers, ``(num,)``.
         facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
         force: Pressures times areas, ``(num,)``.
+        distance: As for :func:`as_near`; None if pressures acted at the start of the load step.
+        closed: Difference of distances treated as zero.
+    """
+    plane = facets.shape[1] == 2
+    if distance is not None:
+        near = as_near(before, now, distance, force, closed, plane=plane)
+        if not np.array_equal(near, now):
+            return near
+    return (without_pull if plane else without_pull_on_surface)(before, now, facets, force)
 
-    Returns:
-        ``(num,)``.
+
+def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]:
+    """An active set on a surface without the pull at its edge, ring by ring inwards.
+
+    The neighbours of a lost vertex farther inside share its pull; those whose force is smaller are
+    lost too, and pass on the rest. Arguments as :func:`shrunk`.
     """
     num = len(before)
     pairs = np.unique(
@@ -173,24 +140,20 @@ def without_pull_on_surface(before, now, facets, force) -> npt.NDArray[np.bool_]
 
 
 def as_near(before, now, distance, force, none: float, *, plane: bool) -> npt.NDArray[np.bool_]:
-    """As :func:`without_pull`, where bodies come into contact: what was nearest stays.
+    """An active set of which the nearest vertices remain, where bodies come into contact.
 
-    A set that is much too large pulls at its edge, and scatters all over. Ordered by how far apart
-    things were, what pulls and what balances it are the outer ones; from a level on the rest has
-    the whole force. Of two spheres that level is at r² = a³/b, a the radius that is looked for, b
-    the set's; hence :data:`REST`. Of two cylinders pressures change their sign at 2x² = a² + b².
+    A set that is much too large pulls at its edge, and pressures scatter all over. Ordered by their
+    distance before contact, the outer vertices pull or balance a pull; from some distance on the
+    inner ones carry the whole force. For two spheres that is r² = a³/b, a the unknown radius, b
+    the set's; hence :data:`REST`. For two cylinders pressures change their sign at 2x² = a² + b².
 
     Args:
         before: The last set, ``(num,)``.
-        now: Those that remain, and new ones, ``(num,)``.
-        distance: Gaps over areas before anything touched, ``(num,)``; infinite where there was
-            none.
+        now: Its part that doesn't pull, and new multipliers, ``(num,)``.
+        distance: Gaps over areas before contact, ``(num,)``; infinite without a multiplier.
         force: Pressures times areas, ``(num,)``.
-        none: Difference of distances that is none.
-        plane: Whether bodies are in the plane.
-
-    Returns:
-        ``(num,)``.
+        none: Difference of distances treated as zero.
+        plane: True for bodies in the plane.
     """
     known = np.isfinite(distance)
     order = np.flatnonzero(before & known)
@@ -212,20 +175,11 @@ def as_near(before, now, distance, force, none: float, *, plane: bool) -> npt.ND
 
 
 def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
-    """An active set on chains of edges that loses at an end as much as the end's pull holds.
+    """An active set on a chain of edges without the pull at its ends, and what balances it.
 
-    Where contact reaches too far, its last vertex pulls, and pressures beside it scatter around
-    what they should be: without this it would lose a vertex or two each step. What goes wrongly
-    comes back at once, since it overlaps.
-
-    Args:
-        before: The last set, ``(num,)``.
-        now: Those that remain, and new ones, ``(num,)``.
-        facets: Vertices of Γ1's edges, ``(num_facets, 2)``.
-        force: Pressures times areas, ``(num,)``.
-
-    Returns:
-        ``(num,)``.
+    If contact reaches too far, its last vertex pulls, and pressures beside it scatter: without
+    this the set would lose a vertex or two each step. Vertices lost wrongly overlap, and come back
+    at once. Arguments as :func:`shrunk`.
     """
     result = now.copy()
     beside = np.full((2, len(before)), -1)
@@ -244,23 +198,23 @@ def without_pull(before, now, facets, force) -> npt.NDArray[np.bool_]:
 def seeded(
     active, distance, area, valid, holds, load, across=(), *, first=False
 ) -> tuple[npt.NDArray[np.bool_], int]:
-    """An active set that is enlarged until it holds what nothing else does.
+    """An active set enlarged until it holds the bodies that nothing else holds.
 
-    What the shortest way closes comes first, last what would have to pull against the load. If some
-    would have to even so, it is that on which rigid bodies would come to rest.
+    Multipliers that close soonest come first, those that would have to pull against the load last.
+    If some would have to pull even so, the set is the support set of the rigid bodies.
 
     Args:
         active: The set, ``(num,)``.
         distance: Gaps over areas, ``(num,)``.
         area: Areas, ``(num,)``.
-        valid: Which multipliers there are, ``(num,)``.
-        holds: What each makes of the motions that are free without contact, ``(num, num_free)``.
+        valid: Mask of the existing multipliers, ``(num,)``.
+        holds: Rows of the gaps on motions that are free without contact, ``(num, num_free)``.
         load: Forces on those motions that contact is to balance, ``(num_free,)``.
-        across: What friction makes of them where it sticks, ``(num_sticking, num_free)``.
-        first: Whether nothing pushes yet: then what holds all can be what would have to pull.
+        across: Rows of friction where it sticks, ``(num_sticking, num_free)``.
+        first: True if no pressure acts yet: then a set that holds all may have to pull.
 
     Returns:
-        The set, and how many motions stay free even so.
+        The set, and the number of motions that stay free even so.
     """
     num = holds.shape[1]
     size = np.linalg.norm(holds, axis=1)
@@ -269,7 +223,7 @@ def seeded(
     can = valid & (size > 0)
     way = np.full(len(size), np.inf)
     way[can] = distance[can] * np.where(distance[can] > 0, size[can].max(initial=0) / size[can], 1)
-    way[can] = np.round(way[can] / max(np.abs(distance[can]).max(initial=0), 1e-300), DIGITS_SETS)
+    way[can] = np.round(way[can] / max(CLOSED_GAP * np.abs(distance[can]).max(initial=0), 1e-300))
     pulls = rows @ load < -HOLDS * np.linalg.norm(load)
 
     def enlarged(leading):
@@ -284,25 +238,25 @@ def seeded(
     if first or (result != active).any():
         free = np.linalg.svd(basis)[2][len(basis) :].T if len(basis) else np.eye(num)
         moves, wanted = holds @ free, load @ free
-        if not len(resting(moves[result], wanted, np.zeros(result.sum()))):  # some would pull
+        if not len(supports(moves[result], wanted, np.zeros(result.sum()))):  # some would pull
             rests, closing = active.copy(), np.maximum(distance[can], 0) * area[can]
-            rests[np.flatnonzero(can)[resting(moves[can], wanted, closing)]] = True
+            rests[np.flatnonzero(can)[supports(moves[can], wanted, closing)]] = True
             result, num_free = enlarged(rests)
     return result, num_free
 
 
 def stuck(sticks, can, surplus, holds, across) -> tuple[npt.NDArray[np.bool_], int]:
-    """What sticks, enlarged until it holds what nothing else does.
+    """A sticking set enlarged until it holds the bodies that nothing else holds.
 
     Args:
-        sticks: What does, ``(num,)``.
-        can: What could, ``(num,)``.
-        surplus: By how much traction is beyond what friction can hold, ``(num,)``.
-        holds: What gaps that are closed make of free motions, ``(num_active, num_free)``.
-        across: What slips make of them, ``(num, n - 1, num_free)``.
+        sticks: The set, ``(num,)``.
+        can: Mask of multipliers that could stick, ``(num,)``.
+        surplus: Traction beyond friction's bound, ``(num,)``.
+        holds: Rows of the closed gaps on free motions, ``(num_active, num_free)``.
+        across: Rows of the slips on them, ``(num, n - 1, num_free)``.
 
     Returns:
-        ``(num,)``, and how many motions stay free even so.
+        ``(num,)``, and the number of motions that stay free even so.
     """
     num = across.shape[2]
     basis, _ = _extended(np.empty((0, num)), _unit(holds))
@@ -321,7 +275,7 @@ def _unit(rows) -> npt.NDArray[np.float64]:
 
 
 def _extended(basis, rows) -> tuple[npt.NDArray[np.float64], list[int]]:
-    """An orthonormal basis enlarged by rows of length 1 that aren't in its span, and which."""
+    """An orthonormal basis enlarged by unit rows outside its span, and the numbers of these."""
     taken = []
     for k, row in enumerate(rows):
         if len(basis) == rows.shape[1]:

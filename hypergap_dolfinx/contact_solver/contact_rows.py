@@ -3,15 +3,16 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""One contact in a problem: Σ, gaps and pressures as arrays, and their rows as matrices.
+"""A contact in a problem: Σ, gaps, pressures and the active set as arrays; its linear equations.
 
-Where bodies in contact are, to go back there or on the way to somewhere else.
+A contact's state belongs to its :class:`ContactRows`: all that changes it is a method there.
 """
 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary, ref
 
 from mpi4py import MPI
 
@@ -22,8 +23,8 @@ from dolfinx import fem
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
-from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, lenders
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, FREE
+from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, COVERED_AREA, HOLDS
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
@@ -32,83 +33,93 @@ from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
 
 @dataclass(frozen=True)
-class Touching:
-    """A contact among the bodies of a problem."""
+class ContactPair:
+    """A contact with the displacements of the two bodies of a problem."""
 
     contact: ContactInterface
     u: tuple[fem.Function, fem.Function]
-    """Displacements of their bodies."""
     bodies: tuple[int | None, int | None]
-    """Numbers of their bodies; None is a rigid one."""
+    """Numbers of the bodies; None for a rigid one."""
 
 
 @dataclass
-class Pressed:
-    """What a load step changes, and gives back if it fails."""
+class NormalState:
+    """Normal state of a contact: Σ, pressures and the active set."""
 
     opening: Segments | None
     p: npt.NDArray[np.float64]
-    """``(num_multipliers,)``."""
-    on: npt.NDArray[np.bool_]
-    """The active set, ``(num_multipliers,)``."""
-    there: npt.NDArray[np.bool_]
-    """Which multipliers there were, ``(num_multipliers,)``."""
+    """Pressures, ``(num_multipliers,)``."""
+    active: npt.NDArray[np.bool_]
+    """Mask of the active set, ``(num_multipliers,)``."""
+    exists: npt.NDArray[np.bool_]
+    """Mask of the vertices that had a multiplier last, ``(num_multipliers,)``."""
 
     def copy(self):
-        """One that keeps its arrays, and the Σ that the next one hangs on."""
+        """A copy with arrays of its own, and with the Σ on which the next one depends."""
         arrays = {k: v.copy() for k, v in self.arrays.items()}
         return replace(self, opening=copy(self.opening), **arrays)
 
     @property
     def arrays(self) -> dict[str, npt.NDArray]:
-        """All of them, ``(..., num_multipliers)`` each."""
+        """All arrays by name, ``(..., num_multipliers)`` each."""
         return {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray)}
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Equations of multipliers, to be solved with those of the bodies.
+    """Linearised equations of a contact; unknowns are both sides' dofs, then the multipliers."""
 
-    Unknowns are those of both sides' dofs, then the multipliers.
-    """
-
-    matrix: Sparse
-    """What it adds to the bodies' matrix: forces, rows of gaps, and p = 0 of what isn't acting."""
+    blocks: tuple[Sparse, ...]
+    """Additions to the bodies' matrix: forces, rows of gaps, and p = 0 of inactive multipliers."""
     right: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
     scale: npt.NDArray[np.float64]
     """Multipliers over unknowns."""
     start: npt.NDArray[np.float64]
-    """The unknowns of the multipliers that there are."""
+    """Unknowns that stand for the present multipliers."""
 
     def stiffened(self, H: Sparse) -> "Linear":
-        """With a matrix that is subtracted."""
-        return replace(self, matrix=joined(self.matrix, Sparse(H.i, H.j, -H.values)))
+        """The same equations with H subtracted from the matrix."""
+        return replace(self, blocks=(*self.blocks, Sparse(H.i, H.j, -H.values)))
+
+    @cached_property
+    def matrix(self) -> Sparse:
+        """The sum of the blocks."""
+        return joined(*self.blocks)
+
+
+_ROWS: "WeakKeyDictionary[ContactInterface, list[ref[ContactRows]]]" = WeakKeyDictionary()
+
+
+def rows_of(contact: ContactInterface) -> "list[ContactRows]":
+    """A contact's rows in the problems that exist, those of the problem solved last first."""
+    found = [reference() for reference in _ROWS.get(contact, ())]
+    return [rows for rows in found if rows is not None]
 
 
 class ContactRows:
     """Contact between two bodies; arrays are the same on every rank, matrices distributed."""
 
-    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
-        """Find out where the surfaces are in the bodies. Collective.
+    def __init__(self, pair: ContactPair, held: Sequence[npt.NDArray[np.bool_]]):
+        """Locate the surfaces in the bodies. Collective.
 
         Args:
-            touching: What touches.
-            held: Which owned dofs of each body are prescribed.
+            pair: The contact and its bodies.
+            held: Mask of each body's prescribed owned dofs.
         """
-        self._contact, self.fields, self.bodies = touching.contact, touching.u, touching.bodies
+        self._contact, self.fields, self.bodies = pair.contact, pair.u, pair.bodies
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
+        self._depth = self._contact.depth
         self._first: tuple[Segments, npt.NDArray, npt.NDArray, Sparse] | None = None
-        self.apart: npt.NDArray[np.float64] | None = None
-        """:attr:`distance` where the load step starts, if nothing pushes there."""
+        self._apart: npt.NDArray[np.float64] | None = None
+        """:attr:`distance` at the start of the load step, if no pressure acts there."""
         self.start: Displacements | None = None
-        """Where the load step starts; None before anything was looked at."""
+        """Displacements at the start of the load step; None before the first geometry."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
-        sides, bodies = self.sides, self.bodies
-        self._n = sides[0].reference.gdim
-        num = len(sides[1].reference.x)
-        self.now = Pressed(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
+        self._n = self.sides[0].reference.gdim
+        num = len(self.sides[1].reference.x)
+        self.state = NormalState(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
         self._held = [
             np.ones((len(side.dofs), self._n), dtype=bool)
             if body is None
@@ -118,21 +129,26 @@ class ContactRows:
                 V.dofmap.index_map.local_range[0],
                 side.dofs,
             ).astype(bool)
-            for V, side, body in zip(self.spaces, sides, bodies, strict=True)
+            for V, side, body in zip(self.spaces, self.sides, self.bodies, strict=True)
         ]
-        surface = sides[1].reference
+        surface = self.sides[1].reference
         size = lengths(normals_by_area(surface.x[surface.facets]))
-        self._gives = np.zeros(num)
+        self._compliance = np.zeros(num)
         self._area = np.zeros(num)
         for corner in surface.facets.T:
             self._area += np.bincount(corner, size, num)
         self._area /= surface.facets.shape[1] * (self._n - 1)
-        self._rank = np.searchsorted(surface.dof_range[1:], sides[1].vertex_dofs, side="right")
-        self.lender = np.arange(num)
-        """The vertex whose pressure each has, -1 if none, ``(num_multipliers,)``."""
+        self._rank = np.searchsorted(surface.dof_range[1:], self.sides[1].vertex_dofs, side="right")
+        self.condensed_to = np.arange(num)
+        """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
+
+    def register(self):
+        """Make these the contact's rows that :func:`rows_of` names first."""
+        others = [rows for rows in rows_of(self._contact) if rows is not self]
+        _ROWS[self._contact] = [ref(rows) for rows in (self, *others)]
 
     def ending(self, i: int, space: int) -> EndingSide:
-        """A side, as far as its ends go."""
+        """One side, for :mod:`shared_ends`; ``space`` numbers its function space."""
         side = self.sides[i]
         held = self._held[i][np.searchsorted(side.dofs, side.vertex_dofs)]
         return EndingSide(space, side.reference, side.vertex_dofs, held)
@@ -149,16 +165,26 @@ class ContactRows:
             self._comm.Allreduce(MPI.IN_PLACE, values)
         return u0, u1
 
-    def begin(self):
-        """A solve begins."""
+    def from_bodies(self, values: Sequence[npt.NDArray[np.float64]]) -> Displacements:
+        """Values of each body at both sides' dofs, 0 on a rigid one. Collective."""
+        pairs = zip(self.bodies, self.fields, strict=True)
+        return self.displacements(
+            [np.zeros_like(owned_values(f)) if b is None else values[b] for b, f in pairs]
+        )
 
-    def set_out(self):
-        """Read what a user may have changed. Collective."""
+    # Changes of the state
+
+    def start_solve(self):
+        """Start a solve: the contact shows this problem's state from now on."""
+        self.register()
+
+    def start_step(self):
+        """Start a load step: read values that the user may have changed. Collective."""
         if self._contact.compliance is not None:
-            self._gives = self._contact.compliance.at_vertices()
+            self._compliance = self._contact.compliance.at_vertices()
 
-    def look(self):
-        """Find the gaps where the bodies are. Collective.
+    def update_geometry(self):
+        """Compute the gaps at the present displacements. Collective.
 
         Raises:
             InterfaceError: There is no Σ, though the sides face each other.
@@ -172,83 +198,159 @@ class ContactRows:
             if self._first is None:
                 opening = self._contact.gaps(self.at, self._held)
                 self._first = opening, *opening.gap(self.at)
-            # A first load step that failed gave back that there was none
-            self.now.opening, start, self.m, self.C = self._first
+            # A first load step that failed restored a state without Σ
+            self.state.opening, start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
-        self._lend()
-        self._look_behind()
+        self._condense()
+        self._find_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
             np.bincount(self.C.i, weights * self.C.values**2, len(self.g))
             for weights in (1.0, ~held[self.C.j])
         )
-        self.valid = (
-            active_set.covered(self.m, self._area) & (free > FREE**2 * every) & ~self._behind
-        )
-        self._hand_on()
+        covered = self.m > COVERED_AREA * self._area
+        self.valid = covered & (free > HOLDS**2 * every) & ~self._behind
+        self._transfer()
 
-    def _hand_on(self):
-        """Let multipliers that come among those in contact begin as these are.
+    def _transfer(self):
+        """Give new multipliers among active ones the state of a neighbour.
 
-        Their weights were part of these before: so forces stay, and nothing tells yet what parts.
+        Their weights were part of the neighbours' before: so forces stay continuous, and for one
+        step the sets around them stay as they are.
         """
-        now = self.now
-        self.lasting = now.there & self.valid
+        state = self.state
+        self._persistent = state.exists & self.valid
         facets = self.sides[1].reference.facets
-        come = self.valid & ~now.there
-        source = active_set.sources(come, self.lasting, now.on, facets)
-        come = source >= 0
-        for values in now.arrays.values():
-            values[..., come] = values[..., source[come]]
-        now.there = self.valid
-        self.split = active_set.beside(come, self.lasting, facets)
+        new = self.valid & ~state.exists
+        if new.any():
+            source = active_set.sources(new, self._persistent, state.active, facets)
+            new = source >= 0
+            for values in state.arrays.values():
+                values[..., new] = values[..., source[new]]
+            self._unsettled = active_set.beside(new, self._persistent, facets)
+        else:
+            self._unsettled = new
+        state.exists = self.valid
+
+    def choose_active(
+        self, stiffness: float, zero: float, last: npt.NDArray | None, *, ahead: bool
+    ):
+        """Choose the active set.
+
+        Args:
+            stiffness: Stiffness of the bodies' nodes.
+            zero: Pressure treated as zero.
+            last: :attr:`sets` of the last Newton step; None in the first one.
+            ahead: True if zones that are too large may lose more than what pulls: mostly this
+                saves steps, but sets can cycle by it.
+        """
+        state, c, g = self.state, stiffness / self.typical_area, self.clearance
+        if last is not None:  # what a step leaves of a closed gap is curvature's: p alone decides
+            g = np.where(state.active, np.minimum(g, 0), g)
+        closed, apart = self.closed, self._apart
+        active = active_set.pushing(
+            state.p, g, self.m, self.valid, self.in_series(c), state.active, zero
+        )
+        state.active = np.where(self._unsettled, state.active, active)
+        if last is None:
+            self._apart = None
+            if not state.p.any():
+                state.active |= self.distance <= closed
+                self._apart = self.distance
+        elif ahead:
+            state.active = active_set.shrunk(
+                last[: len(self.g)].astype(bool),
+                state.active,
+                self.sides[1].reference.facets,
+                state.p * self.m,
+                apart,
+                closed,
+            )
+
+    def activate(self, active: npt.NDArray[np.bool_]):
+        """Set the active set, ``(num_multipliers,)``."""
+        self.state.active = active
+
+    def commit(self):
+        """Accept the state: the next load step starts from it."""
+        self.start = self.u
+        if self.state.opening is not None:
+            self._accepted = self._behind, self.m > 0
+
+    def restore(self, state: NormalState):
+        """Go back to a state that was copied before."""
+        self.state = state.copy()
+
+    def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
+        """Take the multipliers from a solution.
+
+        Args:
+            linear: The equations that were solved.
+            solution: The unknowns, ``(num_multipliers,)``.
+        """
+        if self.state.active.any():
+            self._take(solution * linear.scale)
+        else:
+            self.forget()
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        self.state.p = values
+
+    def forget(self):
+        """Set all pressures to zero."""
+        self.state.p = np.zeros_like(self.g)
+
+    # Geometry
 
     def _follow(self):
-        """Find the gaps of a Σ that follows the bodies; none where they don't face each other."""
-        now = self.now
+        """Compute gaps of a Σ that follows the bodies; none if they don't face each other."""
+        state = self.state
         try:  # the same on all ranks
-            if now.opening is None:
-                now.opening = self._contact.gaps(self.u, self._held)
-            self.g, self.m, self.C = now.opening.gap(self.u)
+            if state.opening is None:
+                state.opening = self._contact.gaps(self.u, self._held)
+            self.g, self.m, self.C = state.opening.gap(self.u)
         except NotFacingError:
             none = np.zeros(len(self._area))
-            now.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
+            state.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
 
-    def _lend(self):
-        """Add rows without a pressure of their own to those whose pressure they have."""
-        if (self.lender == np.arange(len(self.lender))).all():
+    def _condense(self):
+        """Add rows without a pressure of their own to those that carry their pressure."""
+        if (self.condensed_to == np.arange(len(self.condensed_to))).all():
             return
-        has = self.lender >= 0
+        has = self.condensed_to >= 0
         self.g, self.m = (
-            np.bincount(self.lender[has], part[has], len(part)) for part in (self.g, self.m)
+            np.bincount(self.condensed_to[has], part[has], len(part)) for part in (self.g, self.m)
         )
-        self.C = self._lent(self.C)
+        self.C = self._condensed(self.C)
 
-    def _lent(self, matrix: Sparse) -> Sparse:
-        """Rows without a pressure of their own added to others, of one component or several."""
-        component, a = np.divmod(matrix.i, len(self.lender))
-        has, i = self.lender[a] >= 0, component * len(self.lender) + self.lender[a]
+    def _condensed(self, matrix: Sparse) -> Sparse:
+        """A matrix with the same condensation, of one component or several."""
+        component, a = np.divmod(matrix.i, len(self.condensed_to))
+        has, i = (
+            self.condensed_to[a] >= 0,
+            component * len(self.condensed_to) + self.condensed_to[a],
+        )
         return Sparse(i[has], matrix.j[has], matrix.values[has])
 
     def spread(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures of all vertices from those of multipliers, ``(num_multipliers,)`` each."""
-        return np.where(self.lender >= 0, p[self.lender], 0)
+        return np.where(self.condensed_to >= 0, p[self.condensed_to], 0)
 
     @property
     def at(self) -> Displacements:
-        """The displacements at which Σ is."""
+        """Displacements at which Σ is made."""
         u0, u1 = self.u
         return (u0, u1) if self._follows else (np.zeros_like(u0), np.zeros_like(u1))
 
-    def _look_behind(self):
-        """Find out which vertices are opposite to Γ0 at its body's other side.
+    def _find_behind(self):
+        """Find the vertices that lie behind Γ0's body, seen from its surface.
 
-        What came there in the present load step overlaps: it is to be pushed out.
+        Those that came there in the present load step overlap, and are pushed out.
 
         Raises:
-            InterfaceError: All of them are, at first.
+            InterfaceError: All of them do at the start.
         """
-        opposite, deep = self.m > 0, self.g < -self._contact.depth * self.m
+        opposite, deep = self.m > 0, self.g < -self._depth * self.m
         if self._accepted is None:
             if opposite.any() and deep[opposite].all():
                 raise InterfaceError(
@@ -260,16 +362,10 @@ class ContactRows:
         before, there = self._accepted
         self._behind = (before & (self.g < 0)) | (deep & ~there)
 
-    def accept(self):
-        """The state is that from which the next load step starts."""
-        self.start = self.u
-        if self.now.opening is not None:
-            self._accepted = self._behind, self.m > 0
-
     @property
     def clearance(self) -> npt.NDArray[np.float64]:
-        """What is 0 in contact: g + c m p, just g if nothing gives way; ``(num_multipliers,)``."""
-        return self.g + self._gives * self.m * self.now.p
+        """G + c m p, zero in contact (c is the compliance), ``(num_multipliers,)``."""
+        return self.g + self._compliance * self.m * self.state.p
 
     @property
     def distance(self) -> npt.NDArray[np.float64]:
@@ -277,12 +373,12 @@ class ContactRows:
         return np.divide(self.clearance, self.m, np.full_like(self.g, np.inf), where=self.valid)
 
     def in_series(self, stiffness: float) -> npt.NDArray[np.float64]:
-        """A stiffness as what gives way lets feel of it, ``(num_multipliers,)``."""
-        return stiffness / (1 + stiffness * self._gives)
+        """A stiffness in series with the compliance, ``(num_multipliers,)``."""
+        return stiffness / (1 + stiffness * self._compliance)
 
     @property
     def closed(self) -> float:
-        """The length of gaps that are none."""
+        """Length of gaps treated as closed."""
         return CLOSED_GAP * float(self.sides[1].reference.size.max())
 
     @property
@@ -296,7 +392,9 @@ class ContactRows:
         """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
         flat = np.concatenate([part.ravel() for part in values])
         products = self.C.values * flat[self.C.j]
-        return np.bincount(self.C.i, products, len(self.m)).astype(float)  # without any: integers
+        return np.bincount(self.C.i, products, len(self.m)).astype(
+            float
+        )  # without entries: integers
 
     def forces(self, p: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """Cᵀp at both sides' dofs, ``(num_dofs_i, n)`` each."""
@@ -304,14 +402,22 @@ class ContactRows:
         flat = np.bincount(self.C.j, self.C.values * p[self.C.i], sum(num) * self._n)
         return np.split(flat.astype(float).reshape(-1, self._n), num[:1])
 
-    def owned(self, i: int, values: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
-        """This rank's owned dofs (unrolled, local) of a side, and the values that are there."""
-        mine, dofs = self._owned_dofs[i]
-        return dofs, values[mine].ravel()
+    def subtract_forces(
+        self, residual: Sequence[npt.NDArray], prescribed: Sequence[npt.NDArray[np.bool_]]
+    ) -> list[npt.NDArray[np.float64]]:
+        """Subtract the contact forces from this rank's residual of each body; give them back.
+
+        Prescribed dofs have no residual.
+        """
+        forces = self.contact_forces()
+        for body, force, (mine, dofs) in zip(self.bodies, forces, self._owned_dofs, strict=True):
+            if body is not None:
+                residual[body][dofs] -= force[mine].ravel() * ~prescribed[body][dofs]
+        return forces
 
     @cached_property
     def _owned_dofs(self) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """Which of each side's dofs are this rank's, and these, unrolled and local."""
+        """Mask of this rank's dofs on each side, and those dofs, unrolled and local."""
         found = []
         for side, V in zip(self.sides, self.spaces, strict=True):
             start, end = V.dofmap.index_map.local_range
@@ -321,22 +427,22 @@ class ContactRows:
         return found
 
     @property
-    def _acting(self) -> npt.NDArray[np.bool_]:
-        """Which multipliers there are an equation of."""
-        return self.now.on
+    def _active_unknowns(self) -> npt.NDArray[np.bool_]:
+        """Mask of the active unknowns."""
+        return self.state.active
 
     @cached_property
     def _order(self) -> npt.NDArray[np.intp]:
-        """Multipliers, those of lower ranks first."""
+        """Multipliers in the order of their ranks."""
         return np.argsort(np.tile(self._rank, self._per_vertex), kind="stable")
 
     @property
     def _per_vertex(self) -> int:
-        return len(self._acting) // len(self._rank)
+        return len(self._active_unknowns) // len(self._rank)
 
     @cached_property
     def ranges(self) -> npt.NDArray[np.intp]:
-        """Where the multipliers of each rank begin in that order, and their number."""
+        """First multiplier of each rank in that order, and the end."""
         num = np.bincount(self._rank, minlength=self._comm.size)
         return np.append(0, np.cumsum(num)) * self._per_vertex
 
@@ -356,7 +462,7 @@ class ContactRows:
 
     @cached_property
     def unknowns(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int64]]:
-        """Body of each unknown, -1 of multipliers, and its number there; -2 if there is none."""
+        """Body of each unknown (-1: multipliers, -2: prescribed), and its number there."""
         own = np.empty_like(self._order)
         own[self._order] = np.arange(len(own))
         bodies, numbers = [], []
@@ -371,14 +477,14 @@ class ContactRows:
         return len(self.unknowns[0]) - len(self._order)
 
     def pattern(self) -> Pattern:
-        """Where equations have entries; in the plane also where they may soon have some.
+        """Entries of the equations; in the plane also those that sliding may soon bring.
 
-        There room for all that is opposite, and what lies beside, hardly fills factors more; in
-        space it takes half as many operations again.
+        In the plane that hardly fills the factors more; in space it takes half as many operations
+        again.
         """
         at, num, n = self._support(), len(self.g), self._n
         a, node, num_nodes = at.i % num, at.j // n, self._num_dofs // n
-        near = self.valid if n == 2 else self.now.on
+        near = self.valid if n == 2 else self.state.active
         a, node = unique_pairs(a[near[a]], node[near[a]], num_nodes)
         if n == 2:
             a, node = beside(a, node, self.sides[0].at_facets, num_nodes)
@@ -386,41 +492,57 @@ class ContactRows:
         return found.without(self.unknowns[0] == -2)
 
     def _support(self) -> Sparse:
-        """Entries at all that multipliers act on."""
+        """Entries at all dofs on which multipliers act."""
         return self.C
+
+    def equations(
+        self, stiffness: float, increments: Sequence[npt.NDArray] | None, *, exact: bool
+    ) -> Linear:
+        """Linearised equations; p = 0 without active multipliers. Collective.
+
+        Args:
+            stiffness: Stiffness of the bodies' nodes.
+            increments: Increments that prescribed displacements of each body have to make, if any.
+            exact: True for the exact tangent, with the derivatives of the forces.
+        """
+        if self.state.active.any():
+            moves = None if increments is None else self.from_bodies(increments)
+            found = self.linearised(stiffness, moves)
+        else:
+            found = self.without_forces(stiffness)
+        return found.stiffened(self.curvature()) if exact else found
 
     def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
         """Equations of gaps.
 
         Args:
-            stiffness: Of the bodies' nodes, which rows are scaled by.
-            moves: What prescribed displacements have to move yet, if anything.
+            stiffness: Stiffness of the bodies' nodes, by which rows are scaled.
+            moves: Increments that prescribed displacements still have to make, if any.
         """
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
         right = scale * (self.g if moves is None else self.g + self.times(moves))
-        give = self._giving(stiffness * scale)
+        give = self._compliance_block(stiffness * scale)
         return self._linear(stiffness, rows, rows, give, right, scale)
 
-    def _giving(self, scale: npt.NDArray[np.float64]) -> Sparse:
-        """−c of what is in contact, times a scale, if it gives way anywhere."""
-        on = np.flatnonzero(self.now.on)
-        return Sparse(on, on, -(scale * self._gives)[on]) if self._gives.any() else Sparse.empty()
+    def _compliance_block(self, scale: npt.NDArray[np.float64]) -> Sparse:
+        """Block −c of active multipliers, times a scale; empty without a compliance."""
+        on = np.flatnonzero(self.state.active)
+        return (
+            Sparse(on, on, -(scale * self._compliance)[on])
+            if self._compliance.any()
+            else Sparse.empty()
+        )
 
     def _linear(
         self, stiffness: float, rows: Sparse, forces: Sparse, corner: Sparse, right, scale
     ) -> Linear:
-        """Equations of the acting multipliers, and those of the others.
+        """Equations of the active multipliers, and p = 0 of the others.
 
-        Args:
-            stiffness: Of the bodies' nodes.
-            rows: By dofs, scaled.
-            forces: Transposed as rows.
-            corner: By the multipliers themselves.
-            right: Right-hand side.
-            scale: Factors that make multipliers of unknowns.
+        ``rows`` is the block by dofs, ``forces`` that of forces, transposed, and ``corner`` that by
+        multipliers.
         """
-        on, start = self._acting, self._num_dofs
+        on, start = self._active_unknowns, self._num_dofs
         there = self.unknowns[0] != -2
         parts = []
         for by_row, matrix in ((True, rows), (False, forces)):
@@ -431,89 +553,72 @@ class ContactRows:
         off = start + np.flatnonzero(~on)
         parts.append(Sparse(off, off, np.full(len(off), stiffness)))
         start = np.divide(self._values, scale, out=np.zeros(len(on)), where=on & (scale != 0))
-        return Linear(joined(*parts), np.where(on, right, 0), scale, start)
+        return Linear(tuple(parts), np.where(on, right, 0), scale, start)
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
-        """What :meth:`_take` takes."""
-        return self.now.p
+        """The multipliers, as :meth:`_take` takes them."""
+        return self.state.p
 
     def without_forces(self, stiffness: float) -> Linear:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = self._num_dofs + np.arange(len(none))
-        return Linear(Sparse(every, every, none + stiffness), none, none, none)
-
-    def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
-        """The solution's multipliers.
-
-        Args:
-            linear: What was solved.
-            solution: The unknowns, ``(num_multipliers,)``.
-        """
-        self._take(solution * linear.scale)
-
-    def _take(self, values: npt.NDArray[np.float64]):
-        self.now.p = values
-
-    def forget(self):
-        """No pressures."""
-        self.now.p = np.zeros_like(self.g)
+        return Linear((Sparse(every, every, none + stiffness),), none, none, none)
 
     @property
     def sets(self) -> npt.NDArray:
-        """Where it is in contact; equal ones need no new tangent."""
-        return self.now.on.copy()
+        """The active set; a tangent holds while it stays the same."""
+        return self.state.active.copy()
 
     def as_before(self, last: npt.NDArray, sets: npt.NDArray) -> bool:
-        """Whether sets are the last ones but for multipliers that came or went."""
+        """True if sets differ from the last ones only by multipliers that came or went."""
         changed = (last != sets).reshape(-1, len(self.g))
-        return not changed[:, self.lasting].any()
+        return not changed[:, self._persistent].any()
 
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
-        """What multipliers make of motions, over areas, ``(num_multipliers, num)``."""
+        """C applied to motions, over areas, ``(num_multipliers, num)``."""
         result = np.zeros((len(self.g), len(moves)))
         for k, move in enumerate(moves):
             result[:, k] = self.times(move) / np.where(self.valid, self.m, 1)
         return np.where(self.valid[:, None], result, 0)
 
-    def acting(self) -> list[npt.NDArray[np.float64]]:
-        """Forces of what is in contact at both sides' dofs, ``(num_dofs_i, n)`` each."""
-        return self.forces(self.now.p * self.now.on)
+    def contact_forces(self) -> list[npt.NDArray[np.float64]]:
+        """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        return self.forces(self.state.p * self.state.active)
 
-    def is_closed(self, tolerance: float) -> bool:
-        """Whether what is in contact is closed.
+    def is_closed(self) -> bool:
+        """True if active gaps are closed."""
+        return self._largest_gap() <= self.closed
 
-        Args:
-            tolerance: Length that is none.
-        """
-        return bool(np.abs(self.distance[self.now.on]).max(initial=0) <= tolerance)
+    def _largest_gap(self) -> float:
+        return float(np.abs(self.distance[self.state.active]).max(initial=0))
 
     @property
     def is_exact(self) -> bool:
-        """Whether what is closed needs no further step."""
+        """True if closed gaps need no further Newton step."""
         return True
 
     def curvature(self) -> Sparse:
-        """How forces change where bodies move, in the same unknowns as the equations."""
-        if not self._follows or self.now.opening is None:
+        """Derivative of the forces by displacements, in the unknowns of the equations."""
+        if not self._follows or self.state.opening is None:
             return Sparse.empty()
         H, there = self._curvature(), self.unknowns[0] != -2
         use = there[H.i] & there[H.j]
         return Sparse(H.i[use], H.j[use], H.values[use])
 
     def _curvature(self) -> Sparse:
-        """How forces change where multipliers stay."""
-        assert self.now.opening is not None
-        p = self.spread(np.maximum(self.now.p, 0) * self.now.on)
-        return self.now.opening.curvature(self.u, p)
+        """Derivative of the forces at fixed multipliers."""
+        assert self.state.opening is not None
+        p = self.spread(np.maximum(self.state.p, 0) * self.state.active)
+        return self.state.opening.curvature(self.u, p)
 
 
 def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
-    """Find vertices of Γ1 whose gap ties, supports or other contacts hold already.
+    """Condense vertices of Γ1 whose gap ties, supports or other contacts hold already.
 
     Args:
-        contacts: The contacts of a problem; what they lend is set.
+        contacts: The contacts of a problem; their ``condensed_to`` is set.
         interfaces: Its ties.
     """
     spaces: list[fem.FunctionSpace] = []
@@ -533,8 +638,8 @@ def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface])
             for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
         )
         tied.append((side0, side1))
-    for rows, lender in zip(contacts, lenders(sides, tied), strict=True):
-        rows.lender = lender
+    for rows, found in zip(contacts, condensations(sides, tied), strict=True):
+        rows.condensed_to = found
 
 
 def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
@@ -544,24 +649,24 @@ def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class State:
-    """What a load step changes, and gives back if it fails."""
+class SystemState:
+    """State of a problem at one point of a load step, to restore if the step fails."""
 
     values: Sequence[npt.NDArray[np.float64]]
     """This rank's unknowns of bodies and ties."""
-    pressed: Sequence[Pressed]
-    """Of each contact."""
+    contacts: Sequence[NormalState]
+    """State of each contact."""
 
-    def towards(self, other: "State", share: float) -> "State":
-        """One on the way to another or beyond, with its own sets.
+    def towards(self, other: "SystemState", share: float) -> "SystemState":
+        """A state on the way to another one or beyond, with this one's active sets.
 
         Args:
-            other: The other one.
-            share: Of the way: 0 is here, 1 there.
+            other: The other state.
+            share: Share of the way: 0 is this state, 1 the other one.
         """
         values = [a + share * (b - a) for a, b in zip(self.values, other.values, strict=True)]
-        pressed = []
-        for one, two in zip(self.pressed, other.pressed, strict=True):
+        contacts = []
+        for one, two in zip(self.contacts, other.contacts, strict=True):
             ends = {k: (a, two.arrays[k]) for k, a in one.arrays.items() if a.dtype != bool}
-            pressed.append(replace(one, **{k: a + share * (b - a) for k, (a, b) in ends.items()}))
-        return State(values, pressed)
+            contacts.append(replace(one, **{k: a + share * (b - a) for k, (a, b) in ends.items()}))
+        return SystemState(values, contacts)

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""A contact with Coulomb friction in a problem: what sticks, what slips, and their rows."""
+"""A contact with Coulomb friction in a problem: stick, slip, and their linear equations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra.rigid_motions import places
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
+    ContactPair,
     ContactRows,
     Linear,
-    Pressed,
-    Touching,
+    NormalState,
     joined,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
@@ -26,120 +26,120 @@ from hypergap_dolfinx.surface.moving import Displacements, Sparse
 
 
 @dataclass
-class Rubbed(Pressed):
-    """What a load step changes, with friction."""
+class FrictionState(NormalState):
+    """State of a contact with friction."""
 
     q: npt.NDArray[np.float64]
     """Tractions on Γ1's body along its tangents, ``(n - 1, num_multipliers)``."""
     sticks: npt.NDArray[np.bool_]
-    """``(num_multipliers,)``."""
+    """Mask of multipliers that stick if they are active, ``(num_multipliers,)``."""
     way: npt.NDArray[np.float64]
-    """Direction of q, of length 1, of what slips; ``(n - 1, num_multipliers)``."""
+    """Unit direction of q where the surfaces slip, ``(n - 1, num_multipliers)``."""
 
 
 class FrictionRows(ContactRows):
     """Contact with friction: tractions q with |q| ≤ min(μ p, τ), against the slip s of a load step.
 
-    Rows and unknowns of q_k are behind those of p: number k num_multipliers + a.
+    Rows and unknowns of q_k come after those of p: number k num_multipliers + a.
     """
 
-    now: Rubbed
+    state: FrictionState
 
-    def __init__(self, touching: Touching, held: Sequence[npt.NDArray[np.bool_]]):
+    def __init__(self, pair: ContactPair, held: Sequence[npt.NDArray[np.bool_]]):
         """As for a contact without friction. Collective."""
-        super().__init__(touching, held)
-        num, across = len(self.now.p), self._n - 1
-        assert touching.contact.friction is not None
-        self._friction = touching.contact.friction
+        super().__init__(pair, held)
+        num, across = len(self.state.p), self._n - 1
+        assert pair.contact.friction is not None
+        self._friction = pair.contact.friction
         self._soft, self._limit = self._friction.elastic_slip, self._friction.shear_limit
-        self.now = Rubbed(
-            **vars(self.now),
+        self.state = FrictionState(
+            **vars(self.state),
             q=np.zeros((across, num)),
             sticks=np.ones(num, dtype=bool),
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
         self._fixed: Sparse | None = None
-        self._carried, self._unpressed = False, 0.0
-        self._elastic = np.zeros((across, num))  # part of slip that would go back
+        self._carried, self._zero = False, 0.0
+        self._elastic = np.zeros((across, num))  # elastic part of the slip
 
-    def begin(self):
-        """A solve begins: what it dissipates, and by how much bodies slip in it, is counted."""
-        super().begin()
+    def start_solve(self):
+        """Start a solve: count its dissipation and its slip from zero."""
+        super().start_solve()
         self.dissipated = 0.0
-        self.slipped = np.zeros((len(self.now.p), self._n))
+        self.slipped = np.zeros((len(self.state.p), self._n))
 
-    def set_out(self):
-        """Read the coefficient of friction too. Collective."""
-        super().set_out()
+    def start_step(self):
+        """Start a load step: read the coefficient of friction too. Collective."""
+        super().start_step()
         self.mu = self._friction.at_vertices()
         self._since = self.start
 
     def turn(self, motion: RigidMotion):
-        """What slip is counted from goes along with a rigid motion of both bodies. Collective."""
+        """Let a rigid motion of both bodies carry the origin of slip along. Collective."""
         assert self._since is not None
         x = self.displacements([places(V).ravel() for V in self.spaces])
         u0, u1 = (u + motion.shift(at + u) for at, u in zip(x, self._since, strict=True))
         self._since = u0, u1
 
-    def look(self):
-        """Find gaps and slips where the bodies are. Collective."""
-        super().look()
+    def update_geometry(self):
+        """Compute gaps and slips at the present displacements. Collective."""
+        super().update_geometry()
         if self._since is None:
             self._since = self.start
-        opening = self.now.opening
+        opening = self.state.opening
         if opening is None:
             self.T = Sparse.empty()
         elif self._follows:
-            self.T = opening.slip(self.u, self.lender)
+            self.T = opening.slip(self.u, self.condensed_to)
         else:
             if self._fixed is None:
-                self._fixed = opening.slip(self.at, self.lender)
+                self._fixed = opening.slip(self.at, self.condensed_to)
             self.T = self._fixed
-        self.T = self._lent(self.T)
+        self.T = self._condensed(self.T)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
 
     def _slopes(self) -> Sparse:
-        """∂s/∂u of what is in contact."""
-        opening = self.now.opening
+        """∂s/∂u of active multipliers."""
+        opening = self.state.opening
         if opening is None or not self._follows:
             return self.T
         assert self._since is not None
-        on = self.spread(self.now.on.astype(float)) > 0
-        return self._lent(opening.slip_slopes(self.u, self._since, self.lender, on))
+        on = self.spread(self.state.active.astype(float)) > 0
+        return self._condensed(opening.slip_slopes(self.u, self._since, self.condensed_to, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
         flat = np.concatenate([part.ravel() for part in values])
         size = (self._n - 1) * len(self.g)
         total = np.bincount(matrix.i, matrix.values * flat[matrix.j], size)
-        return total.astype(float).reshape(-1, len(self.g))  # of nothing they would be integers
+        return total.astype(float).reshape(-1, len(self.g))  # without entries: integers
 
     @property
     def slip(self) -> npt.NDArray[np.float64]:
         """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
         return np.divide(self.s, self.m, out=np.zeros_like(self.s), where=self.valid)
 
-    def accept(self):
-        """The state is that from which the next load step starts."""
-        super().accept()
-        now, lost = self.now, self.slip
+    def commit(self):
+        """Accept the state, and add up the dissipation and slip of the load step."""
+        super().commit()
+        now, lost = self.state, self.slip
         if self._soft:
-            before, self._elastic = self._elastic, self._shortened() * now.on
+            before, self._elastic = self._elastic, self._shortened() * now.active
             lost = lost + before - self._elastic
-        self.dissipated -= float((now.q * now.on * self.m * lost).sum())
-        self.slipped += np.einsum("ka,kai->ai", self.slip * now.on, self.tangents)
-        now.sticks |= ~now.on
+        self.dissipated -= float((now.q * now.active * self.m * lost).sum())
+        self.slipped += np.einsum("ka,kai->ai", self.slip * now.active, self.tangents)
+        now.sticks |= ~now.active
         self._since = self.start
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
-        """Elastic slip if all of it were elastic, ``(n - 1, num_multipliers)``."""
+        """Trial elastic slip: all slip taken as elastic, ``(n - 1, num_multipliers)``."""
         return self._elastic + self.slip
 
     def _shortened(self) -> npt.NDArray[np.float64]:
-        """What is elastic of it."""
+        """Elastic slip: the trial one, no longer than friction allows."""
         size = np.linalg.norm(self._reach, axis=0)
         return self._reach * np.minimum(1, self._soft / np.maximum(size, 1e-300))
 
@@ -156,36 +156,35 @@ class FrictionRows(ContactRows):
     @property
     def shears(self) -> npt.NDArray[np.float64]:
         """Tractions on Γ1's body, of all vertices, ``(num_vertices, n)``."""
-        q = np.einsum("ka,kai->ai", self.now.q * self.now.on, self.tangents)
+        q = np.einsum("ka,kai->ai", self.state.q * self.state.active, self.tangents)
         return np.stack([self.spread(part) for part in q.T], axis=1)
 
     def _bounds(self, p) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """What friction can hold at pressures, and its derivative by them."""
+        """Friction's bound min(μ p, τ) at pressures, and its derivative by them."""
         bound = self.mu * np.maximum(p, 0)
         return np.minimum(bound, self._limit), np.where(bound < self._limit, self.mu, 0)
 
     # Sets
 
-    def choose(self, stiffness: float, unpressed: float, *, anew: bool):
-        """Tell what sticks from what slips, of what is in contact.
+    def choose_active(
+        self, stiffness: float, zero: float, last: npt.NDArray | None, *, ahead: bool
+    ):
+        """Choose the active set, and which of it sticks.
 
-        Args:
-            stiffness: Of the bodies' nodes.
-            unpressed: Pressure that is none beside those of all contacts.
-            anew: Whether no step was taken yet: what was in contact goes on as it was, and what
-                comes to it sticks.
+        In the first step active multipliers go on as they were, and new ones stick.
         """
-        now = self.now
+        super().choose_active(stiffness, zero, last, ahead=ahead)
+        now = self.state
         c = stiffness / self.typical_area
         stuck = self.stuck
         self._surplus = np.where(stuck, -np.inf, 0)
-        if self._carried:  # what is beyond its facets has slipped there
+        if self._carried:  # slip beyond a facet's size
             size = np.linalg.norm(self.slip, axis=0)
             slips = size > self.sides[1].reference.size.max()
             now.sticks &= ~slips
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
-        elif anew:
+        elif last is None:
             pass
         elif self._soft:
             size = np.linalg.norm(self._reach, axis=0)
@@ -197,75 +196,76 @@ class FrictionRows(ContactRows):
             size = np.linalg.norm(trial, axis=0)
             gap = np.where(self.valid, self.distance, 0)
             bound, _ = self._bounds(now.p - self.in_series(c) * gap)
-            none = max(EXCEEDS * bound[now.on].max(initial=0), unpressed)
-            # What is at both limits stays what it is
+            none = max(EXCEEDS * bound[now.active].max(initial=0), zero)
+            # At both limits nothing changes
             sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
-            # What slips the other way sticks first: else all could turn to and fro
+            # Where slip reverses, stick first: else all could alternate
             turned = ~now.sticks & (c * (self.slip * now.way).sum(axis=0) > none)
             now.sticks = (sticks | turned) & (self.mu > 0)
             now.way = trial / np.where(size > 0, size, 1)
             self._surplus = np.where(stuck, -np.inf, size - bound)
-        self._unpressed, self._c = unpressed, c
+        self._zero, self._c = zero, c
 
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
-        """What is in contact and sticks."""
-        return self.now.on & self.now.sticks
+        """Mask of active multipliers that stick."""
+        return self.state.active & self.state.sticks
 
     @property
     def sets(self) -> npt.NDArray:
-        """What is in contact, sticks, and slips which way; equal ones need no new tangent."""
-        now = self.now
-        slips = now.on & ~now.sticks
+        """Active set, sticking set and directions of slip; a tangent holds while they stay."""
+        now = self.state
+        slips = now.active & ~now.sticks
         way = np.sign(now.way[0]) * slips if self._n == 2 else slips
-        return np.concatenate((now.on, self.stuck, way))
+        return np.concatenate((now.active, self.stuck, way))
 
-    def keep(self, last: Rubbed):
-        """Go back to what stuck and slipped."""
-        self.now.sticks, self.now.way = last.sticks.copy(), last.way.copy()
+    def retain(self, last: FrictionState):
+        """Go back to the sticking and slipping of a state before."""
+        self.state.sticks, self.state.way = last.sticks.copy(), last.way.copy()
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
-        """What slips make of motions, over areas, ``(num_multipliers, n - 1, num)``."""
+        """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
         rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
         return rows * (self.valid / np.where(self.valid, self.m, 1))[:, None, None]
 
     def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
-        """Let more of what is in contact stick, until nothing is free.
+        """Let more active multipliers stick, until no motion is free.
 
         Args:
-            holds: What other equations make of free motions, ``(num, num_free)``.
-            moves: Those motions.
+            holds: Rows of other constraints on free motions, ``(num, num_free)``.
+            moves: Free motions at both sides.
 
         Returns:
-            What this one's make of them, ``(num_sticking, num_free)``, and how many are left.
+            Rows of the sticking ones, ``(num_sticking, num_free)``, and the number of free motions
+            that remain.
         """
         across = self.holds_across(moves)
-        can = self.now.on & (self.mu > 0)
+        can = self.state.active & (self.mu > 0)
         some, num_free = active_set.stuck(self.stuck, can, self._surplus, holds, across)
-        self.now.sticks = np.where(self.now.on, some, self.now.sticks)
+        self.state.sticks = np.where(self.state.active, some, self.state.sticks)
         return across[some].reshape(-1, holds.shape[1]), num_free
 
     # Rows
 
     @property
-    def _acting(self) -> npt.NDArray[np.bool_]:
-        return np.tile(self.now.on, self._n)
+    def _active_unknowns(self) -> npt.NDArray[np.bool_]:
+        return np.tile(self.state.active, self._n)
 
-    def acting(self) -> list[npt.NDArray[np.float64]]:
-        """Forces of what is in contact at both sides' dofs, ``(num_dofs_i, n)`` each."""
-        now = self.now
-        q = (now.q * now.on).ravel()
+    def contact_forces(self) -> list[npt.NDArray[np.float64]]:
+        """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
+        now = self.state
+        q = (now.q * now.active).ravel()
         size = sum(side.dofs.size for side in self.sides) * self._n
         flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
         across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
-        return [a + b for a, b in zip(super().acting(), across, strict=True)]
+        return [a + b for a, b in zip(super().contact_forces(), across, strict=True)]
 
     def _support(self) -> Sparse:
         return joined(self.C, self.T)
 
     def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
         """Equations of gaps and slips."""
-        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.now.on)
+        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.state.active)
         scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
         by_slip, by_q, by_p, start, rest = self._law(scale)
         S, gaps, slips = self._slopes(), self.g, start
@@ -292,7 +292,7 @@ class FrictionRows(ContactRows):
             stiffness,
             joined(normal, *along),
             joined(normal, forces),
-            joined(*corner, self._giving(stiffness * scale)),
+            joined(*corner, self._compliance_block(stiffness * scale)),
             right,
             np.tile(scale, self._n),
         )
@@ -301,21 +301,21 @@ class FrictionRows(ContactRows):
         """The law of friction as m (by_q q + by_p p) = by_slip s + m rest to first order.
 
         Args:
-            scale: Factor of rows of what is closed, ``(num_multipliers,)``.
+            scale: Factor of the rows of closed gaps, ``(num_multipliers,)``.
 
         Returns:
-            ``(n - 1, n - 1, num_multipliers)`` for slips and for q, ``(n - 1, num_multipliers)``
-            for p; what slips start from, and the rest, ``(n - 1, num_multipliers)``.
+            by_slip and by_q, ``(n - 1, n - 1, num_multipliers)``; by_p, slips at the start and
+            rest, ``(n - 1, num_multipliers)``.
         """
-        now, one = self.now, np.eye(self._n - 1)[..., None]
-        across = one - now.way[:, None] * now.way  # what slips turns by
+        now, one = self.state, np.eye(self._n - 1)[..., None]
+        across = one - now.way[:, None] * now.way  # projection across slip
         force, by_p = self._bounds(now.p)
         limit = np.where((by_p == 0) & (force > 0), force, 0)
         if self._soft:
             # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
             size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
-            # What had no pressure sticks at first: else friction could hold nothing
-            soft = now.on & ((force > 0) | ~now.sticks)
+            # Without pressure before: sticks at first, else friction could hold nothing
+            soft = now.active & ((force > 0) | ~now.sticks)
             turn = np.where(now.sticks, one, across)
             by_slip = np.where(soft, -force / size * turn, scale * one)
             way = np.where(soft, self._reach / size, 0)
@@ -330,70 +330,70 @@ class FrictionRows(ContactRows):
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
-        return np.concatenate((self.now.p, self.now.q.ravel()))
+        return np.concatenate((self.state.p, self.state.q.ravel()))
 
     def _take(self, values: npt.NDArray[np.float64]):
         p, *q = values.reshape(-1, len(self.g))
-        self.now.p, self.now.q = p, np.array(q)
+        self.state.p, self.state.q = p, np.array(q)
 
     def forget(self):
-        """No pressures, no tractions."""
+        """Set all pressures and tractions to zero."""
         super().forget()
         self._carried = True
-        self.now.q = np.zeros_like(self.now.q)
+        self.state.q = np.zeros_like(self.state.q)
 
     def _curvature(self) -> Sparse:
-        assert self.now.opening is not None
-        q = np.stack([self.spread(q * (self.now.on & (self.now.p > 0))) for q in self.now.q])
-        return joined(super()._curvature(), self.now.opening.slip_curvature(self.u, q, self.lender))
+        assert self.state.opening is not None
+        q = np.stack(
+            [self.spread(q * (self.state.active & (self.state.p > 0))) for q in self.state.q]
+        )
+        return joined(
+            super()._curvature(), self.state.opening.slip_curvature(self.u, q, self.condensed_to)
+        )
 
-    # Verdicts
+    # Convergence
 
-    def is_closed(self, tolerance: float) -> bool:
-        """Whether what is in contact is closed, what sticks has no slip, and q is μ p elsewhere.
-
-        Args:
-            tolerance: Length that is none.
-        """
-        now, rigid = self.now, self.stuck
+    def is_closed(self) -> bool:
+        """True if active gaps are closed, sticking ones don't slip, and |q| is μ p elsewhere."""
+        now, rigid = self.state, self.stuck
         bound, _ = self._bounds(now.p)
         target = bound * now.way
         if self._soft:
-            rigid = np.zeros_like(now.on)
+            rigid = np.zeros_like(now.active)
             target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
-        error = np.abs(now.q - target)[:, now.on & ~rigid].max(initial=0)
-        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
-        return super().is_closed(tolerance) and slip <= tolerance and error <= none
+        error = np.abs(now.q - target)[:, now.active & ~rigid].max(initial=0)
+        none = max(EXCEEDS * bound.max(initial=0), self._zero)
+        return super().is_closed() and slip <= self.closed and error <= none
 
     @property
     def is_exact(self) -> bool:
-        """Whether gaps are so small that moments of friction balance."""
-        return super().is_closed(EXACT * float(self.sides[1].reference.size.max()))
+        """True if gaps are so small that moments of friction balance."""
+        return self._largest_gap() <= EXACT * float(self.sides[1].reference.size.max())
 
     @property
     def holds_too_much(self) -> bool:
-        """Whether something sticks only because nothing else would hold a body."""
-        size = np.linalg.norm(self.now.q, axis=0)
-        bound, _ = self._bounds(self.now.p)
-        none = max(EXCEEDS * bound.max(initial=0), self._unpressed)
+        """True if traction exceeds friction where sticking alone holds a body."""
+        size = np.linalg.norm(self.state.q, axis=0)
+        bound, _ = self._bounds(self.state.p)
+        none = max(EXCEEDS * bound.max(initial=0), self._zero)
         return bool((size - bound)[self.stuck].max(initial=0) > none)
 
 
 def hold_by_sticking(
-    rubbing: Sequence[tuple[FrictionRows, Sequence[Displacements]]], holds: npt.NDArray
+    frictional: Sequence[tuple[FrictionRows, Sequence[Displacements]]], holds: npt.NDArray
 ) -> int:
-    """Let what slips stick where nothing else would hold a body.
+    """Let slipping multipliers stick where nothing else would hold a body.
 
     Args:
-        rubbing: Contacts with friction, and the free motions at their sides.
-        holds: What gaps make of these, ``(num, num_free)``.
+        frictional: Contacts with friction, and the free motions at their sides.
+        holds: Rows of active gaps on these, ``(num, num_free)``.
 
     Returns:
-        How many motions are still free.
+        The number of motions that are still free.
     """
     num_free = 0
-    for rows, moves in rubbing:
+    for rows, moves in frictional:
         across, num_free = rows.stick_where(holds, moves)
         holds = np.vstack((holds, across))
     return num_free

@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Where a contact's equations have entries, now and while bodies slide on a little. NumPy alone.
+"""Sparsity patterns of a contact's equations, with room for entries that sliding brings.
 
-Rows and columns are unknowns of both sides' dofs, then multipliers. What is analysed once holds for
-all steps whose entries lie in one pattern.
+Rows and columns are unknowns of both sides' dofs, then multipliers. An analysis holds for all steps
+whose entries lie in one pattern.
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ from hypergap_dolfinx.surface.moving import Sparse
 
 
 class Pattern:
-    """Entries that there are, of a matrix ``(size, size)``."""
+    """Places of the entries of a matrix ``(size, size)``."""
 
     def __init__(self, size: int, keys: npt.NDArray[np.int64]):
-        """Keep them.
+        """Store the places.
 
         Args:
             size: Number of rows.
@@ -29,34 +29,36 @@ class Pattern:
 
     @classmethod
     def of(cls, size: int, entries: Sparse) -> "Pattern":
-        """That of a matrix."""
+        """Pattern of a matrix."""
         return cls(size, _sorted(entries.i * size + entries.j))
 
     def without(self, gone: npt.NDArray[np.bool_]) -> "Pattern":
-        """Without some of the rows and columns, ``(size,)``."""
+        """The pattern without some rows and columns, a mask ``(size,)``."""
         i, j = self.places
         return Pattern(self.size, self.keys[~(gone[i] | gone[j])])
 
     def joined(self, other: "Pattern") -> "Pattern":
-        """What one of two patterns has."""
+        """Union of two patterns."""
         return Pattern(self.size, _sorted(np.append(self.keys, other.keys)))
 
     @property
     def places(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Rows and columns, ``(num_entries,)`` each."""
+        """Rows and columns of the entries, ``(num_entries,)`` each."""
         return np.divmod(self.keys, self.size)
 
     def values(self, entries: Sparse) -> npt.NDArray[np.float64] | None:
-        """The values at all places, ``(num_entries,)``; None if some are at others."""
+        """Values at all places, ``(num_entries,)``; None if an entry lies outside the pattern."""
         keys = entries.i * self.size + entries.j
         at = np.searchsorted(self.keys, keys)
         if (np.append(self.keys, -1)[at] != keys).any():
             return None
-        return np.bincount(at, entries.values, len(self.keys)).astype(float)  # of none: integers
+        return np.bincount(at, entries.values, len(self.keys)).astype(
+            float
+        )  # without entries: integers
 
 
 def unique_pairs(a: npt.NDArray, node: npt.NDArray, num: int) -> tuple[npt.NDArray, npt.NDArray]:
-    """Pairs of multipliers and nodes, sorted, once each; ``num`` is the number of nodes."""
+    """Distinct pairs of multipliers and nodes, sorted; ``num`` is the number of nodes."""
     a, node = np.divmod(_sorted(a * num + node), num)
     return a, node
 
@@ -64,16 +66,16 @@ def unique_pairs(a: npt.NDArray, node: npt.NDArray, num: int) -> tuple[npt.NDArr
 def beside(
     a: npt.NDArray, node: npt.NDArray, facets: npt.NDArray, num: int
 ) -> tuple[npt.NDArray, npt.NDArray]:
-    """Multipliers with their nodes, and with those of facets that these belong to.
+    """Multipliers with their nodes, and with all nodes of the facets around these.
 
     Args:
         a: Multipliers.
         node: A node on which each acts.
-        facets: Nodes of the facets that may go by, ``(num_facets, num_facet_nodes)``.
+        facets: Nodes of the facets that may slide past, ``(num_facets, num_facet_nodes)``.
         num: Number of nodes.
 
     Returns:
-        The same of all pairs, sorted, once each.
+        All distinct pairs of multipliers and nodes, sorted.
     """
     of_node = np.argsort(facets.ravel(), kind="stable")
     start = np.searchsorted(facets.ravel()[of_node], np.arange(num + 1))
@@ -91,13 +93,13 @@ def coupled(
     n: int,
     across: int,
 ) -> Pattern:
-    """Multipliers with all nodes that they act on, and these with each other.
+    """Pattern of multipliers with all nodes on which they act, and of these nodes with each other.
 
     Args:
         a: Multipliers, sorted.
         node: A node on which each acts.
         num_nodes: Number of nodes, of n unknowns each.
-        num: Number of multipliers, of ``across`` unknowns each: first all of the first ones.
+        num: Number of multipliers, of ``across`` unknowns each, component by component.
         n: Number of dimensions.
         across: Number of unknowns of a multiplier.
     """
@@ -114,17 +116,17 @@ def coupled(
     every = _sorted(a)[:, None] + own
     blocks.append((every, every))
     keys = [(i[:, :, None] * size + j[:, None]).ravel() for i, j in blocks]
-    keys.append(np.arange(start, size) * (size + 1))  # what isn't in contact has an equation too
+    keys.append(np.arange(start, size) * (size + 1))  # inactive multipliers have an equation too
     return Pattern(size, _sorted(np.concatenate(keys)))
 
 
 def _ranges(start: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """start, start + 1, … of each, count of them."""
+    """Concatenated ranges start, …, start + count − 1."""
     before = np.cumsum(count) - count
     return np.arange(count.sum()) + np.repeat(start - before, count)
 
 
 def _sorted(values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Sorted, once each; NumPy's own way by hashing takes ten times as long."""
+    """Distinct values, sorted; ``np.unique`` (by hashing) takes ten times as long."""
     values = np.sort(values, axis=None)
     return values[np.append(True, values[1:] != values[:-1])[: len(values)]]

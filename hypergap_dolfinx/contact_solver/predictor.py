@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Rigid motions that prescribed displacements lead bodies along: linear ones distort what turns."""
+"""Rigid motions that follow from prescribed displacements; linear steps would distort rotations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, owned_values
-from hypergap_dolfinx.contact_solver.tolerances import ROTATION_ZERO, SPREAD, TOGETHER
+from hypergap_dolfinx.contact_solver.tolerances import HOLDS, ROTATION_ZERO, TOGETHER
 
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """A rotation around a point, which then goes to another."""
+    """A rotation around a point, and a translation of this point."""
 
     turn: npt.NDArray[np.float64]
     """``(n, n)``."""
@@ -28,23 +28,23 @@ class RigidMotion:
 
     @property
     def turns(self) -> bool:
-        """Whether it turns at all."""
+        """True if it has a rotation."""
         return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > ROTATION_ZERO)
 
     def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """By how much points move, ``(num, n)`` each."""
+        """Displacements of points, ``(num, n)`` each."""
         return (x - self.start) @ self.turn.T + self.end - x
 
 
 def leading(
     comm: MPI.Comm, x: npt.NDArray[np.float64], moves: npt.NDArray[np.float64]
 ) -> RigidMotion | None:
-    """The rigid motion that is nearest to how points move, if they tell it. Collective.
+    """Rigid motion nearest to the displacements of points; None if undetermined. Collective.
 
     Args:
         comm: Communicator.
         x: This rank's points, ``(num, n)``.
-        moves: How they move, ``(num, n)``.
+        moves: Their displacements, ``(num, n)``.
     """
     n, ends = x.shape[1], np.stack((x, x + moves))
     num = comm.allreduce(len(x))
@@ -60,7 +60,7 @@ def leading(
     comm.Allreduce(MPI.IN_PLACE, products)
     square, product = products
     extents = np.linalg.eigvalsh(square)
-    if extents[1 - n] <= SPREAD * extents[-1]:
+    if extents[1 - n] <= HOLDS**2 * extents[-1]:
         return None
     left, _, right = np.linalg.svd(product)
     left[:, -1] *= np.linalg.det(left @ right)  # no reflection
@@ -74,14 +74,14 @@ def prescribed_motions(
     moves: Sequence[npt.NDArray[np.float64]],
     held: Sequence[npt.NDArray[np.bool_]],
 ) -> list[RigidMotion | None]:
-    """Rigid motions on which what is prescribed leads each body, if it tells one. Collective.
+    """Rigid motion of each body by its prescribed increments; None if undetermined. Collective.
 
     Args:
         comm: Communicator.
-        places: Where this rank's owned nodes of each body were first, ``(num_nodes, n)`` each.
+        places: Undeformed positions of this rank's owned nodes of each body, ``(num_nodes, n)``.
         u: Their displacements, ``(num_dofs,)`` each.
-        moves: What prescribed ones still have to move, likewise.
-        held: Which are prescribed, likewise.
+        moves: Increments that prescribed ones still have to make, likewise.
+        held: Mask of prescribed ones, likewise.
     """
     found = []
     for x, now, way, on in zip(places, u, moves, held, strict=True):
@@ -94,14 +94,14 @@ def prescribed_motions(
 def motions_of(
     rows: ContactRows, motions: Sequence[RigidMotion]
 ) -> tuple[list[RigidMotion | None], float]:
-    """Rigid motions of a contact's sides, and how far they take these apart. Collective.
+    """Rigid motions of a contact's sides, and how far they separate these. Collective.
 
     Args:
         rows: The contact.
-        motions: Of each body; those of rigid ones, by the user, are found here.
+        motions: Motion of each body; those of rigid bodies are found here.
 
     Returns:
-        Those that are told, and the distance in sizes of facets, infinite if one isn't.
+        Both motions, and the distance in facet sizes, infinite if one is undetermined.
     """
     assert rows.start is not None
     now = rows.displacements([owned_values(f) for f in rows.fields])
@@ -120,12 +120,7 @@ def motions_of(
 
 
 def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
-    """Whether two motions turn with each other, rather than one against the other.
-
-    Args:
-        a: A motion.
-        b: Another one.
-    """
+    """True if two motions rotate together rather than against each other."""
     one = np.eye(len(a.end))
     most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
     return bool(most > ROTATION_ZERO and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)

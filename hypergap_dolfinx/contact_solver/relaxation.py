@@ -3,17 +3,16 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""What helps Newton's iteration where it goes to and fro, or too far.
+"""Damping of Newton's iteration where it oscillates or diverges.
 
-Forces between bodies are continuous, with kinks where nodes pass. At one of them an equilibrium can
-end: where a corner ploughs with friction, bodies snap to another one, which Newton's steps from
-both sides of the kink never find. Viscous bodies flow there.
+Forces between bodies are continuous, with kinks where nodes pass. At a kink a branch of equilibria
+can end: where a corner ploughs with friction, bodies snap to another branch, which Newton steps
+from both sides of the kink never find. Viscous bodies flow there.
 
-Beyond such an end the tangent does negative work on Newton's step, which leads back to it: bodies
-flow the other way, and by the same length if they are just so viscous that the tangent's work
-becomes positive as it was negative. Where that isn't it, they are viscous for a while. That is
-pseudo-transient continuation: the bodies' stiffness times a share is added to the tangent, and goes
-with the residual. Before all this, a step after which residuals are much larger is shortened.
+Beyond such an end the tangent does negative work on the Newton step, which leads back to it: then
+a step of the same length is taken backwards. If that doesn't help, pseudo-transient continuation
+does: the bodies' stiffness times a share is added to the tangent, and falls with the residual.
+Before all this, a step after which the residual is much larger is shortened (a line search).
 """
 
 from collections.abc import Sequence
@@ -24,28 +23,25 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import (
-    BACK,
+    ATTEMPTS,
     FALLS,
     GROWS,
+    GROWTH,
     LEAST,
-    LONG,
     MOST,
     NOISE_RELAXATION,
     OSCILLATES,
-    REFUSED,
     SHARE,
     SHORTENED,
-    SHORTEST,
     SHRINKS,
-    WORSE,
 )
 
 
 class Relaxation:
-    """Of the iteration for one load step."""
+    """Damping of the iteration for one load step."""
 
     def __init__(self, comm: MPI.Comm):
-        """None at first.
+        """Start without damping.
 
         Args:
             comm: Communicator of the bodies.
@@ -56,13 +52,13 @@ class Relaxation:
         self._turns = self._exact = self.acts = False
         self._judges, self._num_shortened, self._num_back, self._num_refused = False, 0, 0, 0
         self.share = 0.0
-        """Of the bodies' stiffness, to be added to the tangent."""
+        """Share of the bodies' stiffness to be added to the tangent."""
 
-    def look(self, residual: float):
+    def update(self, residual: float):
         """Choose the share for the next step.
 
         Args:
-            residual: Of the forces.
+            residual: Norm of the residual.
         """
         if self.acts and self._turns:
             self.share = max(GROWS * self.share, SHARE)
@@ -75,17 +71,17 @@ class Relaxation:
 
     @property
     def creeps(self) -> bool:
-        """Whether it leads nowhere."""
+        """True if bodies only creep."""
         return self.share > MOST
 
     def shortens(self, residual: float) -> bool:
-        """Whether less is to be taken of the last step.
+        """True if the last step is to be shortened.
 
         Args:
-            residual: Of the forces, where it led; no number if cells are inverted there.
+            residual: Norm of the residual after it; not a number if cells are inverted there.
         """
-        worst = WORSE * self._residual if self._judges else np.inf
-        if self._last is None or residual <= worst or self._num_shortened == SHORTEST:
+        worst = GROWTH * self._residual if self._judges else np.inf
+        if self._last is None or residual <= worst or self._num_shortened == ATTEMPTS:
             return False
         self._num_shortened += 1
         self._last = [SHORTENED * part for part in self._last]
@@ -93,13 +89,13 @@ class Relaxation:
         return True
 
     def takes(self, moves: Sequence[npt.NDArray[np.float64]], work: float, *, exact: bool) -> float:
-        """How much of a step is to be taken: 1, none if it is too long, or back. Collective.
+        """Share of a step to take: 1, 0 if it is too long, negative to go back. Collective.
 
         Args:
-            moves: This rank's changes of displacements, of each body.
-            work: That of the tangent on them.
-            exact: Whether it was made with the exact tangent: else that may be why it turns, or why
-                the next one does.
+            moves: This rank's increments of each body's displacements.
+            work: Work of the tangent on them.
+            exact: True if the tangent was exact: else that may be why this step or the next one
+                reverses.
         """
         corrects, self._exact = not self._exact, exact
         self._judges = exact and self._last is not None and not self.acts
@@ -113,10 +109,10 @@ class Relaxation:
         least = max(SHRINKS * np.sqrt(self._square), NOISE_RELAXATION * self._first)
         turned = product < OSCILLATES * np.sqrt(square * self._square)
         turned &= self._length > least
-        longest = self._longest if self.acts else LONG * self._first
-        refused = exact and self._length > longest and self._num_refused < REFUSED
+        longest = self._longest if self.acts else GROWTH * self._first
+        refused = exact and self._length > longest and self._num_refused < ATTEMPTS
         share = 0.0 if refused else 1.0
-        if turned and exact and work < 0 and not self.acts and self._num_back < BACK:
+        if turned and exact and work < 0 and not self.acts and self._num_back < ATTEMPTS:
             share, self._num_back = -min(1.0, longest / self._length), self._num_back + 1
             self._turns = self._judges = refused = False
         elif refused:

@@ -3,7 +3,7 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Where contact ends at what ties, supports or other contacts hold already. NumPy alone."""
+"""Condensation of pressures at ends of contacts that ties, supports or other contacts hold."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from hypergap_dolfinx.contact_solver.tolerances import NEAR_ENDS, PARALLEL_ENDS
 from hypergap_dolfinx.surface.trace import Surface, normals_by_area
 
 HELD = "held"
-"""The node of all that can't move."""
+"""Common node of everything that can't move."""
 
 
 @dataclass(frozen=True)
 class EndingSide:
-    """A side of a contact or a tie, as far as its ends go."""
+    """A side of a contact or a tie."""
 
     space: Hashable
-    """What its dofs are of."""
+    """Function space of the dofs."""
     surface: Surface
     dofs: npt.NDArray[np.int64]
-    """Of its vertices, ``(num_vertices,)``."""
+    """Dofs of the vertices, ``(num_vertices,)``."""
     held: npt.NDArray[np.bool_] | None = None
-    """Which components of a contact's vertices are prescribed, ``(num_vertices, n)``."""
+    """Mask of prescribed components of a contact's vertices, ``(num_vertices, n)``."""
 
 
 Sides = tuple[EndingSide, EndingSide]
 
 
 class _Places:
-    """Nodes that are one, by ties or because nothing can move them."""
+    """Classes of nodes that move as one, by ties or because they are held (union-find)."""
 
     def __init__(self) -> None:
         self._parent: dict[Hashable, Hashable] = {}
@@ -49,21 +49,21 @@ class _Places:
         self._parent[self.find(a)] = self.find(b)
 
 
-def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
-    """Which vertices of Γ1 have no pressure of their own, and whose they share.
+def condensations(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
+    """Vertices of Γ1 to which others without a pressure of their own are condensed.
 
-    At the end of a contact the gap of a place may be held already: both bodies are tied or
-    prescribed there, or another contact with the same normal ends there between what is one. A
-    pressure of its own would be one too many: on matching meshes the system would be singular. The
-    vertex gets that of its neighbour, so that nothing of the surface loses its pressure.
+    At the end of a contact the gap may be held already: both bodies are tied or prescribed there,
+    or another contact with the same normal ends there between the same bodies. A pressure of its
+    own would make the system singular on matching meshes. The vertex shares that of its neighbour,
+    so that no part of the surface loses its pressure.
 
     Args:
         contacts: Γ0 and Γ1 of each contact.
         ties: Γ0 and Γ1 of each tie.
 
     Returns:
-        For each contact the vertex that has each vertex's pressure, ``(num_vertices,)``; -1 if all
-        of the surface is held.
+        For each contact the vertex that carries each vertex's pressure, ``(num_vertices,)``; -1 if
+        all of the surface is held.
     """
     places = _Places()
     along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
@@ -82,7 +82,7 @@ def lenders(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArra
         for v1, v0 in _facing(sides):
             node = _node(sides[1], v1)
             a = places.find(node)
-            # Γ0 passes by, or is far away yet: then only another contact with it there counts
+            # Γ0 slides past, or is far away: then only another contact with it there counts
             b: Hashable = (sides[0].space, node if a == HELD else a)
             if v0 is not None:
                 b = places.find(_node(sides[0], v0))
@@ -111,7 +111,7 @@ def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
 
 
 def _ends(surface: Surface) -> npt.NDArray[np.intp]:
-    """Vertices at a surface's boundary: of one facet, in space of edges of one facet."""
+    """Vertices at a surface's boundary."""
     start, outline = surface.polygons, surface.is_outline
     if surface.gdim == 2:
         return np.unique(start[outline])
@@ -119,7 +119,7 @@ def _ends(surface: Surface) -> npt.NDArray[np.intp]:
 
 
 def _facing(sides: Sides) -> list[tuple[int, int | None]]:
-    """Ends of Γ1, and that of Γ0 at the same place if there is one."""
+    """Ends of Γ1, each with the end of Γ0 at the same place or None."""
     surface0, surface1 = sides[0].surface, sides[1].surface
     size = np.zeros(len(surface1.x))
     for corner in surface1.facets.T:
@@ -133,7 +133,7 @@ def _facing(sides: Sides) -> list[tuple[int, int | None]]:
 
 
 def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
-    """Whether contacts with that normal lead from one place to the other."""
+    """True if contacts with that normal connect two nodes."""
     seen, front = {a}, [a]
     while front:
         if b in seen:
@@ -149,7 +149,7 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
 
 
 def _neighbours(surface: Surface, lost: Sequence[int]) -> npt.NDArray[np.intp]:
-    """The nearest vertex that isn't lost for each that is, along the surface; -1 without any."""
+    """Nearest vertex along the surface that isn't lost, for each that is; -1 for none."""
     result = np.arange(len(surface.x))
     if not lost:
         return result

@@ -3,10 +3,10 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""The matrix of Newton's steps for bodies in contact: one whose pattern, once analysed, is kept.
+"""The matrix of Newton's steps for bodies in contact, of which pattern and analysis are kept.
 
-Sets change from step to step, and what faces each other. So there is an equation of each
-multiplier, of what isn't in contact p = 0, and room for the entries of what may come next.
+Active sets change from step to step, and so do the facets that face each other. So each multiplier
+has an equation, p = 0 if it is inactive, and there is room for entries that may come next.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,9 +24,9 @@ from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.pattern import Pattern
 from hypergap_dolfinx.contact_solver.tolerances import (
     ITERATIONS,
-    NEAR_FACTORS,
     REDUCED,
     RESIDUAL_LDLT,
+    REUSED,
 )
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
@@ -44,23 +44,23 @@ UNFIT = (
 
 @dataclass(frozen=True)
 class Way:
-    """A way to solve, and what it is to reach."""
+    """A way to solve, and the accuracy that it has to reach."""
 
     options: Options
     residual: float = saddle.RESIDUAL_ACCEPTED
-    """Largest residual over the right-hand side."""
+    """Largest accepted residual over the right-hand side."""
     keeps: bool = False
-    """Whether factors are kept while the matrix hardly changes."""
+    """True if factors are kept while the matrix hardly changes."""
 
 
 def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
-    """How Newton's steps are solved, one way after the other where it fails.
+    """Ways to solve for Newton's steps, to be tried in this order.
 
     Args:
-        prefix: Of the KSP's options.
+        prefix: Prefix of the KSP's options.
         given: The user's options.
-        plane: Whether the bodies are in the plane.
-        symmetric: Whether the matrix may be symmetric.
+        plane: True if the bodies are in the plane.
+        symmetric: True if the matrix is symmetric (no friction).
     """
     defaults = {**DirectStep.OPTIONS, **(PLANE if plane else {})}
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
@@ -74,48 +74,48 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
 
 
 class Numbering:
-    """Unknowns of several parts in one numbering, rank by rank and on each part by part."""
+    """One numbering of the unknowns of several parts, by rank, then by part."""
 
     def __init__(self, ranges: Sequence[npt.NDArray]):
         """Number them.
 
         Args:
-            ranges: Of each part the first number on each rank, and the end, ``(num_ranks + 1,)``.
+            ranges: First number of each part on each rank, and the end, ``(num_ranks + 1,)`` each.
         """
         self._ranges = np.array(ranges, dtype=np.int64)
         sizes = np.diff(self._ranges, axis=1)  # (part, rank)
         before = np.append(0, np.cumsum(sizes.sum(axis=0)))[:-1]
         self._start = before + np.cumsum(sizes, axis=0) - sizes
         self.sizes = sizes
-        """By part and rank."""
+        """Number of unknowns by part and rank."""
 
     def of(self, part: int, index: npt.NDArray) -> npt.NDArray[np.int64]:
-        """Numbers among all, of numbers in a part."""
+        """Global numbers of numbers in a part."""
         ranges = self._ranges[part]
         rank = np.searchsorted(ranges[1:], index, side="right")
         return self._start[part, rank] + index - ranges[rank]
 
     def of_rank(self, rank: int) -> tuple[int, int]:
-        """The first of a rank, and the end."""
+        """First number of a rank, and the end."""
         sizes = self.sizes.sum(axis=0)
         return int(sizes[:rank].sum()), int(sizes[: rank + 1].sum())
 
 
 @dataclass
-class _Kept:
-    """A matrix with a pattern, and a solver that knows it."""
+class _Retained:
+    """A matrix with its pattern and its solver."""
 
     patterns: list[Pattern]
     mine: list[npt.NDArray[np.intp]]
-    """This rank's entries of each."""
+    """This rank's entries of each pattern."""
     num_base: int
     """Number of this rank's entries of bodies and ties."""
     A: PETSc.Mat
     entries: compat.Triplets
     units: npt.NDArray[np.float64] | None
-    """Of this rank's rows, if they differ."""
+    """Units of this rank's rows, if they differ."""
     load_step: int
-    """When it was made."""
+    """Load step in which it was made."""
     vectors: tuple[PETSc.Vec, PETSc.Vec]
     """Solution and right-hand side."""
     ksp: PETSc.KSP | None = None
@@ -124,18 +124,18 @@ class _Kept:
     _iterating: PETSc.KSP | None = None
 
     def fill(self, values: list[npt.NDArray]):
-        """Set this rank's entries; if they are what they were, factors hold. Collective."""
+        """Set this rank's entries; factors stay valid if none changed. Collective."""
         same = self._values is not None and all(map(_is_same, values, self._values))
         if not self.A.comm.tompi4py().allreduce(same, MPI.LAND):
             self.entries.set(np.concatenate(values).astype(PETSc.ScalarType, copy=False))
             self._values = values
 
     def factorised(self):
-        """There are factors of the matrix as it is now."""
+        """Record that there are factors of the present matrix."""
         self._factorised = self._values
 
     def has_factors_near(self, values: list[npt.NDArray]) -> bool:
-        """Whether there are factors of nearly, but not quite, these entries. Collective."""
+        """True if there are factors of nearly, but not exactly, these entries. Collective."""
         if self._factorised is None:
             return False
         sums = np.zeros(2)
@@ -143,13 +143,13 @@ class _Kept:
             change = 0.0 if part is before else np.linalg.norm(part - before)
             sums += change**2, np.linalg.norm(before) ** 2
         self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
-        return bool(0 < sums[0] <= NEAR_FACTORS**2 * sums[1])
+        return bool(0 < sums[0] <= REUSED**2 * sums[1])
 
     def iterate(self, start: npt.NDArray) -> bool:
-        """Solve with factors of a matrix that is near, and say whether that worked. Collective.
+        """Solve by GMRES with factors of a similar matrix; True if that converged. Collective.
 
         Args:
-            start: This rank's part of what is near the solution.
+            start: This rank's part of an approximate solution.
         """
         assert self.ksp is not None
         x, b = self.vectors
@@ -173,14 +173,14 @@ class _Kept:
         return self._iterating.getConvergedReason() > 0
 
     def forget(self):
-        """Nothing is known of the matrix. Collective."""
+        """Destroy solvers and factors. Collective."""
         for ksp in (self.ksp, self._iterating):
             if ksp is not None:
                 ksp.destroy()
         self.ksp = self._iterating = self._factorised = None
 
     def destroy(self):
-        """Collective."""
+        """Destroy the PETSc objects. Collective."""
         self.forget()
         for obj in (*self.vectors, self.A):
             obj.destroy()
@@ -201,39 +201,40 @@ class Tangent:
         prefix: str,
         ways: Sequence[Way],
     ):
-        """Keep what it is made of.
+        """Store the matrix and the contacts.
 
         Args:
             A: The nested matrix of bodies and ties.
-            num_bodies: How many of its rows of blocks are bodies'.
+            num_bodies: Number of its block rows that belong to bodies.
             rows: The contacts.
-            prefix: Of the KSP's options.
-            ways: How to solve; the next one is taken for good where only that can.
+            prefix: Prefix of the KSP's options.
+            ways: Ways to solve; where one fails, the next one replaces it for good.
         """
         self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
+        self._mine = [part.mine for part in rows]
         self._prefix, self._ways = prefix, list(ways)
-        self._kept: _Kept | None = None
+        self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = 0
 
     def destroy(self):
         """Destroy the PETSc objects."""
-        if self._kept is not None:
-            self._kept.destroy()
-            self._kept = None
+        if self._retained is not None:
+            self._retained.destroy()
+            self._retained = None
 
-    def set_out(self):
-        """A load step begins: what faced each other in the last one need not be kept."""
+    def start_step(self):
+        """Start a load step: entries of the last one need no room any more."""
         self._load_step += 1
 
     def solve(
         self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
-        """Solve with the values that the nested matrix has now.
+        """Solve with the present values of the nested matrix.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
-            equations: Those of each contact.
+            equations: Equations of each contact.
             viscous: Share of the bodies' stiffness that is added.
 
         Returns:
@@ -256,9 +257,9 @@ class Tangent:
                     self.destroy()
                 if not fresh:  # what was analysed with other values may lead to poor pivots
                     break
-                if self._kept is None:
+                if self._retained is None:
                     raise
-                self._kept.forget()
+                self._retained.forget()
             else:
                 self._ways = self._ways[number:]
                 return solution
@@ -280,10 +281,12 @@ class Tangent:
         self, equations: Sequence[Linear], num_base: int
     ) -> list[npt.NDArray[np.float64]] | None:
         """This rank's entries of equations, by contact; None if there is no place for all."""
-        kept, found = self._kept, []
-        fits = kept is not None and kept.num_base == num_base
-        if kept is not None:
-            for pattern, mine, linear in zip(kept.patterns, kept.mine, equations, strict=True):
+        retained, found = self._retained, []
+        fits = retained is not None and retained.num_base == num_base
+        if retained is not None:
+            for pattern, mine, linear in zip(
+                retained.patterns, retained.mine, equations, strict=True
+            ):
                 values = pattern.values(linear.matrix)
                 fits &= values is not None
                 found.append(np.empty(0) if values is None else values[mine])
@@ -291,23 +294,23 @@ class Tangent:
 
     def _solve(self, right, equations, values, way: Way):
         """Solve in one way, with values for all places."""
-        kept = self._kept
-        assert kept is not None
-        ksp = kept.ksp = kept.ksp or self._created(kept.A, way)
-        near = way.keeps and kept.units is None and kept.has_factors_near(values)
-        kept.fill(values)
-        x, b = kept.vectors
-        pairs = list(zip(equations, [rows.mine for rows in self._rows], strict=True))
+        retained = self._retained
+        assert retained is not None
+        ksp = retained.ksp = retained.ksp or self._created(retained.A, way)
+        near = way.keeps and retained.units is None and retained.has_factors_near(values)
+        retained.fill(values)
+        x, b = retained.vectors
+        pairs = list(zip(equations, self._mine, strict=True))
         own = [linear.right[mine] for linear, mine in pairs]
         b.array[:] = np.concatenate([*right, *own])
         start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
-        if not (near and kept.iterate(np.concatenate(start))):
+        if not (near and retained.iterate(np.concatenate(start))):
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
-            message = saddle.failure(ksp, units=kept.units, bound=way.residual)
+            message = saddle.failure(ksp, units=retained.units, bound=way.residual)
             if message:
                 raise SolveError(message)
-            kept.factorised()
+            retained.factorised()
         if not np.isfinite(x.norm()):
             raise SolveError("the linear solve gave no numbers.")
         ends = np.cumsum([len(part) for part in start])
@@ -322,15 +325,15 @@ class Tangent:
         patterns = [rows.pattern() for rows in self._rows]
         for c, linear in enumerate(equations):
             patterns[c] = patterns[c].joined(Pattern.of(patterns[c].size, linear.matrix))
-            if self._kept is not None and self._kept.load_step == self._load_step:
-                patterns[c] = patterns[c].joined(self._kept.patterns[c])
+            if self._retained is not None and self._retained.load_step == self._load_step:
+                patterns[c] = patterns[c].joined(self._retained.patterns[c])
         self.destroy()
-        self._kept = self._made(patterns)
-        values = self._values(equations, self._kept.num_base)
+        self._retained = self._made(patterns)
+        values = self._values(equations, self._retained.num_base)
         assert values is not None
         return values
 
-    def _made(self, patterns: list[Pattern]) -> _Kept:
+    def _made(self, patterns: list[Pattern]) -> _Retained:
         """A matrix with room for what the nested one has, and for patterns of contacts."""
         nest = self._nest
         comm = nest.comm.tompi4py()
@@ -366,7 +369,9 @@ class Tangent:
             units = np.ones(size)
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
-        return _Kept(patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs())
+        return _Retained(
+            patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs()
+        )
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:
         """A KSP for a matrix."""

@@ -133,6 +133,7 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         self._F = fem.form(list(F), **options)
         super().__init__(fem.form(list(J), **options), bcs, pieces, u)
+        self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
@@ -149,7 +150,7 @@ class NonlinearSystem(TiedSystem):
         super()._assign(x)
         jumps = self._constraints.jump_fields
         parts = x.getNestSubVecs()
-        start = len(parts) - len(self._constraints.bodies) - len(jumps)
+        start = len(parts) - self._num_ties - len(jumps)
         for jump, part in zip(jumps, parts[start:], strict=False):
             jump.take(part)
 
@@ -163,7 +164,7 @@ class NonlinearSystem(TiedSystem):
         Prescribed values are lifted: r is F at displacements that hold them, to first order.
         """
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
-        num_bodies, num_ties = len(self._u), len(self._constraints.bodies)
+        num_bodies, num_ties = len(self._u), self._num_ties
         multipliers = x_parts[len(x_parts) - num_ties :]
         lifted, tied = self._lifted(), bool(multipliers)
         self._forces = []
@@ -174,7 +175,7 @@ class NonlinearSystem(TiedSystem):
             self._F,
             self._a,
             self._bcs,
-            self._constraints.prescribed,
+            self._held,
             self._scales,
             lifted,
         ):

@@ -102,7 +102,7 @@ def least(problem):
     every = []
     for rows in problem._rows:
         body, number = rows.unknowns
-        use = rows.now.on[rows.C.i] & (body[rows.C.j] >= 0)
+        use = rows.state.active[rows.C.i] & (body[rows.C.j] >= 0)
         i, j, values = rows.C.i[use], rows.C.j[use], rows.C.values[use]
         every.append(np.zeros((len(rows.g), starts[-1])))
         np.add.at(every[-1], (i, starts[body[j]] + number[j]), values)

@@ -15,6 +15,7 @@ from assembly import Elastic
 from helpers import raises, two_ranks
 
 import meshes
+import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError
 from hypergap_dolfinx.algebra import checks
@@ -81,12 +82,12 @@ def test_given_back():
     problem, rows, x = scene.problem, scene.contact.rows, scene.u[1].x.array
     x[::2] = 0.05
     problem._prepare()
-    rows.look()
+    rows.update_geometry()
     before, m = problem._state(), rows.m
     x[::2] = 0.2
-    rows.look()
+    rows.update_geometry()
     problem._restore(before)
-    rows.look()
+    rows.update_geometry()
     np.testing.assert_array_equal(rows.m, m)
 
 
@@ -124,6 +125,45 @@ def test_held_by_contact_alone(gap, swap):
     p = scene.contact.pressures(scene.problem)
     np.testing.assert_allclose(p, reference.contact.pressures(reference.problem), atol=1e-7)
     assert scene.problem.iterations <= (10 if gap < 1 else 20)
+
+
+@pytest.mark.ranks(2)
+def test_two_problems():
+    """A contact in two problems has in each what that one solved, whichever was solved last."""
+    scene = Blocks(gap=0.02)
+    contact, first, u = scene.contact, scene.problem, [f.copy() for f in scene.u]
+    F = [ufl.replace(form, {f: g}) for form, f, g in zip(scene.F, scene.u, u, strict=True)]
+    second = ContactProblem(F, u, bcs=scene.bcs, contacts=[contact])
+
+    def found(problem, displacements):
+        rows = problem.rows(contact)
+        gap = contact.gap(*displacements, on="body").x.array
+        return (
+            *(contact.force(problem), contact.pressures(problem), gap),
+            contact.pressure(problem, on="body").x.array,
+            contact.displaced(problem)[1].x,
+            np.array((rows.state.active.sum(), (rows.g < 1e-3).sum(), problem.iterations)),
+        )
+
+    expected = {}
+    for top in (-0.05, 0.05):  # pressed, and apart
+        alone = Blocks(gap=0.02)
+        alone.top.value = top
+        alone.problem.solve()
+        contact = alone.contact
+        expected[top] = found(alone.problem, alone.u)
+    contact = scene.contact
+    for problem, at, top in ((first, scene.u, -0.05), (second, u, 0.05)):
+        scene.top.value = top
+        problem.solve()
+        assert contact.active.any() == (top < 0)
+    for problem, at, top in ((first, scene.u, -0.05), (second, u, 0.05)) * 2:
+        for one, other in zip(found(problem, at)[:-1], expected[top][:-1], strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+        assert (found(problem, at)[-1] == expected[top][-1])[:2].all()
+        scene.top.value = top
+        problem.solve()
+        assert contact.active.sum() == expected[top][-1][0] and (top < 0) == contact.active.any()
 
 
 def largest(f):
@@ -180,7 +220,7 @@ def test_gives_way(sliding):
     stiff.top.value = -0.01
     problem.solve()
     x = contact.surfaces[1].x[:, 0]
-    np.testing.assert_allclose(contact.rows.now.p, 0.01 / (1 + x**2), rtol=1e-6)
+    np.testing.assert_allclose(contact.rows.state.p, 0.01 / (1 + x**2), rtol=1e-6)
 
 
 def test_nothing_holds():

@@ -119,7 +119,7 @@ def test_flat_punch(cut, wide):
     """Its corner falls anywhere on an edge of the wider block."""
     contact, problem, mean = press_punch(cut, wide)
     x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem) / mean
-    assert problem.rows(contact).now.p.max() <= 6 * mean and problem.iterations <= 5
+    assert problem.rows(contact).state.p.max() <= 6 * mean and problem.iterations <= 5
     inside = np.abs(x) < 0.25
     if wide and 0.2 < cut < 0.8:
         np.testing.assert_allclose(p[inside], 2 / np.pi / np.sqrt(1 - 4 * x[inside] ** 2), 0.02)

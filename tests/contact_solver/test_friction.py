@@ -141,19 +141,19 @@ def test_rotation(dim):
     go(0, *shift, -0.1)
     rows = contact.rows
     assert contact.sticking.any() and contact.slipping.any() and contact.dissipation(problem) > 1e-6
-    p, q = rows.now.p.copy(), np.linalg.norm(rows.now.q, axis=0)
+    p, q = rows.state.p.copy(), np.linalg.norm(rows.state.q, axis=0)
     np.testing.assert_array_less(q, 0.1 * p * (1 + 1e-12) + 1e-300)
     close(q[contact.slipping], 0.1 * p[contact.slipping], 1e-12)
-    work = (rows.now.q * rows.s).sum()
+    work = (rows.state.q * rows.s).sum()
     assert work == pytest.approx(-contact.dissipation(problem), rel=1e-9)
     far = 8 * np.pi / 40 + np.pi / (2, 4)[dim - 2]  # farther than facets are long
     for angle in (*np.arange(1, 9) * np.pi / 40, far):
         go(angle, *shift, -0.1)
         assert problem.iterations == 1 and problem.halvings == 0
         assert np.abs(contact.slips(problem)).max() <= 1e-15
-        close(rows.now.p, p, 1e-10)
-        close(np.linalg.norm(rows.now.q, axis=0), q, 1e-10)
-    below, above = (part.sum(axis=0) for part in rows.acting())
+        close(rows.state.p, p, 1e-10)
+        close(np.linalg.norm(rows.state.q, axis=0), q, 1e-10)
+    below, above = (part.sum(axis=0) for part in rows.contact_forces())
     assert np.abs(below + above).max() <= 1e-14
 
 
@@ -162,10 +162,10 @@ def test_rotation_with_an_obstacle(swap):
     """A quarter turn in one load step, of an obstacle and of what is pressed on it."""
     contact, problem, go = rotating(2, swap, rigid=True, friction=0.1)
     go(0, 0, -0.1)
-    p = contact.rows.now.p.copy()
+    p = contact.rows.state.p.copy()
     go(np.pi / 2, 0, -0.1)
     assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
-    close(contact.rows.now.p, p, 1e-9)
+    close(contact.rows.state.p, p, 1e-9)
 
 
 def test_back_and_forth():
@@ -175,7 +175,7 @@ def test_back_and_forth():
     for x in (0, 0.1, 0.15, 0.149, 0.1, 0, -0.05):
         go(0, x, -0.05)
         rows = contact.rows
-        ratio = (rows.now.q * rows.m).sum() / (rows.now.p * rows.m).sum()
+        ratio = (rows.state.q * rows.m).sum() / (rows.state.p * rows.m).sum()
         found.append((ratio, contact.slipping.sum() / contact.active.sum()))
         assert problem.iterations <= 9 and problem.halvings == 0
     ratios, slips = zip(*found, strict=True)
@@ -192,10 +192,10 @@ def test_lent_directions():
     lost = np.flatnonzero(x[:, 0] < x[:, 0].min() + 1e-9)
     others = np.setdiff1d(np.arange(len(x)), lost)
     for v in lost:
-        rows.lender[v] = others[np.linalg.norm(x[others] - x[v], axis=1).argmin()]
+        rows.condensed_to[v] = others[np.linalg.norm(x[others] - x[v], axis=1).argmin()]
     go(0, 0, 0, -0.05)
     go(0, 0.1, 0.05, -0.05)
-    assert contact.slipping[rows.lender[lost]].all()
+    assert contact.slipping[rows.condensed_to[lost]].all()
     close(np.linalg.norm(rows.tangents[:, contact.active], axis=2), 1, 0.01)
     shears, p = contact.shears(problem), contact.pressures(problem)
     on = rows.spread(contact.slipping)
@@ -224,7 +224,7 @@ def test_relaxation():
         for _ in range(30):
             F, slope = force(x)
             if use != "none":
-                relaxation.look(abs(F))
+                relaxation.update(abs(F))
             dx = F / (slope + relaxation.share)
             work = slope * dx**2 if use == "back" else 1.0
             x -= relaxation.takes([np.array([dx])], work, exact=True) * dx
@@ -237,23 +237,23 @@ def test_relaxation():
     for before in (True, False):  # what puts an inexact step right is no turn
         relaxation = Relaxation(MPI.COMM_SELF)
         for move, exact in ((1.0, before), (-0.9, True)):
-            relaxation.look(1.0)
+            relaxation.update(1.0)
             assert relaxation.takes([np.array([move])], 1.0, exact=exact)
-        relaxation.look(1.0)
+        relaxation.update(1.0)
         assert relaxation.acts == before
     for k in range(9):
         assert relaxation.creeps == (k > 3)  # the share grows as long as it helps nothing
         relaxation.takes([np.array([(-1.0) ** k])], 1.0, exact=True)
-        relaxation.look(1.0)
+        relaxation.update(1.0)
 
 
 def test_shortened_steps():
     """A step that leads to where residuals are much larger, or none, is shortened, not for ever."""
     for residual, exact, times in ((2.9, True, 0), (3.1, True, 4), (3.1, False, 0), (np.nan, 0, 4)):
         relaxation = Relaxation(MPI.COMM_SELF)
-        relaxation.look(9.0)
+        relaxation.update(9.0)
         assert relaxation.takes([np.ones(1)], 1.0, exact=True) == 1
-        relaxation.look(1.0)
+        relaxation.update(1.0)
         assert relaxation.takes([np.ones(1)], 1.0, exact=bool(exact)) == 1
         assert [relaxation.shortens(residual) for _ in range(5)] == [k < times for k in range(5)]
 
@@ -289,8 +289,8 @@ def test_elastic_slip(limit):
         assert problem.iterations <= 7 and problem.halvings == 0
         e = before + rows.slip
         e *= np.minimum(1, length / np.maximum(np.abs(e), 1e-300))
-        bound = np.minimum(mu * rows.now.p, limit)
-        close(rows.now.q * contact.active, -bound * e / length, 1e-6)
+        bound = np.minimum(mu * rows.state.p, limit)
+        close(rows.state.q * contact.active, -bound * e / length, 1e-6)
         total += contact.dissipation(problem)
         assert (total > 1e-9) == (x > (0.06 if limit == np.inf else 0.02))
     assert contact.sticking.any()
@@ -305,10 +305,10 @@ def test_shear_limit(dim):
     for x, y in ((0, -0.05), (0.1, -0.05), (0.2, -0.1)):
         go(0, *(x, 0.1)[: dim - 1], y)
         assert problem.iterations <= 12 and problem.halvings == 0
-        slips, q = contact.slipping, np.linalg.norm(rows.now.q, axis=0)
-        close(q[slips], np.minimum(mu * rows.now.p, limit)[slips], 1e-7)
+        slips, q = contact.slipping, np.linalg.norm(rows.state.q, axis=0)
+        close(q[slips], np.minimum(mu * rows.state.p, limit)[slips], 1e-7)
         assert (q <= limit * (1 + 1e-9)).all()
-    assert (mu * rows.now.p[slips] > 1.1 * limit).sum() >= 2 and contact.dissipation(problem) > 0
+    assert (mu * rows.state.p[slips] > 1.1 * limit).sum() >= 2 and contact.dissipation(problem) > 0
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -318,11 +318,11 @@ def test_gives_way(dim):
     rows = contact.rows
     go(0, *(0.04, 0.02)[: dim - 1], -0.1)
     assert problem.iterations <= 12 and problem.halvings == 0
-    on, p, q = contact.active, rows.now.p, np.linalg.norm(rows.now.q, axis=0)
+    on, p, q = contact.active, rows.state.p, np.linalg.norm(rows.state.q, axis=0)
     close(rows.g[on], -0.5 * (rows.m * p)[on], 1e-10)
     close(q[contact.slipping], 0.1 * p[contact.slipping], 1e-9)
     assert on.any() and contact.slipping.any() and (q <= 0.1 * p * (1 + 1e-9)).all()
-    below, above = (part.sum(axis=0) for part in rows.acting())
+    below, above = (part.sum(axis=0) for part in rows.contact_forces())
     assert np.abs(below + above).max() <= 1e-14
 
 

@@ -55,11 +55,11 @@ def test_analysis_is_kept(monkeypatch):
     for top in (-0.05, -0.1):
         scene.top.value = top
         problem.solve()
-        found.append(problem._tangent._kept)
+        found.append(problem._tangent._retained)
         state = found[-1].A.stateGet()
     assert found[0] is found[1] and found[0].ksp.getPC().getType() == "cholesky"
     problem.solve()
-    assert problem.iterations <= 1 and problem._tangent._kept.A.stateGet() == state
+    assert problem.iterations <= 1 and problem._tangent._retained.A.stateGet() == state
     # What there is no room for gets some
     before = [u.x.array.copy() for u in scene.u]
     few = pattern.Pattern.of(found[0].patterns[0].size, Sparse.empty())
@@ -76,8 +76,8 @@ def test_analysis_is_kept(monkeypatch):
 def test_factors_are_kept(monkeypatch):
     """A matrix that hardly changes is solved with the factors there are, if few steps do."""
     solve, found = saddle.solve, []
-    for near, iterations in ((0.0, 8), (tangent.NEAR_FACTORS, 8), (tangent.NEAR_FACTORS, 0)):
-        monkeypatch.setattr(tangent, "NEAR_FACTORS", near)
+    for near, iterations in ((0.0, 8), (tangent.REUSED, 8), (tangent.REUSED, 0)):
+        monkeypatch.setattr(tangent, "REUSED", near)
         monkeypatch.setattr(tangent, "ITERATIONS", iterations)
         scene, count = Blocks(), []
         monkeypatch.setattr(saddle, "solve", lambda *args, c=count: c.append(1) or solve(*args))
@@ -104,18 +104,18 @@ def test_another_way(fails, monkeypatch):
             step._ways[0] = replace(step._ways[0], residual=0.0)
         problem.solve()
         if way == "kept":
-            kept, solve = step._kept, saddle.solve
+            kept, solve = step._retained, saddle.solve
 
             def spoilt(ksp, b, x, kept=kept, solve=solve):
                 solve(ksp, b, x)
-                if kept is step._kept:
+                if kept is step._retained:
                     ksp.getRhs().scale(2.0)
 
             monkeypatch.setattr(saddle, "solve", spoilt)
         scene.top.value = -0.1
         problem.solve()
         monkeypatch.undo()
-        kinds.append((step._kept.ksp.getPC().getType(), len(step._ways)))
+        kinds.append((step._retained.ksp.getPC().getType(), len(step._ways)))
         displacements.append(np.concatenate([u.x.array for u in scene.u]))
     assert kinds[1] == (("lu", 1) if fails == "symmetric" else ("cholesky", 2))
     np.testing.assert_allclose(*displacements, atol=1e-12)
