@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Tie DOLFINx bodies across non-matching meshes with hyper-dimensional gap finite elements.
 
 Interface: a pair of surfaces Γ0 and Γ1 with the condition between them. Tie: an interface as a user

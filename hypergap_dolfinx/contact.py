@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact between two surfaces: the user's door to gaps, pressures and forces."""
 
 import logging
@@ -32,7 +29,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
-from hypergap_dolfinx.surface.tolerances import CORNER
+from hypergap_dolfinx.surface.tolerances import KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
 from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FILE_DIGITS, FINER, STIFF
 
@@ -540,4 +537,4 @@ def _is_round(surface: Surface) -> bool:
         return bool(((turn > 0) & ~corner).any())
     n0, n1 = surface.normals[facet_pairs(surface).T]
     turn = np.linalg.norm(n0 - n1, axis=1)
-    return bool(((turn > FILE_DIGITS) & (turn < CORNER)).any())
+    return bool(((turn > FILE_DIGITS) & (turn < KINK)).any())

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file.
 
 ``VTXWriter`` and ``VTKFile`` take functions of any degree, continuous or not, one element a file:

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Unions: ties that share a smooth piece of Γ1, solved as one interface.
 
 Alone, each tie would end at the next one's start, with too few or too many multipliers there. One Σ

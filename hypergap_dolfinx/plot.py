@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Pictures of tied bodies with PyVista: Σ pulled apart, deformed shapes, tractions.
 
 No other module imports this one. All functions are collective; rank 0 draws and gets the plotter or

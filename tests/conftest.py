@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """What lets the tests run on any number of ranks: ``mpirun -n 3 python -m pytest``.
 
 The ranks meet after each phase of a test (set-up, call, tear-down), agree on its outcome, and rank

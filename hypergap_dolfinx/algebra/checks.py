@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Checks of input that no solver would refuse: tangled cells, NaN, contradicting conditions.
 
 Every check is collective and raises the same exception on every rank.

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The weighted gap and slip of fans in the plane, and their derivatives. No MPI, no PETSc.
 
 A cell between a piece of an edge, :math:`\mathbf x(s)` from :math:`s_1` to :math:`s_2`, and an apex

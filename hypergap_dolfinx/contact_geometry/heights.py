@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Columns: rays from Γ1 to Γ0, the gaps and slips along them, and their derivatives.
 
 From a point :math:`\mathbf x_1(X)` of Γ1 a ray along its facet's normal in the middle,

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Pieces of Γ1's facets in space, each opposite one facet of Γ0.
 
 Facets of Γ0 are projected along the normal of each facet of Γ1. That is divided into as many parts

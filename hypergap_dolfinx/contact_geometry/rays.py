@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact segments in the plane: fans between Γ1's vertices and the parts that rays cut from Γ0.
 
 From the middle of each edge of Γ1 a ray goes along its normal to Γ0. Between two rays Γ0 is the

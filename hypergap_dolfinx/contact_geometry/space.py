@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Contact segments in space: columns between pieces of Γ1 and Γ0.
 
 A column stands on a piece of a facet of Γ1, along the facet's normal, up to the facet of Γ0 there.

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """A contact in a problem: Σ, gaps, pressures and the active set as arrays; its linear equations.
 
 A contact's state belongs to its :class:`ContactRows`: all that changes it is a method there.

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """The semi-smooth Newton iteration for bodies in contact.
 
 :meth:`ContactSystem._newton` solves a load step. It stops (:meth:`ContactSystem._balances`) at an

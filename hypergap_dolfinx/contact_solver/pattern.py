@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Sparsity patterns of a contact's equations, with room for entries that sliding brings.
 
 Rows and columns are unknowns of both sides' dofs, then multipliers. An analysis holds for all steps

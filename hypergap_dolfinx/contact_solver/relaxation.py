@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Damping of Newton's iteration where it oscillates or diverges.
 
 Forces between bodies are continuous, with kinks where nodes pass. At a kink a branch of equilibria

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """The matrix of Newton's steps for bodies in contact, of which pattern and analysis are kept.
 
 Active sets change from step to step, and so do the facets that face each other. So each multiplier
@@ -73,7 +70,7 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
     return found
 
 
-class Numbering:
+class StackedNumbering:
     """One numbering of the unknowns of several parts, by rank, then by part."""
 
     def __init__(self, ranges: Sequence[npt.NDArray]):
@@ -339,7 +336,7 @@ class Tangent:
         comm = nest.comm.tompi4py()
         num = nest.getNestSize()[0]
         ranges = [nest.getNestSubMatrix(i, i).getOwnershipRanges() for i in range(num)]
-        numbering = Numbering([*ranges, *(rows.ranges for rows in self._rows)])
+        numbering = StackedNumbering([*ranges, *(rows.ranges for rows in self._rows)])
         first, end = numbering.of_rank(comm.rank)
         i, j, mine = [], [], []
         for k, of, block in self._blocks():

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Actions that all ranks take together: destroying PETSc objects, and raising the same error.
 
 Destroying a PETSc object is collective, but Python's garbage collection is not: two ranks may

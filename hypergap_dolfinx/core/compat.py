@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Differences between DOLFINx 0.9, 0.10 and 0.11, and between their versions of PETSc.
 
 Those that keyword arguments bridge (``create_mesh(comm, cells, e=..., x=...)``) are not here.

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """The C in ``c/``: built once with FFCx's compiler, kept in its cache, called with checked arrays.
 
 The headers in ``c/`` are the only description of the interface.

@@ -1,6 +1,3 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Cells of the gap domain Σ: a strip of triangles in the plane, a slab of tetrahedra in space."""

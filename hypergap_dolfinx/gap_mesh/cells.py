@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Cells of Σ as both meshers (`strip`, `slab`) return them, and how much of Γ1 they cover.
 
 :class:`GapCells` holds simplices between two surfaces, the same on every rank; :class:`Hosts` the

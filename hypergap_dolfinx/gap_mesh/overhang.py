@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Overhang: the excess of Σ over the common part of both sides, where outlines nearly match.
 
 Outlines whose nodes are beside each other at a tiny distance aren't cut: that would leave triangles

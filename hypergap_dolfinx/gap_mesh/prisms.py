@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Cells between surfaces that match or nearly do, or whose facets are quarters of the other's.
 
 Each facet and its twin make three tetrahedra (:func:`between_twins`); each facet and its four

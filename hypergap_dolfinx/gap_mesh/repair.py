@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Mesh repair: inverted cells of a front that got through are replaced.
 
 :class:`MeshRepair` has three means, in this order: swaps of cells that share a face or an edge for

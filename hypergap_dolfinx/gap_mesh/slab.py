@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
 
 :func:`mesh_slab` is the door: surfaces are split into smooth pieces that face each other

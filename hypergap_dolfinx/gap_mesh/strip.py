@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Σ in two dimensions: the strip of triangles between two chains of edges.
 
 **The apex rule** picks each triangle's apex: for an edge of one chain it is the node of the other
@@ -28,7 +25,7 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
 from hypergap_dolfinx.gap_mesh.tolerances import ALIGNED, COINCIDE, END, SAME_TURN
-from hypergap_dolfinx.surface.tolerances import CORNER, NOISE, STANDS_OUT, TURN
+from hypergap_dolfinx.surface.tolerances import KINK, NOISE, STANDS_OUT, TURN
 from hypergap_dolfinx.surface.trace import Surface
 
 PLANE_DIRECTION = np.array((np.cos(1), np.sin(1)))  # edges of meshes are hardly ever across it
@@ -187,7 +184,7 @@ def turns(surface: Surface) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.boo
     beside[inner] = np.maximum(turn[start[before[inner]]], turn[end[after[inner]]])
     noise = NOISE * np.abs(surface.x).max() / surface.size.min()
     turn[turn <= TURN + noise] = 0
-    return turn, (turn > CORNER) | (turn > STANDS_OUT * beside)
+    return turn, (turn > KINK) | (turn > STANDS_OUT * beside)
 
 
 def pieces(surface0: Surface, surface1: Surface) -> tuple[list[Chain], list[Chain]]:

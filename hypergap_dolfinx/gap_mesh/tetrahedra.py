@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Tetrahedra between two surfaces: their measure D, their faces, and their straight edges.
 
 D (:func:`areas`) is positive for the simplex of each cell's vertices. A curved cell may be inverted

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Walls: the triangles that close Σ at the outlines of two facing pieces.
 
 :func:`rims` pairs the boundary loops of both pieces; :class:`WallRim` makes the walls between two

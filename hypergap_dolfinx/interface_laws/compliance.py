@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""A compliant interface: a compliance, u₁ − u₀ = c λ, or a conductance, λ = h (u₁ − u₀).
 
 Both are matrices C_AB = ∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα. That of a compliance replaces the zero block,

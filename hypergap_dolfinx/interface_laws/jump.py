@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """A prescribed jump, u₁ − u₀ = g: values at the dofs of a side, and the right-hand side."""
 
 from collections.abc import Hashable, Sequence

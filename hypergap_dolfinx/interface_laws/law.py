@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""A law of the user's own, λ = f(w), between the traction and the jump of an interface.
 
 The jump that the law sees is spanned by the multipliers' functions, w = Σ_A w_A ∂φ_A/∂α, and is the

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Moves Γ1 to where eq. (22) puts it, X_A = P X₀: then the tie knows rigid motions exactly."""
 
 from dataclasses import replace

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """The constraint ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (eq. 4) as matrices on the bodies' own dofs.
 
 Its multipliers lie at dofs of Γ1.

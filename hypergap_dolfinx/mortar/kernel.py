@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The gap finite element: eqs. (6)–(19) of Giffin (2024), with NumPy arrays alone.
 
 The Jacobian of eq. (6) is :math:`\mathbf J = [\mathbf X; \nabla_\xi\alpha^T]` with

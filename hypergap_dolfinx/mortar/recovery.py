@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Tractions on both bodies' surfaces, recovered from the forces that λ makes at their nodes.
 
 λ is spanned by ∂φ_a/∂α (eq. 20): on a straight linear cell it is a constant, its error of order

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Choice of the multipliers where interfaces end, meet or are held.
 
 The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it

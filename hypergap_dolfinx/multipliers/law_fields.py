@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Compliances and laws of ties as blocks of the saddle system, with λ = E λ' of its multipliers.
 
 A compliance enters as the block −C in place of the zero, [K Bᵀ; B −C], with C = Σ_t E_tᵀ C_t E_t.

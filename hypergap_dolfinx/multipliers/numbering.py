@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Multipliers of all ties in one numbering, and replacements on pieces that are left with too few.
 
 If all ends of a small piece are at cross points or prescribed, λ is constant, linear, … in space

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The saddle system solved with factors of one body at a time, and an iteration over the ties.
 
 The factors of the bodies are several times cheaper than those of all of them together. The

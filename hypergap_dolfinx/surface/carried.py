@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """A surface carried to another one by a rigid motion: periodic and cyclic ties.
 
 Σ lies between Γ1 and the image of Γ0 under x ↦ R (x − c) + c + t, two surfaces that touch.

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """A component of a body's mixed space as a Lagrange space of its own.
 
 Geometry, multipliers and most of the solvers work on that space, with its own numbering of dofs;

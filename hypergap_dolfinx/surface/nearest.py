@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Nearest points, and nearest places on a closed polygon (``c/surface.c``).
 
 SciPy's ``cKDTree`` has no edges, and breaks ties as it happens: of 4964 nearest points in the tests

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Pieces of surfaces in space: triangles of Σ's boundary, each hosted in a facet.
 
 A triangular facet is one triangle. A quadrilateral becomes four triangles that meet at its middle,

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Functions of quadrilateral facets on triangles.
 
 A quadrilateral's functions of degree k have terms up to :math:`s^k t^k`, polynomials of degree 2k

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Search for triangles that a point may lie above or below, or that a line may meet.
 
 Queries of balls or boxes (SciPy's ``cKDTree``, DOLFINx's bounding-box trees) need a radius, but

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Surfaces in space: neighbours, kinks, smooth pieces and boundary loops."""
 
 from itertools import pairwise
@@ -19,8 +16,8 @@ from hypergap_dolfinx.surface.nearest import nearest
 from hypergap_dolfinx.surface.tolerances import (
     CORNER,
     CURVES,
-    FACING_COSINE,
     NOISE,
+    OPPOSITE_COSINE,
     STANDS_OUT,
     TURN,
 )
@@ -200,9 +197,9 @@ def _opposite(surface: Surface, pieces, other: Surface):
     normals = surface.normals[samples]
     cosine = np.einsum("si,si->s", normals, other.normals[found])
     agree = cosine > 0
-    for j in np.flatnonzero(cosine >= FACING_COSINE):  # prefer facets that face it
+    for j in np.flatnonzero(cosine >= OPPOSITE_COSINE):  # prefer facets that face it
         turned = other.normals @ normals[j]
-        penalty = np.where(turned < FACING_COSINE, 1, np.where(turned < 0, 4, 1e6))
+        penalty = np.where(turned < OPPOSITE_COSINE, 1, np.where(turned < 0, 4, 1e6))
         found[j] = (lengths(centres - middles[j]) * penalty).argmin()
     if agree.mean() > 0.5:
         raise InterfaceError(
@@ -210,7 +207,7 @@ def _opposite(surface: Surface, pieces, other: Surface):
             "is one of them the wrong side of its body, or the same surface given twice?"
         )
     cosine = np.einsum("si,si->s", normals, other.normals[found])
-    if (cosine > FACING_COSINE).all():
+    if (cosine > OPPOSITE_COSINE).all():
         angle = np.degrees(np.arccos(np.clip(-cosine.min(), -1, 1)))
         raise NotFacingError(
             f"Γ0 and Γ1 don't face each other: everywhere around {spot(middles)} they are "

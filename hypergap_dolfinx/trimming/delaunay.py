@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Constrained Delaunay triangulation of a triangle with points and segments.
 
 SciPy's ``Delaunay`` has no constraints and leaves out points near an edge: in 6166 cuts of the

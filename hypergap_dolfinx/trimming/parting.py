@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Pairs of pieces of two surfaces that face each other.
 
 Faces of a body that turn away from the other one are left out, so whole boundaries can be tied.
@@ -20,7 +17,7 @@ from hypergap_dolfinx.core.compiled import call, doubles, ints
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
+from hypergap_dolfinx.surface.tolerances import CORNER, OPPOSITE_COSINE
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.surface.triangulation import facing_pieces, kinks, neighbours, spread
 from hypergap_dolfinx.trimming.outlines import Rim
@@ -82,7 +79,7 @@ def _facing(surfaces: tuple[Surface, Surface], behind):
             for j in spread(np.flatnonzero(faces[i] == face)):
                 away = centres - middles[j]
                 distance = np.linalg.norm(away, axis=1)
-                distance[other.normals @ own.normals[j] >= FACING_COSINE] = np.inf
+                distance[other.normals @ own.normals[j] >= OPPOSITE_COSINE] = np.inf
                 k = int(distance.argmin())
                 depth = BEHIND_FACET * max(own.size[j], other.size[k])
                 if np.isfinite(distance[k]) and away[k] @ own.normals[j] > -depth:

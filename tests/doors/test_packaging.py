@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """What an installation brings, and what an import does."""
 
 import json
@@ -50,7 +47,7 @@ def test_version():
 
 def test_nothing_shadows_dolfinx():
     """DOLFINx comes from wherever the user has it: only extras may name it."""
-    assert PROJECT["dependencies"] == ["numpy"]
+    assert PROJECT["dependencies"] == ["numpy", "scipy"]
 
 
 def test_wheel_holds_the_package_alone(tmp_path):

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Ties that conduct: λ = h (u₁ − u₀), from free (h = 0) to tied, wherever h is not 0."""
 
 from mpi4py import MPI

@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Ties with a law of one's own, λ = f(u₁ − u₀), in UFL: springs that push and pull, adhesives."""
 
 import numpy as np

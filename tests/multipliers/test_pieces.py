@@ -1,8 +1,5 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
-#
-# This file is part of hypergap_dolfinx
-#
-# SPDX-License-Identifier:    LGPL-3.0-or-later
+# SPDX-License-Identifier: LGPL-3.0-or-later
 """Interfaces that are given in pieces, or that meet: judged by a field that is in no space.
 
 Beside tied bodies stand the bodies alone with exact data, and one tie over all.
