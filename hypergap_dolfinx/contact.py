@@ -119,6 +119,7 @@ class Contact:
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
+        self._shown: ContactRows | None = None
         self._comm = comm = side0[0].mesh.comm
         if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
@@ -281,7 +282,11 @@ class Contact:
     @property
     def rows(self) -> ContactRows | None:
         """Gaps and pressures in the problem solved last; ``problem.rows(contact)`` in any one."""
-        return next(iter(rows_of(self)), None)
+        return self._shown
+
+    def show(self, rows: ContactRows):
+        """Keep the rows of the problem solved last, which :attr:`rows` and :attr:`active` show."""
+        self._shown = rows
 
     @property
     def active(self) -> npt.NDArray[np.bool_]:
@@ -446,8 +451,9 @@ class Contact:
         """The rows of a problem with these displacements, unchanged since a solve. Collective."""
         found = (rows for rows in rows_of(self) if rows.fields == (u0, u1) and rows.state.opening)
         rows = next(found, None)
-        # Python forgets problems on each rank at its own time
-        if not self._comm.allreduce(rows is not None, MPI.LAND) or rows is None:
+        # Only if the ranks find the same one: Python forgets problems on each at its own time
+        numbers = set(self._comm.allgather(-1 if rows is None else rows.number))
+        if rows is None or len(numbers) > 1:
             return None
         now = rows.displacements([owned_values(u) for u in (u0, u1)])
         return rows if all(map(np.array_equal, now, rows.u)) else None

@@ -20,6 +20,7 @@ from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.tie import Tie
+from hypergap_dolfinx.tolerances import NEAR_PIECES
 
 
 class _Union(Tie):
@@ -116,11 +117,12 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     for same in alike.values():
         if len(same) < 2:
             continue
-        sides = [_parts(ties[t], parts_of) for t in same]
+        same = [t for t in same if _is_near(ties[t])]
+        sides = [_parts(ties[t], parts_of) for t in same] if len(same) > 1 else []
         surfaces = [ties[t].surfaces[1] for t in same]
-        pieces = smooth_pieces(surfaces)
+        pieces = smooth_pieces(surfaces) if same else []
         # Two ties with a dof of Γ1 in common, on one smooth piece
-        num = 1 + max(int(piece.max()) for piece in pieces)
+        num = 1 + max((int(piece.max()) for piece in pieces), default=0)
         keys = [
             np.unique(surface.dofs * num + piece[:, None])
             for surface, piece in zip(surfaces, pieces, strict=True)
@@ -133,6 +135,12 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     label = components(len(ties), i, j)
     return [np.flatnonzero(label == k).tolist() for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _is_near(tie: Tie) -> bool:
+    """True if the sides are near enough for a common Σ. Collective."""
+    length = max(surface.size.max(initial=0.0) for surface in tie.surfaces)
+    return bool(tie.domain.distance() <= NEAR_PIECES * length)
 
 
 def _parts(tie: Tie, parts_of: PartsOf) -> list[frozenset[int]]:

@@ -4,7 +4,7 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// The slip of columns, κ e · P D, and its derivatives (contact_geometry/slips.py).
+// The slip of columns, κ e · P D, and its derivatives (contact_geometry/heights.py).
 
 #include <math.h>
 #include <string.h>

@@ -2,30 +2,32 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact segments in the plane: fans between Γ1's vertices and the parts that rays cut from Γ0.
 
-From the middle of each edge of Γ1 a ray goes along its normal to Γ0. Between two rays Γ0 is the
-base of a fan of cells with Γ1's vertex as apex, which has their whole weight; the edge of Γ1 is
-the base of a cell with the ray's end as apex, of which the foot is the edge's middle: ∂ψ/∂α is a
-half for both its vertices. So weights are never negative, and nothing jumps as nodes pass nodes.
+From the middle of each edge of Γ1 a ray goes along its normal to Γ0. The part of Γ0 between two
+neighbouring rays is the base of a fan of cells; their apex is the vertex of Γ1 between the rays,
+which gets their whole weight. Each edge of Γ1 is also the base of a cell whose apex is the ray's
+end on Γ0; half its weight goes to each vertex of the edge, since the ray starts at the middle. So
+weights are never negative, and they are continuous as nodes pass nodes.
 
-**A vertex of Γ1 beyond the end of Γ0.** Where Γ0 ends opposite of an edge of Γ1, the fan of the
-vertex before the end reaches up to there. The weight of the vertex beyond the end depends on the
+**A vertex of Γ1 beyond the end of Γ0.** Where Γ0 ends opposite an edge of Γ1, the fan of the vertex
+before the end reaches as far as the end. The weight of the vertex beyond the end depends on the
 part of the edge that Γ0 covers. Each limit has two values, so that a vertex doesn't come and go at
 one place:
 
-1. More than :data:`REACHED`, or :data:`COVERED_SIDE` (degree 1) or :data:`KEPT` (degree 2) if it
-   was so at the last displacements: the edge counts as whole, and both vertices have a half of its
-   cell and fans of their own.
-2. Less, but more than :data:`COMES`, or :data:`GOES` if it was so at the last displacements
-   (degree 1 and ``shares`` only, and if the vertex is opposite nothing else): the vertex beyond has
-   a share, half of the edge's cell, and its pressure is at most :data:`STEEPER` times that of the
-   vertex before: with L of that limit, multipliers p ≥ 0 stand for the vertices' pressures Lᵀp and
-   the gaps L g. As the end passes from edge to edge the possible pressures change continuously.
+1. Whole: the covered part exceeds :data:`REACHED`; if the edge was whole at the last displacements,
+   :data:`COVERED_SIDE` (degree 1) or :data:`KEPT` (degree 2) suffices. Both vertices have a half of
+   its cell and fans of their own.
+2. Share: the covered part exceeds :data:`COMES` (:data:`GOES` if the vertex had a share); only for
+   degree 1 with ``shares``, and if the vertex is opposite nothing else. The vertex beyond has half
+   of the edge's cell, and its pressure is at most :data:`STEEPER` times that of the vertex before.
+   The matrix L expresses this limit: with multipliers p ≥ 0 the vertices' pressures are Lᵀp and the
+   gaps conjugate to p are L g. As the end passes from edge to edge the possible pressures change
+   continuously.
 3. Otherwise nothing: its weight is zero, and the vertex before has all of the edge's cell.
 
-Ends of both sides at a wall, such as one of symmetry, are opposite each other whatever rays meet.
+Ends of both sides at a wall, such as one of symmetry, count as opposite, whatever the rays meet.
 
-It is found in C (``c/rays.c``): calls of NumPy with short arrays would soon take as long as
-Newton's step of a small problem.
+The cells are computed in C (``c/rays.c``): NumPy calls on short arrays would take as long as a
+Newton step of a small problem.
 """
 
 from collections.abc import Sequence

@@ -26,7 +26,8 @@ straight ones.
 Measured: outlines that are one, moved by 1e-9: C changes by 1e-7 without it."""
 
 DRIFT = 0.5
-"""Largest distance of such a crossing from that of straight edges, in edge lengths.
+"""Largest distance of the crossing of two curved edges from that of the straight ones, in edge
+lengths.
 Measured: rough P2 facets, 24 scenes: the same with 0.25, 1."""
 
 LAST = 1e-8
@@ -34,7 +35,7 @@ LAST = 1e-8
 Measured: squared it is round-off: g, C and ∂²g of ironing change by 2e-13."""
 
 WIDTH = 1e-6
-"""Least standard deviation across a polygon, over that along it, of a rule's points.
+"""Least standard deviation of a quadrature rule's points across a polygon, over that along it.
 Measured: triangles of widths 1e-2 to 1e-14: absolute sums of weights 1.6 (degree 4) and 2.2 (6)
 times the area; without it 1500 and 6900, or no numbers."""
 
@@ -44,28 +45,27 @@ Measured: 0.05 changes nothing in 128 tests of contact; test_slip fails with 0.8
 without it (-2): a fan goes round a corner of 90°."""
 
 REACHED = 0.999
-"""Part of an edge of Γ1 that Γ0 must reach for weights of both vertices, if they had none.
+"""Covered part of an edge of Γ1 above which both its vertices get weights, if it wasn't whole.
 Measured: flat die, degree 1: the vertex moves its edge's cut by 0.07 of it when it gets or loses
 its multiplier; with one threshold steps of 0.05 cells cycle."""
 
 KEPT = 0.9
-"""The same if they had them, for degree 2.
+"""Covered part of an edge of Γ1 above which both its vertices keep weights, degree 2.
 Measured: flat die drawn along with friction .2: with 0.95 the vertex comes and goes within
 Newton's iteration, 32 steps a load step and 28 halvings; 6.7 and none with 0.9, 6.3 with 0.8."""
 
 COMES = 0.2
-"""Part of an edge of Γ1 that Γ0 must reach for a share of the vertex beyond its end, if it had
-none.
+"""Covered part of an edge of Γ1 above which the vertex beyond Γ0's end gets a share.
 Measured: flat die, degree 1, steps of .05 and .1 cells: 3.7 and 4.8 Newton steps (at most 10 and
 12); with one threshold, .02 or more, some load steps have no solution, with 1e-3 up to 38 steps,
 and meshes that match nearly take 3 more."""
 
 GOES = 0.02
-"""The same if it had one.
-Measured: likewise."""
+"""Covered part of an edge of Γ1 above which the vertex beyond Γ0's end keeps its share.
+Measured: as COMES."""
 
 STEEPER = 2.0
-"""Largest pressure of that vertex over that of the one before the end.
+"""Largest pressure of the vertex beyond Γ0's end over that of the vertex before the end.
 Measured: flat die, degree 1, foundation as Γ1: ripple .9 % with 1, .53 % with 1.7, .37 % with 2
 (5.95 Newton steps), .22 % with 2.7 (6.2), .26 % with 5 (7.1)."""
 

@@ -26,13 +26,15 @@ def supports(holds, load, distance) -> npt.NDArray[np.intp]:
     from scipy.optimize import linprog
 
     scale = np.abs(holds).max(axis=0, initial=0)
-    if not len(holds) or not load.any() or not scale.all():
+    finite = np.isfinite(load).all() and np.isfinite(scale).all() and np.isfinite(distance).all()
+    if not len(holds) or not finite or not load.any() or not scale.all():
         return np.empty(0, dtype=np.intp)
     b, A = load / scale, (holds / scale).T
     b, A = b / np.abs(b).max(), A / np.abs(A).max()
     work = distance / max(distance.max(), 1e-300)
-    found = linprog(work, A_eq=A, b_eq=b, method="highs-ds")
-    acts = found.x > HOLDS if found.success else np.zeros(len(holds), dtype=bool)
+    exact = dict.fromkeys(("primal_feasibility_tolerance", "dual_feasibility_tolerance"), 1e-10)
+    found = linprog(work, A_eq=A, b_eq=b, method="highs-ds", options=exact)
+    acts = found.x > CLOSED_GAP if found.success else np.zeros(len(holds), dtype=bool)
     return np.flatnonzero(acts)
 
 

@@ -85,12 +85,15 @@ class Linear:
         return joined(*self.blocks)
 
 
-_ROWS: "WeakKeyDictionary[ContactInterface, list[ref[ContactRows]]]" = WeakKeyDictionary()
+_ROWS: "WeakKeyDictionary[ContactInterface, dict[int, ref[ContactRows]]]" = WeakKeyDictionary()
 
 
 def rows_of(contact: ContactInterface) -> "list[ContactRows]":
-    """A contact's rows in the problems that exist, those of the problem solved last first."""
-    found = [reference() for reference in _ROWS.get(contact, ())]
+    """A contact's rows in the problems that exist, those of the problem solved last first.
+
+    Python forgets problems on each rank at its own time: compare :attr:`ContactRows.number`.
+    """
+    found = [reference() for reference in reversed(_ROWS.get(contact, {}).values())]
     return [rows for rows in found if rows is not None]
 
 
@@ -111,6 +114,8 @@ class ContactRows:
         self._first: tuple[Segments, npt.NDArray, npt.NDArray, Sparse] | None = None
         self._apart: npt.NDArray[np.float64] | None = None
         """:attr:`distance` at the start of the load step, if no pressure acts there."""
+        self.number = -1
+        """Number among the contact's rows of all problems, the same on every rank."""
         self.start: Displacements | None = None
         """Displacements at the start of the load step; None before the first geometry."""
         self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
@@ -140,9 +145,13 @@ class ContactRows:
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
     def register(self):
-        """Make these the contact's rows that :func:`rows_of` names first."""
-        others = [rows for rows in rows_of(self._contact) if rows is not self]
-        _ROWS[self._contact] = [ref(rows) for rows in (self, *others)]
+        """Make these the contact's rows that :func:`rows_of` names first, and that it shows."""
+        known = _ROWS.setdefault(self._contact, {})
+        if self.number < 0:
+            self.number = len(known)
+        known.pop(self.number, None)
+        known[self.number] = ref(self)
+        self._contact.show(self)
 
     def ending(self, i: int, space: int) -> EndingSide:
         """One side, for :mod:`shared_ends`; ``space`` numbers its function space."""

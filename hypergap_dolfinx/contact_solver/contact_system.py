@@ -3,16 +3,16 @@
 """The semi-smooth Newton iteration for bodies in contact.
 
 :meth:`ContactSystem._newton` solves a load step. It stops (:meth:`ContactSystem._balances`) at an
-iterate at which
+iterate, after at least one step, at which
 
 - the residual of bodies, ties and contact forces is at most rtol times the forces in the bodies,
-  or round-off of these (ROUND_OFF_FORCES),
+  or of the size of round-off in them (ROUND_OFF_FORCES),
 - active gaps are closed; with friction sticking vertices don't slip, and tractions are μ p
   elsewhere (``ContactRows.is_closed``),
-- the active sets are those of the iterate before,
+- the active sets are those of the iterate before (checked in :meth:`ContactSystem._newton`).
 
-and at which no active multiplier has to pull. With friction there is one more step if gaps aren't
-closed to round-off.
+A SolveError is raised if an active multiplier has to pull there. With friction there is one more
+step if gaps aren't closed to round-off.
 """
 
 from collections.abc import Sequence

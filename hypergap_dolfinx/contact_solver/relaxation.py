@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import (
     ATTEMPTS,
+    BACK,
     FALLS,
     GROWS,
     GROWTH,
@@ -109,7 +110,7 @@ class Relaxation:
         longest = self._longest if self.acts else GROWTH * self._first
         refused = exact and self._length > longest and self._num_refused < ATTEMPTS
         share = 0.0 if refused else 1.0
-        if turned and exact and work < 0 and not self.acts and self._num_back < ATTEMPTS:
+        if turned and exact and work < 0 and not self.acts and self._num_back < BACK:
             share, self._num_back = -min(1.0, longest / self._length), self._num_back + 1
             self._turns = self._judges = refused = False
         elif refused:

@@ -186,6 +186,7 @@ class Library:
             return self.ffi.NULL
         if dtype is None or not isinstance(value, np.ndarray):
             if isinstance(value, self.ffi.CData) and self.ffi.typeof(value).item is array.item:
+                kept.append(value)
                 return value
             wanted = ctype.cname if dtype is None else f"an array of {dtype}"
             raise TypeError(f"{name} is of {type(value)}; it must be {wanted}.")

@@ -15,6 +15,7 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     FLAT_GAP_CELL,
     INSET,
     LARGE_CAVITY,
+    SEES,
 )
 
 Place = Callable[[npt.NDArray[np.float64], float, npt.NDArray[np.intp]], tuple]
@@ -136,7 +137,7 @@ def _cone(mesh: Cells, faces, behind: _Behind, place: Place):
     """
     while 0 < len(faces) <= LARGE_CAVITY:  # each time a cell is removed
         x, alpha, slack = _sees_best(mesh, faces)
-        if slack.min() > 0:
+        if slack.min() > SEES:
             node = place(x, alpha, np.unique(faces))
             D, scale = _seen(mesh, faces, node[0][None], np.array([node[1]]), node[2])
             D, scale = D[:, 0], scale[:, 0]

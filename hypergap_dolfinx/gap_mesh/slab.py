@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Σ in three dimensions: the slab of tetrahedra between two triangulated surfaces.
 
-:func:`mesh_slab` is the door: surfaces are split into smooth pieces that face each other
+:func:`mesh_slab` is the entry point: surfaces are split into smooth pieces that face each other
 (:mod:`~hypergap_dolfinx.trimming.parting`) and cut to their common part
 (:mod:`~hypergap_dolfinx.trimming.clip`); a front of flips (:mod:`.front`) fills the slab between
 two pieces.

@@ -7,10 +7,10 @@ chain that is nearest to the edge's midpoint, in a common parameter (arc length)
 This is the Delaunay rule for a strip, and :func:`merge` applies it: sorting the edge midpoints of
 both chains together gives all triangles.
 
-**Ends.** Chains are cut to the parts that face each other (:func:`facing`), so what lies of Γ1
-beyond the end of Γ0 gets no cell of Σ. The facet of Γ1 at which Γ0 ends is covered in part, those
-beyond not at all (``GapCells.covered``). A vertex of Γ1 beyond the end has a multiplier only if
-enough of a facet beside it is covered; otherwise λ there follows its neighbours
+**Ends.** Chains are cut to the parts that face each other (:func:`facing`), so the part of Γ1
+beyond the end of Γ0 gets no cell of Σ. The facet of Γ1 at which Γ0 ends is covered in part, facets
+beyond it are not covered (``GapCells.covered``). A vertex of Γ1 beyond the end has a multiplier
+only if enough of a facet beside it is covered; otherwise λ there follows its neighbours
 (:mod:`~hypergap_dolfinx.multipliers.existence`).
 """
 

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Choice of the multipliers where interfaces end, meet or are held.
 
-The minimum in eq. (22) is over the free x_a, so a prescribed x_a has no constraint: keeping it
-could lose rank. The multipliers that exist keep this **invariant**:
+The minimum in eq. (22) is over the free x_a, so no constraint belongs to a prescribed x_a: it could
+make B rank-deficient. The multipliers that exist keep this **invariant**:
 
-* no row of B, on what is free, follows from the others: where multipliers had to be replaced, each
-  new row makes an angle with those before it whose sine is at least
+* the rows of B, restricted to free dofs, are linearly independent: where multipliers had to be
+  replaced, each new row makes an angle with those before it whose sine is at least
   :data:`INDEPENDENT_ROWS` (:data:`CONSISTENT` for rows that a patch test needs);
-* there are no more rows than free dofs that can answer to them;
+* there are no more rows than free dofs that can satisfy them;
 * each patch's λ can be any polynomial of degree k − 1, and can carry a force and a moment.
 
 Three rules lead there:

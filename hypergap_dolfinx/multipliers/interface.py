@@ -3,7 +3,7 @@
 """The properties of ties and contacts that solvers use, as protocols."""
 
 from collections.abc import Hashable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
@@ -166,6 +166,9 @@ class ContactInterface(Protocol):
     @property
     def depth(self) -> float:
         """Overlap beyond which a vertex of Γ1 counts as on the other side of Γ0's body."""
+
+    def show(self, rows: Any) -> None:
+        """Keep the rows of the problem solved last."""
 
     def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
         """Find the gaps where the bodies are, of which some displacements are prescribed."""

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Monomials and coefficients of facets' Lagrange elements, for ``c/monomials.c``."""
+"""Monomials and coefficients of facets' Lagrange elements, for ``c/monomials.h``."""
 
 import numpy as np
 import numpy.typing as npt

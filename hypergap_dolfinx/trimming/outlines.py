@@ -224,7 +224,9 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     at, t = _feet(side, f, points[p])
     curved = bool(side.surface.curved[side.facets].any())
     least = at.min(axis=1, initial=np.inf)
-    near = curved | (least >= -INSIDE_WEIGHT)  # a curved triangle may contain points beside it
+    near = (curved & np.isfinite(least)) | (
+        least >= -INSIDE_WEIGHT
+    )  # a curved triangle may contain points beside it
     p, f, at, t, least = p[near], f[near], at[near], np.abs(t[near]), least[near]
     order = np.lexsort((t, np.maximum(-INSIDE_WEIGHT - least, 0), p))
     first = order[np.unique(p[order], return_index=True)[1]]
