@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact problems: bodies that touch, part, are held by contact alone; the same on any ranks."""
 
+import gc
 import logging
 
 from mpi4py import MPI
@@ -161,6 +162,19 @@ def test_two_problems():
         scene.top.value = top
         problem.solve()
         assert contact.active.sum() == expected[top][-1][0] and (top < 0) == contact.active.any()
+
+
+def test_contact_outlives_its_problem():
+    """What a contact tells without a problem is that of the last one, though nobody keeps that."""
+    scene = Blocks(gap=0.02)
+    contact, num = scene.contact, len(scene.contact.surfaces[1].x)
+    scene.top.value = -0.05
+    scene.problem.solve()
+    pressed = contact.active
+    del scene
+    gc.collect()
+    np.testing.assert_array_equal(contact.active, pressed)
+    assert pressed.any() and len(pressed) == num
 
 
 def largest(f):
