@@ -4,7 +4,8 @@
 
 Queries of balls or boxes (SciPy's ``cKDTree``, DOLFINx's bounding-box trees) need a radius, but
 the gap isn't known: with half the diameter of a surface of 12 800 triangles ``cKDTree`` takes 93 s,
-this tree 6.5 s (of 3200: 3.4 s, 1.0 s).
+this tree 6.5 s (of 3200: 3.4 s, 1.0 s). If the largest gap were known, ``cKDTree`` with that radius
+would take 0.6 s.
 """
 
 from dataclasses import dataclass
