@@ -53,13 +53,13 @@ FLAT_GAP_CELL = 1e-9
 Measured: 0.1× to 10× change nothing in test_front, test_slab, test_straight, test_curved."""
 
 THIN_CELL = 1e-4
-"""The same for cells that fronts avoid at first.
+"""D of a cell, over its scale, up to which fronts avoid it at first.
 
 Measured: a block turned by 1e-8 to 1e-5, degree 1: error of λ 1e-11, with 1e-9 up to 10."""
 
 PARALLEL_RIMS = 1e-2
-"""The same for cells between edges of both outlines, up to which walls replace them if curved cells
-are inverted.
+"""D over its scale of a cell between edges of both outlines, up to which walls replace them if
+curved cells are inverted.
 
 Measured: pads on a cylinder and a sphere, degree 3: 24 and 39 straight edges and Σ's area 5e-4
 off if only inverted ones are replaced, none and 3e-7, 3e-8."""

@@ -21,7 +21,8 @@ OFF_CARRIED = 1e-6
 Measured: files with 8 digits."""
 
 SAG_OUTLINE = 0.25
-"""The same relative to the length of facets, where the outlines' extents differ.
+"""Distance from Γ1 to the image of Γ0 treated as zero, in facet lengths, where the outlines'
+extents differ.
 Measured: facets that turn by 60°: 0.13."""
 
 SAME_NODE = 1e-10
