@@ -271,8 +271,7 @@ class Contact:
         """
         if self._surfaces[0].gdim == 3:
             return SpaceSegments.between(self._sides, u)
-        shares = self._friction is None and self._compliance is None
-        return PlaneSegments.between(self._sides, u, held, shares=shares)
+        return PlaneSegments.between(self._sides, u, held, self._depth)
 
     @property
     def swapped(self) -> bool:

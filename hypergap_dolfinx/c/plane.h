@@ -9,7 +9,8 @@
 #ifndef HYPERGAP_PLANE_H
 #define HYPERGAP_PLANE_H
 
-#define MOST_DOFS 12 // of an edge
+#define MOST_DOFS 12  // of an edge
+#define MOST_SHEETS 6 // of Γ0 that one ray sees
 
 // A side where it is: edges with the body on the left, their reference coordinates from 0 to 1.
 typedef struct {
@@ -22,43 +23,38 @@ typedef struct {
   int num_dofs;           // of displacements of an edge, its ends first
   const double *dof_at;   // their reference coordinates
   const int *dofs;        // their numbers, Γ1's behind all of Γ0's, (num_edges, num_dofs)
-  int num_points;         // of the quadrature rule
-  const double *points, *weights;
 } Side;
 
-// A surface's edges one after the other.
+// A point of an edge of Γ1 from which a ray goes along the normal of the edge's chord. Its place ξ
+// along the chord, from 0 to 1, lies between those of both ends of a piece of the edge.
 typedef struct {
-  int num;                   // of chains
-  const int *edges;          // chain by chain, (num_edges)
-  const int *start, *count;  // of chains: where they start there, their numbers of edges
-  const int *closed;         // whether they are loops
-  const int *chain;          // of edges
-  const int *position;       // of edges in their chains
-} Chains;
+  int edge, part;   // of Γ1; that of its start (0), of its end (1), or what they share (2)
+  int ends[2];      // vertices of Γ0 opposite of the piece's ends, or numbers of fixed places
+  double at, width; // where on the piece, from 0 to 1, and the weight of the quadrature there
+  double s;         // reference coordinate
+  int first, num;   // of its sheets
+  int is_first;     // whether it is the piece's first point
+} Point;
 
-// Points of Γ0 and Γ1 at one position along the chord of Γ1's edge.
+// An edge of Γ0 that a ray meets, and where.
 typedef struct {
-  int edges[2]; // on Γ0 and Γ1
-  int unknown;  // side on which it moves along its edge
-  double s[2];  // reference coordinates on both
-} Crossing;
-
-// A cell of Σ. Parameters are reference coordinates: those of an edge's start, end and middle, and
-// from FIXED on those of crossings.
-typedef struct {
-  int side;          // of the base
-  int base, apex;    // edges
-  int parameters[3]; // of the base's start and end, and of the apex
-  int vertices[2];   // of Γ1 that share the cell; each has one half
-} Cell;
+  int edge;
+  double r; // reference coordinate
+} Sheet;
 
 // Σ where the sides are.
 typedef struct {
   Side sides[2];
-  int num_cells, max_cells, num_crossings;
-  Cell *cells;
-  Crossing *crossings;
-  double *motions; // ∂s/∂u of crossings by the dofs of both their edges, (num_crossings, num)
+  const int *goes_on;    // whether Γ0's edges do beyond their ends, at a wall, (num_edges₀, 2)
+  const double *depths;  // overlap of Γ1's edges at which what they meet isn't theirs any more
+  double cosines[2];     // between normals: from which on edges face each other, and do so fully
+  double fade;           // part of a depth over which weights fade
+  double fixed[4];       // places along chords of the numbers −1 … −4: ends, and of what is shared
+  int num_rule;          // points of the quadrature rule
+  const double *rule_at, *rule_weights;
+  int max_points, num_points, max_sheets, num_sheets;
+  Point *points;
+  Sheet *sheets;
 } Sigma;
 
 // Entries of a sparse matrix. If there is no room for all, num is at least what they need.
@@ -70,15 +66,12 @@ typedef struct {
   int *first; // of each row
 } Entries;
 
-void kinks_of(const Side *side, double kink, int *kinks);
-int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
-              int num_walls, const int *walls, double end, double faces, double farther,
-              const double *beyond, int *whole, int *owners);
-void find_crossings(Sigma *sigma);
-void find_gaps(const Sigma *sigma, double *volumes, double *areas, double *x, double *g, double *m,
-               Entries *C);
-void gap_curvature(const Sigma *sigma, const double *p, double *slopes, Entries *H);
-void find_slips(const Sigma *sigma, const double *moved, Entries *rows);
-void slip_curvature(const Sigma *sigma, const double *q, Entries *H);
+int cast_rays(Sigma *sigma);
+int find_depths(const Sigma *sigma, double least, double *depths);
+void find_columns(const Sigma *sigma, double *x, int *shown);
+int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered);
+int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H);
+int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows);
+int slip_curvature(const Sigma *sigma, const double *q, Entries *H);
 
 #endif

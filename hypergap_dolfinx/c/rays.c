@@ -4,357 +4,448 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Cells of contact's Σ in the plane (contact_geometry/rays.py): fans between Γ1's vertices and what Γ1's rays
-// cut from Γ0.
+// What the edges of Γ1 see of Γ0 in the plane (contact_geometry/rays.py).
+//
+// From each point of an edge of Γ1 a line goes along the normal of the edge's chord. It may meet
+// several sheets of Γ0, in front or behind; a sheet's weight fades where it turns away and where it
+// lies as deep as what is behind the body, and a sheet hides those in front of it by its weight.
 
-#include <math.h>
+#include "rays.h"
+
 #include <stdlib.h>
+#include <string.h>
 
-#include "fans.h"
-#include "plane.h"
 #include "vectors.h"
 
-typedef struct {
-  int edge, parameter;
-} Place;
+#define STEPS 60 // to where a ray meets a curved edge: by bisection at most
+#define LAST_STEP 1e-15
+#define BEYOND 0.25 // how far an edge goes on beyond its end, in its reference coordinate
 
-// Places on Γ0 opposite of an edge of Γ1.
+// The chord of an edge of Γ1.
 typedef struct {
-  // Of the start, of the end (of what is covered) and of the middle, if both vertices have a weight
-  Place places[3];
-  double t[3];    // where on Γ0 they are, if edges were straight
-  int cut[2];     // edges of Γ0 that end opposite of it: of what starts, and of what ends there
-  double foot[2]; // where
-  int limits[2];  // parameters of what is covered
-  int owner;      // number (0 or 1) of the vertex that has all, or most, if not both have the same
-  int beyond;     // whether the other one, beyond Γ0's end, has a share
-} Opposite;
+  const double *a;
+  double c[2], size;
+} Frame;
+
+// An edge of Γ0 that faces an edge of Γ1, in part at least.
+typedef struct {
+  int edge;
+  double from, to;  // reference coordinates between which it does
+  double xi[2];     // places there along Γ1's chord: the first is larger, as Γ0 runs against Γ1
+} Facing;
+
+// A place along a chord that is a vertex of Γ0, or stays.
+typedef struct {
+  double xi;
+  int vertex;
+} Break;
+
+// A sheet where a ray meets it.
+typedef struct {
+  Sheet sheet;
+  double height, weight;
+} Hit;
 
 typedef struct {
-  Sigma *sigma;
+  const Sigma *sigma;
   const Side *below, *above; // Γ0 and Γ1
-  const Chains *chains;      // Γ0's
-  Opposite *opposite;        // of Γ1's edges
-  double end, faces, farther;
+  Facing *facing;
+  Break *breaks;
+  int num_facing, num_breaks, edge;
+  Frame frame;
 } Cast;
 
-// Vertices at which a side turns too far to go on.
-//
-// kink     cosine of the turn
-// kinks    whether they are some, (num_vertices)
-void kinks_of(const Side *side, double kink, int *kinks)
+// Lagrange's functions of n nodes on an edge, and three derivatives.
+static void lagrange(int n, const double *at, double s, double N[4][MOST_DOFS])
 {
-  for (int v = 0; v < side->num_vertices; ++v)
+  for (int a = 0; a < n; ++a)
   {
-    const int *beside = side->beside + 2 * v;
-    double a[2], b[2], sizes;
-    kinks[v] = 0;
-    if (beside[0] < 0 || beside[1] < 0)
-      continue;
-    sizes = chord(side, beside[0], a) * chord(side, beside[1], b);
-    kinks[v] = !(sizes > 0 && a[0] * b[0] + a[1] * b[1] >= kink * sizes);
+    double d[4] = {1, 0, 0, 0};
+    for (int b = 0; b < n; ++b)
+    {
+      if (b == a)
+        continue;
+      double slope = 1 / (at[a] - at[b]), factor = (s - at[b]) * slope;
+      for (int k = 3; k > 0; --k)
+        d[k] = d[k] * factor + k * d[k - 1] * slope;
+      d[0] *= factor;
+    }
+    for (int k = 0; k < 4; ++k)
+      N[k][a] = d[k];
   }
 }
 
-// True if an edge of Γ0 is the first or last one (k = 0, 1) of a chain that is no loop.
-static int is_end(const Chains *chains, int edge, int k)
+Curve curve_at(const Side *side, int edge, double s, const double *origin)
 {
-  int c = chains->chain[edge];
-  return !chains->closed[c] && chains->position[edge] == (k ? chains->count[c] - 1 : 0);
+  Curve curve = {.x = {{0}}};
+  double N[4][MOST_DOFS];
+  const double *nodes = node(side, edge, 0);
+  lagrange(side->num_nodes, side->node_at, s, N);
+  lagrange(side->num_dofs, side->dof_at, s, curve.N);
+  for (int k = 0; k < 4; ++k)
+    for (int a = 0; a < side->num_nodes; ++a)
+      for (int i = 0; i < 2; ++i)
+        curve.x[k][i] += N[k][a] * (nodes[2 * a + i] - origin[i]);
+  return curve;
 }
 
-// Positions of both ends of an edge of Γ0 along one of Γ1, in lengths of it; true if the edges face
-// each other. Γ0 runs against Γ1.
-static int along(const Cast *cast, int f, int g, double *s)
+const double *position(const Side *side, int vertex)
 {
-  const double *a = node(cast->above, f, 0);
-  double c[2], size = chord(cast->above, f, c), own[2];
+  const int *beside = side->beside + 2 * vertex;
+  return beside[0] >= 0 ? node(side, beside[0], 1) : node(side, beside[1], 0);
+}
+
+static Frame frame_of(const Side *side, int edge)
+{
+  Frame frame = {.a = node(side, edge, 0)};
+  frame.size = chord(side, edge, frame.c);
+  return frame;
+}
+
+// Place of a point along a chord, and its height above it, outside of the body.
+static double along(const Frame *frame, const double *x)
+{
+  const double *c = frame->c, *a = frame->a;
+  return ((x[0] - a[0]) * c[0] + (x[1] - a[1]) * c[1]) / (frame->size * frame->size);
+}
+
+static double above(const Frame *frame, const double *x)
+{
+  const double *c = frame->c, *a = frame->a;
+  return ((x[0] - a[0]) * c[1] - (x[1] - a[1]) * c[0]) / frame->size;
+}
+
+// Place along a chord of a point of an edge, and its derivative.
+static double place(const Frame *frame, const Side *side, int edge, double r, double *slope)
+{
+  const double *c = frame->c;
+  if (side->num_nodes == 2)
+  {
+    double own[2];
+    chord(side, edge, own);
+    *slope = (own[0] * c[0] + own[1] * c[1]) / (frame->size * frame->size);
+    return along(frame, node(side, edge, 0)) + r * *slope;
+  }
+  Curve x = curve_at(side, edge, r, frame->a);
+  *slope = (x.x[1][0] * c[0] + x.x[1][1] * c[1]) / (frame->size * frame->size);
+  return (x.x[0][0] * c[0] + x.x[0][1] * c[1]) / (frame->size * frame->size);
+}
+
+// Reference coordinate between two where an edge, which goes one way there, has a place.
+static double meet(const Frame *frame, const Side *side, int edge, double from, double to, double xi)
+{
+  double slope, lo = from, hi = to, first = place(frame, side, edge, lo, &slope);
+  if (side->num_nodes == 2)
+    return smaller(larger(from + (xi - first) / slope, from), to);
+  double last = place(frame, side, edge, hi, &slope), r;
+  int falls = last < first;
+  r = lo + (hi - lo) * smaller(larger((xi - first) / (last - first), 0), 1);
+  for (int it = 0; it < STEPS; ++it)
+  {
+    double error = place(frame, side, edge, r, &slope) - xi, next = r - error / slope;
+    if ((error > 0) == falls)
+      lo = r;
+    else
+      hi = r;
+    if (!(next >= lo && next <= hi))
+      next = 0.5 * (lo + hi);
+    double step = next - r;
+    r = next;
+    if (fabs(step) < LAST_STEP)
+      break;
+  }
+  return r;
+}
+
+// Cosine between a chord's normal and the one against an edge's, at a point.
+static double cosine(const Frame *frame, const Side *side, int edge, double r)
+{
+  double t[2];
+  if (side->num_nodes == 2)
+    chord(side, edge, t);
+  else
+  {
+    Curve x = curve_at(side, edge, r, frame->a);
+    t[0] = x.x[1][0], t[1] = x.x[1][1];
+  }
+  double length = sqrt(t[0] * t[0] + t[1] * t[1]);
+  return -(t[0] * frame->c[0] + t[1] * frame->c[1]) / (length * frame->size);
+}
+
+// The part of an edge of Γ0 that faces an edge of Γ1; false if there is none.
+static int faces(const Cast *cast, int g, Facing *facing)
+{
+  const Side *side = cast->below;
+  const Frame *frame = &cast->frame;
+  const int *goes_on = cast->sigma->goes_on + 2 * g;
+  double slopes[2], xi[2], low = INFINITY, high = -INFINITY;
+  *facing = (Facing){g, goes_on[0] ? -BEYOND : 0, goes_on[1] ? 1 + BEYOND : 1, {0, 0}};
+  for (int k = 0; k < side->num_nodes; ++k)
+  {
+    double at = along(frame, node(side, g, k));
+    low = smaller(low, at), high = larger(high, at);
+  }
+  double more = side->num_nodes > 2 ? 0.25 * (high - low) : 0; // a parabola's beyond its nodes
+  if (low - more >= 1 || high + more <= 0)
+    return 0;
   for (int k = 0; k < 2; ++k)
+    xi[k] = place(frame, side, g, k, slopes + k);
+  if (side->num_nodes == 2)
   {
-    const double *x = node(cast->below, g, k);
-    s[k] = ((x[0] - a[0]) * c[0] + (x[1] - a[1]) * c[1]) / (size * size);
+    if (cosine(frame, side, g, 0) <= cast->sigma->cosines[0])
+      return 0;
   }
-  if (s[0] <= -cast->end || s[1] > 1 + cast->end)
-    return 0; // beside it
-  return (s[0] - s[1]) * size > cast->faces * chord(cast->below, g, own);
+  else if (side->num_nodes == 3 && slopes[0] * slopes[1] < 0)
+  { // it turns: one part faces
+    double turn = slopes[0] / (slopes[0] - slopes[1]);
+    *(slopes[0] < 0 ? &facing->to : &facing->from) = turn;
+  }
+  else if (xi[0] <= xi[1])
+    return 0;
+  facing->xi[0] = place(frame, side, g, facing->from, slopes);
+  facing->xi[1] = place(frame, side, g, facing->to, slopes);
+  return facing->xi[0] > facing->xi[1];
 }
 
-// From a position on an edge of Γ1 to one on an edge of Γ0.
-static double distance(const Cast *cast, int f, double s, int g, double t)
+static int by_place(const void *a, const void *b)
 {
-  const double *a = node(cast->above, f, 0), *b = node(cast->below, g, 0);
-  double c[2], d[2], square = 0;
-  chord(cast->above, f, c), chord(cast->below, g, d);
-  for (int i = 0; i < 2; ++i)
-  {
-    double way = b[i] + t * d[i] - a[i] - s * c[i];
-    square += way * way;
-  }
-  return sqrt(square);
+  const Break *one = a, *two = b;
+  if (one->xi != two->xi)
+    return one->xi < two->xi ? -1 : 1;
+  return (one->vertex > two->vertex) - (one->vertex < two->vertex);
 }
 
-// Find the nearest edges of Γ0 that face an edge of Γ1 where it starts, ends and has its middle.
-static void shoot(const Cast *cast, int f)
+static void add_break(Cast *cast, double xi, int vertex)
 {
-  Opposite *own = cast->opposite + f;
-  double nearest[3] = {INFINITY, INFINITY, INFINITY}, s[2];
-  own->cut[0] = own->cut[1] = NOWHERE;
-  for (int k = 0; k < 3; ++k)
-    own->places[k].edge = NOWHERE, own->t[k] = 0;
+  if (xi > 0 && xi < 1)
+    cast->breaks[cast->num_breaks++] = (Break){xi, vertex};
+}
+
+// Find what faces an edge of Γ1, and the places along it where something changes.
+static void look(Cast *cast, int f)
+{
+  cast->edge = f, cast->frame = frame_of(cast->above, f);
+  cast->num_facing = cast->num_breaks = 0;
   for (int g = 0; g < cast->below->num_edges; ++g)
   {
-    if (!along(cast, f, g, s))
+    Facing *facing = cast->facing + cast->num_facing;
+    if (!faces(cast, g, facing))
       continue;
-    double before = is_end(cast->chains, g, 0) ? cast->end : 0;
-    double behind = is_end(cast->chains, g, 1) ? cast->end : 0;
-    for (int k = 0; k < 3; ++k)
-      if (s[0] > positions[k] - before && s[1] <= positions[k] + behind)
+    ++cast->num_facing;
+    for (int k = 0; k < 2; ++k)
+      if (!cast->sigma->goes_on[2 * g + k]
+          && cosine(&cast->frame, cast->below, g, k) > cast->sigma->cosines[0])
       {
-        double t = fmin(fmax((s[0] - positions[k]) / (s[0] - s[1]), 0), 1);
-        double far = distance(cast, f, positions[k], g, t);
-        if (far < nearest[k])
-          nearest[k] = far, own->places[k].edge = g, own->t[k] = t;
+        int vertex = cast->below->vertices[2 * g + k];
+        add_break(cast, along(&cast->frame, position(cast->below, vertex)), vertex);
       }
   }
+  for (int k = 0; k < 4; ++k)
+    cast->breaks[cast->num_breaks++] = (Break){cast->sigma->fixed[k], -1 - k};
+  qsort(cast->breaks, cast->num_breaks, sizeof(Break), by_place);
 }
 
-// Find the edge of Γ1 that is the nearest to an end of Γ0.
+// Sheets that a ray sees, those farthest behind first; their number.
 //
-// g       edge that starts or ends there
-// k       0: starts, 1: ends
-static void find_cut(const Cast *cast, int g, int k)
+// at    reference coordinate of its start on Γ1
+// hits  (MOST_SHEETS)
+static int see(const Cast *cast, double xi, double at, Hit *hits)
 {
-  double nearest = INFINITY, foot = 0, s[2];
-  Opposite *found = NULL;
-  for (int f = 0; f < cast->above->num_edges; ++f)
+  const Sigma *sigma = cast->sigma;
+  const Frame *frame = &cast->frame;
+  double depth = sigma->depths[cast->edge], start = 0, step[3];
+  int num = 0;
+  if (cast->above->num_nodes > 2)
   {
-    if (!along(cast, f, g, s) || s[k] <= cast->end || s[k] >= 1 - cast->end)
-      continue;
-    double far = distance(cast, f, s[k], g, k);
-    if (far < nearest)
-      nearest = far, foot = s[k], found = cast->opposite + f;
+    Curve x = curve_at(cast->above, cast->edge, at, (double[]){0, 0});
+    start = above(frame, x.x[0]);
   }
-  if (found) // where Γ0 starts there is something behind it, where it ends something before
-    found->cut[1 - k] = g, found->foot[1 - k] = foot;
-}
-
-// A crossing's parameter.
-//
-// g, f     edges of Γ0 and Γ1
-// unknown  side on which it moves
-// s, t     positions on both
-static int add_crossing(const Cast *cast, int g, int f, int unknown, double s, double t)
-{
-  Sigma *sigma = cast->sigma;
-  sigma->crossings[sigma->num_crossings] = (Crossing){{g, f}, unknown, {s, t}};
-  return FIXED + sigma->num_crossings++;
-}
-
-// Make up what of an edge of Γ1 is covered from what rays meet.
-//
-// walls       places that are known, of the start and the end
-// least       part of the edge: if more is covered both vertices have a weight
-// beyond      the same for a share of a vertex beyond Γ0's end
-static void cover(const Cast *cast, int f, const Place *walls, double least, double beyond)
-{
-  Opposite *own = cast->opposite + f;
-  Place *places = own->places;
-  double position[2] = {0, 1};
-  int cuts[2];
-  // Two parts of Γ0 with a hole between them: the larger counts
-  if (own->cut[0] >= 0 && own->cut[1] >= 0 && own->foot[0] >= own->foot[1])
-    own->cut[own->foot[1] < 1 - own->foot[0]] = NOWHERE;
-  for (int k = 0; k < 2; ++k)
+  for (int k = 0; k < cast->num_facing; ++k)
   {
-    cuts[k] = walls[k].edge < 0 && own->cut[k] >= 0;
-    if (walls[k].edge >= 0)
-      places[k].edge = walls[k].edge;
-    else if (cuts[k])
-      places[k].edge = own->cut[k], position[k] = own->foot[k];
-  }
-  own->owner = position[0] > 1 - position[1];
-  if (places[AT_START].edge < 0 || places[AT_END].edge < 0)
-    places[AT_START].edge = places[AT_END].edge = places[AT_MIDDLE].edge = NOWHERE;
-  if (position[1] - position[0] <= least)
-    places[AT_MIDDLE].edge = NOWHERE;
-  own->beyond = places[AT_MIDDLE].edge < 0 && places[AT_START].edge >= 0
-                && cuts[1 - own->owner] && position[1] - position[0] > beyond;
-  for (int k = 0; k < 3; ++k)
-  {
-    int g = places[k].edge, at = own->t[k] == 1;
-    if (k < 2)
-      own->limits[k] = k;
-    if (g < 0)
+    const Facing *facing = cast->facing + k;
+    if (xi > facing->xi[0] || xi < facing->xi[1])
       continue;
-    if (k < 2 && walls[k].edge >= 0)
-      places[k].parameter = walls[k].parameter;
-    else if (k < 2 && cuts[k])
+    Hit hit = {.sheet.edge = facing->edge};
+    hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
+    if (cast->below->num_nodes == 2)
     {
-      places[k].parameter = 1 - k;
-      own->limits[k] = add_crossing(cast, g, f, 1, 1 - k, own->foot[k]);
+      const double *x = node(cast->below, facing->edge, 0), *y = x + 2;
+      double first = above(frame, x), last = above(frame, y);
+      hit.height = first + hit.sheet.r * (last - first) - start;
     }
-    else if (k < 2 && own->t[k] == at && is_end(cast->chains, g, at))
-      places[k].parameter = at; // a ray meets an end of Γ0
     else
-      places[k].parameter = add_crossing(cast, g, f, 0, own->t[k], positions[k]);
-  }
-}
-
-static void emit(const Cast *cast, Cell cell)
-{
-  Sigma *sigma = cast->sigma;
-  if (sigma->num_cells < sigma->max_cells)
-    sigma->cells[sigma->num_cells] = cell;
-  ++sigma->num_cells;
-}
-
-// True if a vertex beyond Γ0's end has a share: not if it is opposite of something else.
-static int has_share(const Cast *cast, int f)
-{
-  const Opposite *own = cast->opposite + f;
-  int k = 1 - own->owner, vertex = cast->above->vertices[2 * f + k];
-  int other = cast->above->beside[2 * vertex + k];
-  return own->beyond && (other < 0 || cast->opposite[other].places[AT_START].edge < 0);
-}
-
-// Cells with their bases on Γ1.
-static void add_base(const Cast *cast, int f)
-{
-  const Opposite *own = cast->opposite + f;
-  const int *vertices = cast->above->vertices + 2 * f;
-  int whole = own->places[AT_MIDDLE].edge >= 0;
-  Place apex = own->places[whole ? AT_MIDDLE : 1 - own->owner];
-  Cell cell = {1, f, apex.edge, {own->limits[0], own->limits[1], apex.parameter}, {0}};
-  for (int k = 0; k < 2; ++k)
-    cell.vertices[k] = vertices[whole || own->beyond ? k : own->owner];
-  if (apex.edge >= 0)
-    emit(cast, cell);
-}
-
-// Steps from one edge of Γ0 to another of the same chain, the shorter way round loops.
-static int steps(const Chains *chains, int from, int to)
-{
-  int chain = chains->chain[from], count = chains->count[chain], half = count / 2;
-  int num = chains->position[to] - chains->position[from];
-  return chains->closed[chain] ? ((num + half) % count + count) % count - half : num;
-}
-
-// The edge of Γ0 that comes some steps after another one.
-static int edge_behind(const Chains *chains, int edge, int num)
-{
-  int chain = chains->chain[edge], place = chains->position[edge] + num;
-  return chains->edges[chains->start[chain] + place % chains->count[chain]];
-}
-
-// Length of the way between the middles of two edges of Γ0.
-static double way(const Cast *cast, int from, int to)
-{
-  int num = steps(cast->chains, from, to), first = num < 0 ? to : from;
-  double c[2], length = -0.5 * (chord(cast->below, from, c) + chord(cast->below, to, c));
-  for (int k = 0; k <= abs(num); ++k)
-    length += chord(cast->below, edge_behind(cast->chains, first, k), c);
-  return length;
-}
-
-// Add cells between an apex and Γ0 from one place to another of the same chain.
-static void add_fan(const Cast *cast, int vertex, Place from, Place to, Place apex)
-{
-  int num = steps(cast->chains, from.edge, to.edge), back = num < 0;
-  Place first = back ? to : from, last = back ? from : to;
-  num = abs(num);
-  for (int k = 0; k <= num; ++k)
-  {
-    int base = edge_behind(cast->chains, first.edge, k);
-    int limits[2] = {k ? AT_START : first.parameter, k < num ? AT_END : last.parameter};
-    emit(cast, (Cell){0, base, apex.edge, {limits[back], limits[!back], apex.parameter},
-                      {vertex, vertex}});
-  }
-}
-
-// Cells with their bases on Γ0: a fan at a vertex of Γ1, or one on each side of it.
-static void add_fans(const Cast *cast, int vertex, int kink)
-{
-  const int *edges = cast->above->beside + 2 * vertex, *chain = cast->chains->chain;
-  Place places[2] = {{NOWHERE, NOWHERE}, {NOWHERE, NOWHERE}};
-  for (int i = 0; i < 2; ++i)
-  {
-    const Opposite *own = edges[i] < 0 ? NULL : cast->opposite + edges[i];
-    if (!own || own->places[AT_START].edge < 0)
-      continue;
-    if (own->places[AT_MIDDLE].edge >= 0)
-      places[i] = own->places[AT_MIDDLE];
-    else if (own->owner == 1 - i)
-      places[i] = own->places[i];
-  }
-  // Γ0 runs against Γ1: a fan goes from what is behind the vertex to what is before it
-  int from = places[1].edge, to = places[0].edge;
-  if (!kink && from >= 0 && to >= 0 && chain[from] == chain[to])
-  {
-    double c[2], reach = chord(cast->above, edges[0], c) + chord(cast->above, edges[1], c);
-    if (way(cast, from, to) <= cast->farther * reach)
     {
-      add_fan(cast, vertex, places[1], places[0], (Place){edges[1], AT_START});
-      return;
+      Curve x = curve_at(cast->below, facing->edge, hit.sheet.r, (double[]){0, 0});
+      hit.height = above(frame, x.x[0]) - start;
+    }
+    if (hit.height <= -depth)
+      continue;
+    double cos = cosine(frame, cast->below, facing->edge, hit.sheet.r);
+    smooth_step((cos - sigma->cosines[0]) / (sigma->cosines[1] - sigma->cosines[0]), step);
+    hit.weight = step[0];
+    if (isfinite(depth))
+    {
+      smooth_step((hit.height + depth) / (sigma->fade * depth), step);
+      hit.weight *= step[0];
+    }
+    if (hit.weight <= 0)
+      continue;
+    int at = num;
+    while (at > 0 && hits[at - 1].height > hit.height)
+      --at;
+    if (at == MOST_SHEETS)
+      continue;
+    num = num < MOST_SHEETS ? num + 1 : num;
+    memmove(hits + at + 1, hits + at, (num - 1 - at) * sizeof(Hit));
+    hits[at] = hit;
+  }
+  for (int k = 0; k < num; ++k)
+    if (hits[k].weight >= 1)
+      return k + 1; // hides the others
+  return num;
+}
+
+static void emit(Sigma *sigma, Point point, const Hit *hits, int num)
+{
+  point.first = sigma->num_sheets, point.num = num;
+  if (sigma->num_points < sigma->max_points)
+    sigma->points[sigma->num_points] = point;
+  ++sigma->num_points;
+  for (int k = 0; k < num; ++k, ++sigma->num_sheets)
+    if (sigma->num_sheets < sigma->max_sheets)
+      sigma->sheets[sigma->num_sheets] = hits[k].sheet;
+}
+
+// Points of one piece of an edge: one point, if it is exact.
+static void add_piece(const Cast *cast, Sigma *sigma, const Break *from, const Break *to)
+{
+  Hit hits[MOST_SHEETS];
+  int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2, seen = 0;
+  int part = from->xi >= sigma->fixed[2] ? 1 : from->xi >= sigma->fixed[1] ? 2 : 0;
+  int one = straight && part < 2, sheet = -1, is_first = 1;
+  double width = to->xi - from->xi;
+  Point point = {cast->edge, part, {from->vertex, to->vertex}, 0, 0, 0, 0, 0, 0};
+  for (int k = 0; k < sigma->num_rule; ++k)
+  {
+    double xi = from->xi + width * sigma->rule_at[k];
+    double s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
+    int num = see(cast, xi, s, hits);
+    seen += num;
+    one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
+    sheet = num ? hits[0].sheet.edge : -1;
+  }
+  if (!seen)
+    return;
+  for (int k = 0; k < (one ? 1 : sigma->num_rule); ++k)
+  {
+    point.at = one ? 0.5 : sigma->rule_at[k], point.width = one ? 1 : sigma->rule_weights[k];
+    double xi = from->xi + width * point.at;
+    point.s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
+    int num = see(cast, xi, point.s, hits);
+    if (!num)
+      continue;
+    point.is_first = is_first, is_first = 0;
+    emit(sigma, point, hits, num);
+  }
+}
+
+static int start(Cast *cast, const Sigma *sigma)
+{
+  int num = sigma->sides[0].num_edges;
+  *cast = (Cast){.sigma = sigma, .below = sigma->sides, .above = sigma->sides + 1};
+  cast->facing = malloc((num + 1) * sizeof(Facing));
+  cast->breaks = malloc((2 * num + 4) * sizeof(Break));
+  return cast->facing && cast->breaks;
+}
+
+static void end(Cast *cast)
+{
+  free(cast->facing);
+  free(cast->breaks);
+}
+
+// Find points and sheets. If there are more than there is room for, their numbers are larger.
+int cast_rays(Sigma *sigma)
+{
+  Cast cast;
+  sigma->num_points = sigma->num_sheets = 0;
+  int can = start(&cast, sigma);
+  for (int f = 0; can && f < cast.above->num_edges; ++f)
+  {
+    look(&cast, f);
+    const Break *last = cast.breaks;
+    for (int k = 1; k < cast.num_breaks; ++k)
+    {
+      const Break *next = cast.breaks + k;
+      if (next->xi > last->xi)
+        add_piece(&cast, sigma, last, next);
+      last = next;
     }
   }
-  // On the vertex' own side its edge ends, or what is covered of it
-  for (int i = 0; i < 2; ++i)
-  {
-    if (places[i].edge < 0)
-      continue;
-    const Opposite *opposite = cast->opposite + edges[i];
-    Place own = opposite->places[1 - i], apex = {edges[i], opposite->limits[1 - i]};
-    if (chain[own.edge] == chain[places[i].edge])
-      add_fan(cast, vertex, i ? places[i] : own, i ? own : places[i], apex);
-  }
+  end(&cast);
+  return can ? DONE : NO_MEMORY;
 }
 
-// Find cells, and crossings without their motions.
+// Find the overlap at which what edges of Γ1 meet isn't theirs any more: half of the way to what
+// lies behind, if that is more than what overlaps at most.
 //
-// sigma    the sides; room for crossings, three for each edge of Γ1, and for cells: if there are
-//          more of these num_cells is larger than max_cells
-// chains   Γ0's
-// kinks    of Γ1, (num_vertices)
-// least    parts of Γ1's edges: where more is covered both vertices have a weight
-// walls    known places: edge and end of Γ1, edge and end of Γ0, (num_walls, 4)
-// end      distance along an edge, in its lengths, of ends that are opposite to each other
-// faces    cosine between edges from which they face each other
-// farther  longest way on Γ0 between neighbouring rays, in lengths of their edges
-// beyond   parts of Γ1's edges: where more is covered a vertex beyond Γ0's end has a share
-// whole    edges of Γ1 of which both vertices have a weight
-// owners   number of the vertex before Γ0's end where that beyond it has a share, −1 elsewhere
-int cast_rays(Sigma *sigma, const Chains *chains, const int *kinks, const double *least,
-              int num_walls, const int *walls, double end, double faces, double farther,
-              const double *beyond, int *whole, int *owners)
+// least   overlap up to which a sheet isn't behind
+// depths  INFINITY where there is nothing, (num_edges₁)
+int find_depths(const Sigma *sigma, double least, double *depths)
 {
-  const Side *below = sigma->sides, *above = below + 1;
-  Opposite *opposite = malloc((above->num_edges + 1) * sizeof(Opposite));
-  const Cast cast = {sigma, below, above, chains, opposite, end, faces, farther};
-  if (!opposite)
-    return NO_MEMORY;
-  sigma->num_cells = sigma->num_crossings = 0;
-  for (int f = 0; f < above->num_edges; ++f)
-    shoot(&cast, f);
-  for (int c = 0; c < chains->num; ++c)
-    for (int k = 0; k < 2 && !chains->closed[c]; ++k)
-      find_cut(&cast, chains->edges[chains->start[c] + (k ? chains->count[c] - 1 : 0)], k);
-  for (int f = 0; f < above->num_edges; ++f)
+  Cast cast;
+  int can = start(&cast, sigma);
+  for (int f = 0; can && f < cast.above->num_edges; ++f)
   {
-    Place known[2] = {{NOWHERE, NOWHERE}, {NOWHERE, NOWHERE}};
-    for (const int *wall = walls; wall < walls + 4 * num_walls; wall += 4)
-      if (wall[0] == f)
-        known[wall[1]] = (Place){wall[2], wall[3]};
-    cover(&cast, f, known, least[f], beyond[f]);
-    whole[f] = opposite[f].places[AT_MIDDLE].edge >= 0;
+    double behind = INFINITY;
+    look(&cast, f);
+    for (int k = 0; k < cast.num_facing; ++k)
+    {
+      const Facing *facing = cast.facing + k;
+      for (int e = 0; e < 2; ++e)
+      {
+        double xi = smaller(larger(facing->xi[e], 0), 1);
+        double r = meet(&cast.frame, cast.below, facing->edge, facing->from, facing->to, xi);
+        Curve x = curve_at(cast.below, facing->edge, r, (double[]){0, 0});
+        double height = above(&cast.frame, x.x[0]);
+        if (height < -least)
+          behind = smaller(behind, -height);
+      }
+    }
+    depths[f] = larger(least, 0.5 * behind);
   }
-  for (int f = 0; f < above->num_edges; ++f)
+  end(&cast);
+  return can ? DONE : NO_MEMORY;
+}
+
+// Columns between both sides, to look at: pieces of Γ1's edges and what lies opposite.
+//
+// x       ends of a piece on Γ1, and those on Γ0 in opposite order, (num_points, 4, 2)
+// shown   whether a point has one, (num_points)
+void find_columns(const Sigma *sigma, double *x, int *shown)
+{
+  const Side *sides = sigma->sides;
+  for (int p = 0; p < sigma->num_points; ++p)
   {
-    opposite[f].beyond = has_share(&cast, f);
-    owners[f] = opposite[f].beyond ? opposite[f].owner : NOWHERE;
-    add_base(&cast, f);
+    const Point *point = sigma->points + p;
+    Frame frame = frame_of(sides + 1, point->edge);
+    shown[p] = point->is_first;
+    const Sheet *sheet = sigma->sheets + point->first + point->num - 1;
+    for (int e = 0; e < 2; ++e)
+    {
+      int v = point->ends[e];
+      double xi = v >= 0 ? along(&frame, position(sides, v)) : sigma->fixed[-1 - v], slope, other;
+      double s = meet(&frame, sides + 1, point->edge, 0, 1, xi), r = sheet->r;
+      // From where it was met to the piece's end
+      for (int it = 0; it < 4; ++it)
+      {
+        other = place(&frame, sides, sheet->edge, r, &slope);
+        r = smaller(larger(r - (other - xi) / slope, 0), 1);
+      }
+      Curve x1 = curve_at(sides + 1, point->edge, s, (double[]){0, 0});
+      Curve x0 = curve_at(sides, sheet->edge, r, (double[]){0, 0});
+      memcpy(x + 8 * p + 2 * e, x1.x[0], sizeof(x1.x[0]));
+      memcpy(x + 8 * p + 6 - 2 * e, x0.x[0], sizeof(x0.x[0]));
+    }
   }
-  for (int v = 0; v < above->num_vertices; ++v)
-    add_fans(&cast, v, kinks[v]);
-  free(opposite);
-  return DONE;
 }

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Contact segments in the plane: fans of cells between both sides."""
+"""Contact segments in the plane: what the edges of Γ1 see of Γ0."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,26 +10,22 @@ from typing import Any, override
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_geometry import fans, rays
+from hypergap_dolfinx.contact_geometry import rays
+from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
 from hypergap_dolfinx.contact_geometry.tolerances import END
-from hypergap_dolfinx.errors import NotFacingError
+from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
-from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.trace import Surface, lengths
 
 
 @dataclass
-class _Fans(Found):
-    """Fans, and their gaps once these are needed."""
+class _Seen(Found):
+    """Rays, and what vertices have of them."""
 
-    found: rays.Fans
-
-    @cached_property
-    def gaps(self) -> fans.PlaneGaps:
-        """Weighted gaps."""
-        return fans.find_gaps(self.found)
+    gaps: Blended
 
 
 @dataclass(frozen=True)
@@ -38,8 +34,8 @@ class _Wall:
 
     vertices: tuple[int, int]
     """Vertices of Γ1 and of Γ0."""
-    ends: tuple[int, int, int, int]
-    """Edge and end of Γ1, edge and end of Γ0."""
+    end: tuple[int, int]
+    """Edge and end of Γ0."""
     axis: int
     """Coordinate in which both are prescribed."""
     size: float
@@ -53,15 +49,21 @@ class _Wall:
 
 
 @dataclass
-class PlaneSegments(Segments[_Fans]):
-    """Contact segments in the plane: fans of cells."""
+class PlaneSegments(Segments[_Seen]):
+    """Contact segments in the plane."""
 
-    held: Sequence[npt.NDArray[np.bool_]]
-    """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each."""
-    shares: bool = False
-    """True if vertices of Γ1 beyond an end of Γ0 may have a share
-    (:mod:`~hypergap_dolfinx.contact_geometry.rays`): not where laws need the pressures themselves,
-    as friction and compliance do."""
+    held: Sequence[npt.NDArray[np.bool_]] = ()
+    """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each; none without it."""
+    thickness: float = np.inf
+    """Overlap from which something lies behind Γ1's body."""
+    _depths: npt.NDArray[np.float64] | None = None
+    """Overlaps at which what edges of Γ1 meet isn't opposite of them, ``(num_edges1,)``."""
+
+    @cached_property
+    def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Both sides for C, without their positions."""
+        below, above = self.sides
+        return rays.side_of(below, 0), rays.side_of(above, len(below.dofs))
 
     @cached_property
     def _walls(self) -> list[_Wall]:
@@ -71,12 +73,12 @@ class PlaneSegments(Segments[_Fans]):
         (starts0, ends0), (starts1, ends1) = (
             (np.setdiff1d(*s.facets.T), np.setdiff1d(*s.facets.T[::-1])) for s in surfaces
         )
-        found = []
+        found: list[_Wall] = []
         # Γ0 runs against Γ1
         for mine, others in ((starts1, ends0), (ends1, starts0)):
-            for a in mine.tolist() if len(others) else ():
-                own = _end_at(surfaces[1], a)
-                edge = np.abs(np.diff(surfaces[1].x[surfaces[1].facets[own[0]]], axis=0)[0])
+            for a in mine.tolist() if len(others) and len(self.held) else ():
+                own, _ = _end_at(surfaces[1], a)
+                edge = np.abs(np.diff(surfaces[1].x[surfaces[1].facets[own]], axis=0)[0])
                 axis = int(edge.argmax())
                 if not self._held_at(1, a)[axis]:
                     continue
@@ -84,8 +86,7 @@ class PlaneSegments(Segments[_Fans]):
                 can = self._held_at(0, others)[:, axis] & (apart[:, axis] <= END * edge[axis])
                 if can.any():
                     b = int(others[np.where(can, apart.sum(axis=1), np.inf).argmin()])
-                    ends = *own, *_end_at(surfaces[0], b)
-                    found.append(_Wall((a, b), ends, axis, float(edge[axis])))
+                    found.append(_Wall((a, b), _end_at(surfaces[0], b), axis, float(edge[axis])))
         return found
 
     def _held_at(self, i: int, vertex) -> npt.NDArray[np.bool_]:
@@ -93,22 +94,42 @@ class PlaneSegments(Segments[_Fans]):
         side = self.sides[i]
         return self.held[i][np.searchsorted(side.dofs, side.vertex_dofs[vertex])]
 
-    @cached_property
-    def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Both sides for C, without their positions."""
-        below, above = self.sides
-        return rays.side_of(below, 0), rays.side_of(above, len(below.dofs))
+    @override
+    def start_step(self, u: Displacements):
+        self._depths = rays.depths(self._in_c, displaced(self.sides, u), self.thickness)
+        self._last = None
 
     @override
-    def _find(self, u: Displacements) -> _Fans:
+    def _find(self, u: Displacements) -> _Seen:
+        if self._depths is None:
+            self.start_step(u)
+        assert self._depths is not None
         surfaces = displaced(self.sides, u)
-        walls = [wall.ends for wall in self._walls if wall.is_between(surfaces)]
-        before = self._last.found if self._last else None
-        found = rays.cast(self._in_c, surfaces, before, walls, shares=self.shares)
-        if not len(found.cells):
+        goes_on = [wall.end for wall in self._walls if wall.is_between(surfaces)]
+        found = rays.cast(self._in_c, surfaces, self._depths, goes_on)
+        if not len(found.points):
+            self._check_behind(surfaces)
             mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        return _Fans(u, found)
+        return _Seen(u, Blended(found, *self._edges(surfaces[1])))
+
+    def _edges(self, above: Surface) -> tuple[npt.NDArray, npt.NDArray, int]:
+        """Vertices and lengths of Γ1's edges where it is, and the number of vertices."""
+        chords = above.x[above.facets[:, 1]] - above.x[above.facets[:, 0]]
+        return above.facets, lengths(chords), self.num_multipliers
+
+    def _check_behind(self, surfaces: tuple[Surface, Surface]):
+        """Raise if all of Γ1 lies behind Γ0 at the start."""
+        if self._last is not None:
+            return
+        found = rays.cast(self._in_c, surfaces, np.full(len(surfaces[1].facets), np.inf))
+        if len(found.points):
+            seen = Blended(found, *self._edges(surfaces[1]))
+            deep = -(seen.g / np.where(seen.m > 0, seen.m, 1))[seen.m > 0].max()
+            raise InterfaceError(
+                f"Γ1 is {deep:.3g} and more behind Γ0: the bodies are on the wrong sides of each "
+                "other, or the facets on those of the bodies."
+            )
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
@@ -116,12 +137,17 @@ class PlaneSegments(Segments[_Fans]):
         return gaps.g, gaps.m, gaps.C
 
     @override
+    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        gaps = self._at(u).gaps
+        return gaps.g, gaps.m, gaps.slips(across=True)
+
+    @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
-        return fans.gap_curvature(self._at(u).found, p)
+        return self._at(u).gaps.curvature(p)
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
-        return fans.find_slips(self._at(u).found)
+        return self._at(u).gaps.slips()
 
     @override
     def slip_slopes(
@@ -132,37 +158,40 @@ class PlaneSegments(Segments[_Fans]):
         on: npt.NDArray[np.bool_],
     ) -> Sparse:
         moved = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
-        return fans.find_slips(self._at(u).found, moved)
+        return self._at(u).gaps.slip_slopes(moved.ravel())
 
     @override
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
     ) -> Sparse:
-        return fans.slip_curvature(self._at(u).found, q[0])
+        return self._at(u).gaps.slip_curvature(q[0])
 
     @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        # (SᵀDSp) / (SᵀD1): S the cells' weights, D their areas
-        state = self._at(u)
-        gaps, vertices = state.gaps, state.found.cells["vertices"]
-        halves = gaps.areas * state.found.pressures(p)[vertices].mean(axis=1) / 2
-        total = np.bincount(vertices.ravel(), np.repeat(halves, 2), self.num_multipliers)
+        # Each edge has a cell of Σ on itself, half as large as what is covered of both its halves,
+        # with the mean pressure of its vertices; what else stands on a half has its vertex'
+        gaps = self._at(u).gaps
+        p = gaps.pressures(p)[gaps.facets]
+        shared = gaps.areas.min(axis=1, keepdims=True)
+        forces = gaps.areas * p + shared / 2 * (p.mean(axis=1, keepdims=True) - p)
+        total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)
         return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
     @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        state = self._at(u)
-        gaps, cells, p = state.gaps, state.found.cells, state.found.pressures(p)
-        rank = np.empty(len(cells), dtype=np.int32)
-        for i, moving in enumerate(self.sides):
-            on = cells["side"] == i
-            rank[on] = moving.reference.owner[cells["base"][on]]
-        zero = np.zeros_like(gaps.areas)
+        gaps = self._at(u).gaps
+        x, halves = gaps.rays.columns()
+        a, b, c, d = np.moveaxis(x, 1, 0)
+        width, up = b - a, (c + d - a - b) / 2
+        size = lengths(width)
+        height = (up[:, 0] * width[:, 1] - up[:, 1] * width[:, 0]) / np.where(size > 0, size, 1)
+        p = gaps.pressures(p)[gaps.facets.ravel()[halves]]
+        owner = self.sides[1].reference.owner[halves // 2]
         return OpenCells(
-            x=gaps.x,
-            rank=rank,
-            gap=np.divide(gaps.volumes, gaps.areas, out=zero, where=gaps.areas > 0),
-            pressure=p[cells["vertices"]].mean(axis=1),
+            x=np.concatenate((np.stack((a, b, c), axis=1), np.stack((a, c, d), axis=1))),
+            rank=np.tile(owner, 2).astype(np.int32),
+            gap=np.tile(height, 2),
+            pressure=np.concatenate((p, p)),
         )
 
 

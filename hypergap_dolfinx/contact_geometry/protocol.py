@@ -32,10 +32,9 @@ class Segments[State: Found](ABC):
     behind all of Γ0's, all components of a dof together. Slips are counted from displacements
     u_since. They have n − 1 components, each for all vertices, one behind the other.
 
-    The only state is what was found at the last displacements, so that asking again there costs
-    nothing. In the plane it has a memory too: which vertices at Γ0's ends have weights depends on
-    those that had them (:mod:`~hypergap_dolfinx.contact_geometry.rays`). Nothing of it is changed
-    in place: a ``copy.copy`` of segments keeps the state to go back to.
+    The state is what was found at the last displacements, so that asking again there costs nothing,
+    and what :meth:`start_step` told. Nothing of it is changed in place: a ``copy.copy`` of segments
+    keeps the state to go back to.
     """
 
     sides: Sides
@@ -75,6 +74,9 @@ class Segments[State: Found](ABC):
             self._last = last = self._find((u[0].copy(), u[1].copy()))
         return last
 
+    def start_step(self, u: Displacements):
+        """Start a load step: tell there what lies behind Γ1's body from what overlaps it."""
+
     @abstractmethod
     def _find(self, u: Displacements) -> State:
         """Find segments at displacements, which are kept.
@@ -91,6 +93,13 @@ class Segments[State: Found](ABC):
             g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
             ``(num_multipliers, n num_dofs)``.
         """
+
+    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        """The weighted gap for small sliding, as :meth:`gap`.
+
+        C is what displacements add to it if points that are opposite to each other stay so.
+        """
+        return self.gap(u)
 
     @abstractmethod
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:

@@ -1,36 +1,38 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Contact segments in the plane: fans between Γ1's vertices and the parts that rays cut from Γ0.
+r"""Weighted gaps and slips in the plane, by rays from Γ1 to Γ0. No MPI, no PETSc.
 
-From the middle of each edge of Γ1 a ray goes along its normal to Γ0. The part of Γ0 between two
-neighbouring rays is the base of a fan of cells; their apex is the vertex of Γ1 between the rays,
-which gets their whole weight. Each edge of Γ1 is also the base of a cell whose apex is the ray's
-end on Γ0; half its weight goes to each vertex of the edge, since the ray starts at the middle. So
-weights are never negative, and they are continuous as nodes pass nodes.
+From each point of an edge of Γ1 a line goes along the normal of the edge's chord c. It meets
+sheets k of Γ0, at heights h_k over the edge. The gap and the covered part of each half of the edge,
+which belongs to the vertex at its end, are
 
-**A vertex of Γ1 beyond the end of Γ0.** Where Γ0 ends opposite an edge of Γ1, the fan of the vertex
-before the end reaches as far as the end. The weight of the vertex beyond the end depends on the
-part of the edge that Γ0 covers. Each limit has two values, so that a vertex doesn't come and go at
-one place:
+.. math:: g = \int |c| \sum_k \omega_k h_k \prod_{j<k} (1 - \omega_j) \,d\xi, \qquad
+   2 \int \sum_k \omega_k \prod_{j<k} (1 - \omega_j) \,d\xi
 
-1. Whole: the covered part exceeds :data:`REACHED`; if the edge was whole at the last displacements,
-   :data:`COVERED_SIDE` (degree 1) or :data:`KEPT` (degree 2) suffices. Both vertices have a half of
-   its cell and fans of their own.
-2. Share: the covered part exceeds :data:`COMES` (:data:`GOES` if the vertex had a share); only for
-   degree 1 with ``shares``, and if the vertex is opposite nothing else. The vertex beyond has half
-   of the edge's cell, and its pressure is at most :data:`STEEPER` times that of the vertex before.
-   The matrix L expresses this limit: with multipliers p ≥ 0 the vertices' pressures are Lᵀp and the
-   gaps conjugate to p are L g. As the end passes from edge to edge the possible pressures change
-   continuously.
-3. Otherwise nothing: its weight is zero, and the vertex before has all of the edge's cell.
+over ξ, the place along the chord from 0 to 1, with the sheets in order from behind Γ1 to the front.
+A sheet has the weight
 
-Ends of both sides at a wall, such as one of symmetry, count as opposite, whatever the rays meet.
+.. math:: \omega = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,W\Bigl(\frac{h + D}{F D}\Bigr),
 
-The cells are computed in C (``c/rays.c``): NumPy calls on short arrays would take as long as a
-Newton step of a small problem.
+with a smooth step W, the cosine between the normals that face each other, C₀ and C₁
+(:data:`COSINES`), and F (:data:`FADE`): it fades where Γ0 turns away, and at overlaps near D, half
+of the way to what lies behind Γ1's body when the load step starts (if something does). The product
+is what sheets farther behind leave of the ray: as one fades, it uncovers those in front of it with
+exactly what it loses. So gaps and areas are continuous functions of the displacements, whatever
+ends, corners and far sides pass; with one sheet of weight 1 they are volumes and lengths.
+
+A motion Δu of both sides has the slip :math:`\int \mathbf c\cdot(\Delta\mathbf u_0 -
+\Delta\mathbf u_1)\,d\xi` with the same weights: of points that are opposite to each other. It is
+the gap for a rotation, and zero if Δu is the position: with Δu = x − x_n a rotation of closed
+bodies, however large, is none.
+
+Where ends of both sides slide along one wall, as one of symmetry, Γ0 goes on beyond it.
+
+Quadrature is exact on straight edges with one sheet; derivatives are those of the quadrature, to
+round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,118 +40,78 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.tolerances import (
-    COMES,
-    END,
-    FACING,
-    FARTHER,
-    GOES,
-    KEPT,
-    KINK_ORDER,
-    REACHED,
-    STEEPER,
-)
+from hypergap_dolfinx.contact_geometry.tolerances import COSINES, FADE, SHARED
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.gap_mesh.strip import chains
-from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
-from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
+from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
 from hypergap_dolfinx.surface.trace import Surface
 
-cells_an_edge = 3  # room at first: mostly 1; with more they are found anew
+points_an_edge = 4  # room at first; with more they are found anew
+entries_a_row = 32  # likewise
+WRONG = "no memory for the gap domain"
 
 
 @dataclass(frozen=True)
-class Order:
-    """A surface's facets one after the other, in chains that end at kinks.
+class Rays:
+    """Rays from Γ1's edges; values of its halves are ``(num_edges1, 2)``."""
 
-    They are the same until kinks change.
-    """
-
-    kinks: npt.NDArray[np.bool_]
-    """Mask of the vertices at kinks, ``(num_vertices,)``."""
-    chains: Any
-    """Struct ``Chains`` of ``c/plane.h``."""
-
-    @classmethod
-    def of(
-        cls, surface: Surface, kinks: npt.NDArray[np.bool_], last: "Order | None" = None
-    ) -> "Order":
-        """The order of a surface where it is, the last one if that still holds.
-
-        Raises:
-            InterfaceError: It branches.
-        """
-        if last is not None and np.array_equal(kinks, last.kinks):
-            return last
-        found = chains(surface, kinks)
-        edges = np.concatenate([part.facets for part in found])
-        count = np.array([len(part.facets) for part in found])
-        start = np.cumsum(count) - count
-        chain, position = np.empty_like(edges), np.empty_like(edges)
-        chain[edges] = np.repeat(np.arange(len(found)), count)
-        position[edges] = np.arange(len(edges)) - np.repeat(start, count)
-        arrays = {
-            "edges": edges,
-            "start": start,
-            "count": count,
-            "closed": np.array([part.closed for part in found]),
-            "chain": chain,
-            "position": position,
-        }
-        arrays = {name: ints(array) for name, array in arrays.items()}
-        return cls(kinks, struct("Chains", num=len(found), **arrays))
-
-
-def _find_kinks(side: dict[str, Any]) -> npt.NDArray[np.bool_]:
-    """Mask of vertices where a side turns too far to go on, ``(num_vertices,)``."""
-    kinks = np.empty(side["num_vertices"], np.int32)
-    call("kinks_of", struct("Side", **side), KINK_ORDER, kinks)
-    return kinks > 0
-
-
-@dataclass(frozen=True)
-class Fans:
-    """Cells of Σ: a base between two places on an edge, and an apex on the other side."""
-
-    cells: npt.NDArray
-    """``Cell`` of ``c/plane.h``, ``(num_cells,)``: side of the base, edges of base and apex,
-    parameters of the base's start and end and of the apex, and vertices of Γ1 that share the cell,
-    half each."""
-    whole: npt.NDArray[np.bool_]
-    """Mask of edges of Γ1 both of whose vertices have a weight, ``(num_edges1,)``."""
-    ends: npt.NDArray[np.int32]
-    """Vertices of Γ1 beyond an end of Γ0 that have a share, and those before it,
-    ``(num_ends, 2)``."""
-    cut: npt.NDArray[np.intp]
-    """The edges between them, ``(num_ends,)``."""
-    order: Order
-    """Order of Γ0's facets."""
     sigma: Any
-    """Struct ``Sigma`` of ``c/plane.h``: all this and both sides."""
+    """Struct ``Sigma`` of ``c/plane.h``."""
+    points: npt.NDArray
+    """``Point`` of ``c/plane.h``, ``(num_points,)``."""
 
-    def pressures(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Lᵀp, pressures of vertices from multipliers, ``(num_vertices1,)`` each."""
-        beyond, before = self.ends.T
-        result = p.copy()
-        np.add.at(result, before, p[beyond] / STEEPER)
-        return result
+    @property
+    def num_halves(self) -> int:
+        """Number of halves of Γ1's edges."""
+        return 2 * self.sigma.sides[1].num_edges
 
-    def limited(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """L of values at vertices, ``(num_vertices1,)``."""
-        beyond, before = self.ends.T
-        result = values.copy()
-        np.add.at(result, beyond, values[before] / STEEPER)
-        return result
+    def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, Sparse, Sparse]":
+        """Gaps and covered parts of halves, and their derivatives by both sides' dofs."""
+        g, covered = np.empty((2, self.num_halves))
+        slopes = _Entries(self.num_halves), _Entries(self.num_halves)
+        given = self.sigma, g, covered
+        C, by_covered = _filled(slopes, lambda C, K: call("find_gaps", *given, C, K))
+        return g.reshape(-1, 2), covered.reshape(-1, 2), C, by_covered
 
-    def limited_rows(self, rows: Sparse) -> Sparse:
-        """L of vertices' rows."""
-        parts = [rows]
-        for beyond, before in self.ends.tolist():
-            on = np.flatnonzero(rows.i == before)
-            i = np.full_like(on, beyond)
-            parts.append(Sparse(i, rows.j[on], rows.values[on] / STEEPER))
-        return joined(*parts)
+    def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
+        """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
+        given = self.sigma, doubles(p), doubles(by_covered)
+        return _filled([self._square], lambda H: call("gap_curvature", *given, H))[0]
+
+    def slips(
+        self, moved: npt.NDArray[np.float64] | None = None, *, across: bool = False
+    ) -> Sparse:
+        """T with the slips s = T Δu of halves; ∂s/∂u if Δu moves with u.
+
+        Args:
+            moved: Δu by both sides' dofs, all components, if it moves with u.
+            across: True for what Δu adds to gaps of points that stay opposite to each other.
+        """
+        given = self.sigma, across, None if moved is None else doubles(moved)
+        return _filled([_Entries(self.num_halves)], lambda T: call("find_slips", *given, T))[0]
+
+    def slip_curvature(self, q: npt.NDArray) -> Sparse:
+        """Σ q ∂T/∂u, with values of halves; it isn't symmetric."""
+        given = self.sigma, doubles(q)
+        return _filled([self._square], lambda H: call("slip_curvature", *given, H))[0]
+
+    def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Quadrilaterals between both sides, to look at.
+
+        Returns:
+            Their corners, two on Γ1 and two on Γ0, ``(num, 4, 2)``, and the halves of Γ1's edges
+            to which they belong, ``(num,)``.
+        """
+        x, shown = np.empty((len(self.points), 4, 2)), np.empty(len(self.points), np.int32)
+        call("find_columns", self.sigma, x, shown)
+        on = shown > 0
+        halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
+        return x[on], halves[on].astype(np.intp)
+
+    @property
+    def _square(self) -> "_Entries":
+        sides = self.sigma.sides
+        return _Entries(2 * sum(side.num_edges * side.num_dofs for side in sides))
 
 
 def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
@@ -160,7 +122,7 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
         first: Number of its first dof.
 
     Raises:
-        InterfaceError: Its degree is too high.
+        InterfaceError: Its degree is too high, or it branches.
     """
     surface, element = side.rest, side.reference.element
     num_nodes, num = surface.geometry.dim, len(surface.facets)
@@ -172,10 +134,6 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
         )
     beside = np.full((len(surface.x), 2), -1)
     beside[surface.facets[:, 1], 0] = beside[surface.facets[:, 0], 1] = np.arange(num)
-    # Exact for volumes, and for slips along straight edges
-    points, weights = basix.make_quadrature(
-        basix.CellType.interval, max(2 * num_nodes - 2, 3 * num_nodes - 5)
-    )
     return {
         "num_edges": num,
         "num_vertices": len(surface.x),
@@ -186,62 +144,108 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
         "num_dofs": element.dim,
         "dof_at": doubles(element.points),
         "dofs": ints(first + side.at_facets),
-        "num_points": len(weights),
-        "points": doubles(points),
-        "weights": doubles(weights),
     }
+
+
+def _placed(
+    sides: Sequence[dict[str, Any]],
+    surfaces: tuple[Surface, Surface],
+    goes_on: Sequence[tuple[int, int]] = (),
+) -> dict[str, Any]:
+    """Fields of ``Sigma`` that are given."""
+    on = np.zeros((sides[0]["num_edges"], 2), np.int32)
+    for edge, end in goes_on:
+        on[edge, end] = True
+    placed = [
+        {**side, "nodes": doubles(surface.nodes)}
+        for side, surface in zip(sides, surfaces, strict=True)
+    ]
+    num_nodes = max(side["num_nodes"] for side in sides)
+    points, weights = basix.make_quadrature(basix.CellType.interval, 3 * num_nodes - 1)
+    rule = {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
+    fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
+    given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
+    return {"cosines": list(COSINES), "fade": FADE, **given}
+
+
+def depths(
+    sides: Sequence[dict[str, Any]],
+    surfaces: tuple[Surface, Surface],
+    least: float,
+) -> npt.NDArray[np.float64]:
+    """Overlaps D of Γ1's edges at which what they meet isn't opposite of them any more.
+
+    Half of the way to what lies behind where the sides are, infinite if there is nothing.
+
+    Args:
+        sides: Γ0 and Γ1, from :func:`side_of`.
+        surfaces: The same where they are.
+        least: Overlap from which something lies behind.
+    """
+    found = np.full(len(surfaces[1].facets), np.inf)
+    sigma = struct("Sigma", **_placed(sides, surfaces), depths=found.copy())
+    if call("find_depths", sigma, float(least), found):
+        raise MemoryError(WRONG)
+    return found
 
 
 def cast(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
-    last: Fans | None = None,
-    walls: Sequence[tuple[int, int, int, int]] = (),
-    *,
-    shares: bool = False,
-) -> Fans:
-    """Find Σ's cells between two surfaces where they are.
+    depths: npt.NDArray[np.float64],
+    goes_on: Sequence[tuple[int, int]] = (),
+) -> Rays:
+    """Find the rays between two surfaces where they are.
 
     Args:
         sides: Γ0 and Γ1, from :func:`side_of`.
         surfaces: The same where they are.
-        last: Cells at the last displacements, for which vertices had a weight.
-        walls: Edges and ends (0 or 1) of Γ1 and of Γ0 that are opposite at a wall, whatever rays
-            meet.
-        shares: True if vertices beyond an end of Γ0 may have a share.
-
-    Raises:
-        InterfaceError: A surface branches.
+        depths: From :func:`depths`.
+        goes_on: Edges and ends (0 or 1) of Γ0 beyond which it goes on, as mirrored at a wall.
     """
-    num = len(surfaces[1].facets)
-    room = cells_an_edge * (num + len(surfaces[0].facets))
-    crossings = np.empty(3 * num, dtype("Crossing"))
-    motions = np.empty((len(crossings), 2 * sum(side["num_dofs"] for side in sides)))
-    placed = [
-        {**side, "nodes": doubles(surface.nodes)}
-        for side, surface in zip(sides, surfaces, strict=True)
-    ]
-    fields = {"sides": placed, "crossings": crossings, "motions": motions}
-    kinks0, kinks1 = (_find_kinks(side) for side in placed)
-    order = Order.of(surfaces[0], kinks0, last.order if last else None)
-    linear = surfaces[1].element.degree == 1
-    kept = COVERED_SIDE if linear else KEPT
-    beyond = np.full(num, COMES if linear and shares else 1.0)
-    if last:
-        beyond[last.cut] = GOES
-    least = np.where(last.whole, kept, REACHED) if last else np.full(num, REACHED)
-    whole, owners = np.empty((2, num), np.int32)
-    given = order.chains, ints(kinks1), least, len(walls), ints(walls), END, FACING, FARTHER
+    room = points_an_edge * sum(len(surface.facets) for surface in surfaces)
+    fields = {**_placed(sides, surfaces, goes_on), "depths": depths}
     while True:
-        cells = np.empty(room, dtype("Cell"))
-        sigma = struct("Sigma", **fields, cells=cells, max_cells=room)
-        if call("cast_rays", sigma, *given, beyond, whole, owners):
-            raise MemoryError("no memory for the cells of the gap domain")
-        if sigma.num_cells <= room:
+        points, sheets = np.empty(room, dtype("Point")), np.empty(room, dtype("Sheet"))
+        given = {"points": points, "sheets": sheets, "max_points": room, "max_sheets": room}
+        sigma = struct("Sigma", **fields, **given)
+        if call("cast_rays", sigma):
+            raise MemoryError(WRONG)
+        most = max(sigma.num_points, sigma.num_sheets)
+        if most <= room:
+            return Rays(sigma, points[: sigma.num_points])
+        room = most
+
+
+class _Entries:
+    """A matrix to which C adds entries."""
+
+    def __init__(self, num_rows: int):
+        self.num_rows, self.room = num_rows, entries_a_row * num_rows
+        self.made = self.struct()
+
+    def struct(self):
+        """An empty matrix with room."""
+        self.places, self.values = np.empty((3, self.room), np.int32), np.empty(self.room)
+        rows, columns, following = self.places
+        first = np.full(self.num_rows, -1, np.int32)
+        fields = {"rows": rows, "columns": columns, "next": following, "first": first}
+        self.made = struct("Entries", max=self.room, values=self.values, **fields)
+        return self.made
+
+
+def _filled(matrices: Sequence[_Entries], add: Callable) -> list[Sparse]:
+    """Matrices to which a function of C added entries, with as much room as they need."""
+    while True:
+        if add(*(matrix.struct() for matrix in matrices)):
+            raise MemoryError(WRONG)
+        if all(matrix.made.num <= matrix.room for matrix in matrices):
             break
-        room = sigma.num_cells
-    call("find_crossings", sigma)
-    cut = np.flatnonzero(owners >= 0)
-    before = surfaces[1].facets[cut, owners[cut]]
-    ends = np.stack((surfaces[1].facets[cut, 1 - owners[cut]], before), axis=1)
-    return Fans(cells[: sigma.num_cells], whole > 0, ends, cut, order, sigma)
+        for matrix in matrices:
+            matrix.room = max(matrix.room, matrix.made.num)
+    found = []
+    for matrix in matrices:
+        num = matrix.made.num
+        i, j, _ = matrix.places[:, :num].astype(np.int64)
+        found.append(Sparse(i, j, matrix.values[:num]))
+    return found

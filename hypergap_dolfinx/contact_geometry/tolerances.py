@@ -39,42 +39,26 @@ WIDTH = 1e-6
 Measured: triangles of widths 1e-2 to 1e-14: absolute sums of weights 1.6 (degree 4) and 2.2 (6)
 times the area; without it 1500 and 6900, or no numbers."""
 
-KINK_ORDER = 0.5
-"""Cosine of a surface's turn in the plane below which a chain of facets, or a fan, ends.
-Measured: 0.05 changes nothing in 128 tests of contact; test_slip fails with 0.8, and test_corner
-without it (-2): a fan goes round a corner of 90°."""
+COSINES = 0.1, 0.4
+"""Cosines between normals in the plane from which on edges face each other, and do so fully.
+Measured: TODO"""
 
-REACHED = 0.999
-"""Covered part of an edge of Γ1 above which both its vertices get weights, if it wasn't whole.
-Measured: flat die, degree 1: the vertex moves its edge's cut by 0.07 of it when it gets or loses
-its multiplier; with one threshold steps of 0.05 cells cycle."""
+FADE = 0.4
+"""Part of the overlap at which edges meet what lies behind, over which its weight fades.
+Measured: TODO"""
 
-KEPT = 0.9
-"""Covered part of an edge of Γ1 above which both its vertices keep weights, degree 2.
-Measured: flat die drawn along with friction .2: with 0.95 the vertex comes and goes within
-Newton's iteration, 32 steps a load step and 28 halvings; 6.7 and none with 0.9, 6.3 with 0.8."""
+BLENDS = 0.5
+"""Largest share of the neighbours' rows in that of a vertex that is covered in part.
+Measured: TODO"""
 
-COMES = 0.2
-"""Covered part of an edge of Γ1 above which the vertex beyond Γ0's end gets a share.
-Measured: flat die, degree 1, steps of .05 and .1 cells: 3.7 and 4.8 Newton steps (at most 10 and
-12); with one threshold, .02 or more, some load steps have no solution, with 1e-3 up to 38 steps,
-and meshes that match nearly take 3 more."""
+HARD = 0.05
+"""Covered part of a vertex below which its row goes over to its neighbours'.
+Measured: TODO"""
 
-GOES = 0.02
-"""Covered part of an edge of Γ1 above which the vertex beyond Γ0's end keeps its share.
-Measured: as COMES."""
-
-STEEPER = 2.0
-"""Largest pressure of the vertex beyond Γ0's end over that of the vertex before the end.
-Measured: flat die, degree 1, foundation as Γ1: ripple .9 % with 1, .53 % with 1.7, .37 % with 2
-(5.95 Newton steps), .22 % with 2.7 (6.2), .26 % with 5 (7.1)."""
+SHARED = 0.5
+"""Part of an edge of Γ1 around its middle over which weights go over from one vertex to the other.
+Measured: TODO"""
 
 END = 1e-7
-"""Distance of ends that are opposite, in edge lengths.
-Measured: 1e-12 to 1e-6 change nothing in 128 tests of contact; with 1e-3 one of 157 fails, with 0
-nine."""
-
-FARTHER = 8.0
-"""Longest way along Γ0 between neighbouring rays, in lengths of their edges, that one fan spans.
-Measured: 1e9 changes nothing in 128 tests of contact; with 2 one of 157 fails (volumes between
-rough loops), with 0.8 six."""
+"""Distance of ends that are at one wall, in edge lengths.
+Measured: 1e-12 to 1e-6 change nothing in 128 tests of contact."""

@@ -188,6 +188,8 @@ class ContactRows:
         """Start a load step: read values that the user may have changed. Collective."""
         if self._contact.compliance is not None:
             self._compliance = self._contact.compliance.at_vertices()
+        if self.state.opening is not None and self.start is not None and self._follows:
+            self.state.opening.start_step(self.start)
 
     def update_geometry(self):
         """Compute the gaps at the present displacements. Collective.
@@ -203,7 +205,7 @@ class ContactRows:
         else:
             if self._first is None:
                 opening = self._contact.gaps(self.at, self._held)
-                self._first = opening, *opening.gap(self.at)
+                self._first = opening, *opening.linear_gap(self.at)
             # A first load step that failed restored a state without Σ
             self.state.opening, start, self.m, self.C = self._first
             self.g = start + self.times(self.u)

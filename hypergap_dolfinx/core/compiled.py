@@ -28,7 +28,7 @@ FOLDER = Path(__file__).parents[1] / "c"
 HEADERS = {"plane": ("plane.h",), "space": ("surface.h", "gap_mesh.h", "space.h")}
 """Headers of each library that Python reads."""
 SOURCES = {
-    "plane": "by_dofs fans rays".split(),
+    "plane": "gaps rays".split(),
     "space": (
         "advance bases blocks check columns front heights moments pieces program project slips "
         "surface swaps weights"
@@ -157,7 +157,7 @@ class Library:
         if ctype.kind != "struct":
             return None
         formats = [self.dtype(field.type.cname) for _, field in ctype.fields]
-        if None in formats:
+        if any(each is None for each in formats):  # float64 == None is true
             return None
         names, offsets = zip(*((key, field.offset) for key, field in ctype.fields), strict=True)
         size = self.ffi.sizeof(ctype)

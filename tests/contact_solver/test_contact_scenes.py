@@ -113,10 +113,17 @@ def press_punch(cut, wide):
 @pytest.mark.parametrize("cut", sweep((0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.94, 0.96, 0.99), 4))
 @pytest.mark.parametrize("wide", (False, True))
 def test_flat_punch(cut, wide):
-    """Its corner falls anywhere on an edge of the wider block."""
+    """Its corner falls anywhere on an edge of the wider block.
+
+    The mean pressure of a rigid punch over the last δ before its corner is 2/π √(2/δ) times the
+    one over its half width, however little δ a vertex has of it.
+    """
     contact, problem, mean = press_punch(cut, wide)
+    rows = problem.rows(contact)
     x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem) / mean
-    assert problem.rows(contact).state.p.max() <= 6 * mean and problem.iterations <= 5
+    on = rows.m > 0
+    bound = 2 * 2 / np.pi / np.sqrt(rows.m[on])  # twice that
+    assert (rows.state.p[on] <= bound * mean).all() and problem.iterations <= 5
     inside = np.abs(x) < 0.25
     if wide and 0.2 < cut < 0.8:
         np.testing.assert_allclose(p[inside], 2 / np.pi / np.sqrt(1 - 4 * x[inside] ** 2), 0.02)

@@ -1,0 +1,480 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Weighted gaps and slips in the plane (contact_geometry/rays.py), and their derivatives by dofs.
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jets.h"
+#include "rays.h"
+#include "vectors.h"
+
+#define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 1) + 2)
+#define JETS_OF_POINT 40 // more than a point takes, and each of its sheets
+#define JETS_OF_SHEET 50
+
+// The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
+typedef struct {
+  int num, dofs[MOST_LOCAL];
+  int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_end[2]; // numbers among them
+} Local;
+
+// A point where it is, as jets. Lengths are in chords |c| of its edge, or times them.
+typedef struct {
+  const Point *point;
+  Jet c[2], square;        // the chord, and c · c
+  Jet width;               // weight of the quadrature times the piece's length
+  Curve curve, curves[MOST_SHEETS];
+  Jet s, r[MOST_SHEETS];   // reference coordinates
+  Jet share;               // of the edge's end; NULL: 0 or 1
+  Jet volume;              // width · Σ visible height
+  Jet covered;             // width · Σ visible
+  Jet visible[MOST_SHEETS]; // weight of a sheet times what others leave of it; NULL: 1
+} Ray;
+
+static void add(Entries *entries, int row, int column, double value)
+{
+  int k = entries->first[row];
+  while (k >= 0 && entries->columns[k] != column)
+    k = entries->next[k];
+  if (k >= 0)
+  {
+    entries->values[k] += value;
+    return;
+  }
+  k = entries->num++;
+  if (k >= entries->max)
+    return;
+  entries->rows[k] = row, entries->columns[k] = column, entries->values[k] = value;
+  entries->next[k] = entries->first[row], entries->first[row] = k;
+}
+
+// Number of a dof among a point's; it gets one if it has none.
+static int number_of(Local *local, int dof)
+{
+  int k = 0;
+  while (k < local->num && local->dofs[k] != dof)
+    ++k;
+  if (k == local->num)
+    local->dofs[local->num++] = dof;
+  return k;
+}
+
+static void number_edge(Local *local, const Side *side, int edge, int *numbers)
+{
+  for (int a = 0; a < side->num_dofs; ++a)
+    numbers[a] = number_of(local, side->dofs[edge * side->num_dofs + a]);
+}
+
+static void gather(const Sigma *sigma, const Point *point, Local *local)
+{
+  const Side *below = sigma->sides;
+  local->num = 0;
+  number_edge(local, sigma->sides + 1, point->edge, local->own);
+  for (int k = 0; k < point->num; ++k)
+    number_edge(local, below, sigma->sheets[point->first + k].edge, local->of_sheet[k]);
+  for (int e = 0; e < 2; ++e)
+  {
+    int v = point->ends[e];
+    if (v < 0)
+      continue;
+    const int *beside = below->beside + 2 * v;
+    int at_end = beside[0] >= 0, edge = at_end ? beside[0] : beside[1];
+    local->of_end[e] = number_of(local, below->dofs[edge * below->num_dofs + at_end]);
+  }
+}
+
+// A component of a point of an edge (k = 0), or of its derivative by s (k = 1).
+static Jet on_curve(Tape *tape, const Curve *curve, int num, const int *numbers, const double *s,
+                    int k, int i)
+{
+  int n = tape->n;
+  Jet jet = new_jet(tape);
+  for (size_t v = 1; v < tape->size; ++v)
+    jet[v] = curve->x[k + 1][i] * s[v];
+  jet[0] = curve->x[k][i];
+  if (tape->order > 1)
+  {
+    double *second = jet + 1 + n;
+    for (int v = 1; v <= n; ++v)
+      for (int w = 1; w <= v; ++w)
+        *second++ += curve->x[k + 2][i] * s[v] * s[w];
+    for (int a = 0; a < num; ++a)
+    {
+      int v = 2 * numbers[a] + i;
+      double slope = curve->N[k + 1][a];
+      for (int w = 0; w < n; ++w)
+      {
+        int high = v > w ? v : w, low = v > w ? w : v;
+        jet[1 + n + high * (high + 1) / 2 + low] += (v == w ? 2 : 1) * slope * s[1 + w];
+      }
+    }
+  }
+  if (tape->order > 0)
+    for (int a = 0; a < num; ++a)
+      jet[1 + 2 * numbers[a] + i] += curve->N[k][a];
+  return jet;
+}
+
+// A vertex, from another point.
+static Jet vertex_at(Tape *tape, const double *x, const double *origin, int number, int i)
+{
+  Jet jet = constant(tape, x[i] - origin[i]);
+  if (tape->order > 0)
+    jet[1 + 2 * number + i] = 1;
+  return jet;
+}
+
+// a · b of vectors, and a × b
+static Jet dotted(Tape *tape, Jet const *a, Jet const *b)
+{
+  return combined(tape, 1, product(tape, a[0], b[0]), 1, product(tape, a[1], b[1]));
+}
+
+static Jet wedge(Tape *tape, Jet const *a, Jet const *b)
+{
+  return combined(tape, 1, product(tape, a[0], b[1]), -1, product(tape, a[1], b[0]));
+}
+
+// Reference coordinate of a point of an edge opposite of a place: (x(s) − a) · c = ξ c · c. Newton's
+// method from its value: each step gives one order of derivatives.
+//
+// to   ξ c · c
+// a    where the chord starts
+static Jet met(Tape *tape, const Curve *curve, int num, const int *numbers, double s, Jet const *a,
+               Jet const *c, const double *to)
+{
+  Jet found = constant(tape, s);
+  double slope = curve->x[1][0] * c[0][0] + curve->x[1][1] * c[1][0];
+  for (int k = 0; k < tape->order; ++k)
+  {
+    Jet x[2];
+    for (int i = 0; i < 2; ++i)
+      x[i] = combined(tape, 1, on_curve(tape, curve, num, numbers, found, 0, i), -1, a[i]);
+    Jet error = combined(tape, 1, dotted(tape, x, c), -1, to);
+    found = combined(tape, 1, found, -1 / slope, error);
+    found[0] = s;
+  }
+  return found;
+}
+
+// A smooth step of (a − from) / width.
+static Jet step_of(Tape *tape, const double *a, double from, double width)
+{
+  double f[3];
+  smooth_step((a[0] - from) / width, f);
+  f[1] /= width, f[2] /= width * width;
+  return composed(tape, a, f);
+}
+
+static Jet root(Tape *tape, const double *a)
+{
+  double value = sqrt(a[0]);
+  return composed(tape, a, (double[]){value, 0.5 / value, -0.25 / (value * a[0])});
+}
+
+// Weight of a sheet: NULL if it is 1.
+//
+// height  times |c|
+static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const int *numbers,
+                     const double *height)
+{
+  const Side *below = sigma->sides;
+  double from = sigma->cosines[0], width = sigma->cosines[1] - from;
+  double depth = sigma->depths[ray->point->edge];
+  const Curve *curve = ray->curves + k;
+  Jet t[2], result = NULL;
+  double length = hypot(curve->x[1][0], curve->x[1][1]), size = sqrt(ray->square[0]);
+  double cos = -(curve->x[1][0] * ray->c[0][0] + curve->x[1][1] * ray->c[1][0]) / (length * size);
+  if (cos < from + width)
+  {
+    for (int i = 0; i < 2; ++i)
+      t[i] = on_curve(tape, curve, below->num_dofs, numbers, ray->r[k], 1, i);
+    Jet both = root(tape, product(tape, dotted(tape, t, t), ray->square));
+    Jet turned = quotient(tape, combined(tape, -1, dotted(tape, t, ray->c), 0, both), both);
+    result = step_of(tape, turned, from, width);
+  }
+  if (isfinite(depth) && height[0] / size < (sigma->fade - 1) * depth)
+  {
+    Jet high = quotient(tape, height, root(tape, ray->square));
+    Jet faded = step_of(tape, high, -depth, sigma->fade * depth);
+    result = result ? product(tape, result, faded) : faded;
+  }
+  return result;
+}
+
+// A point's ray as jets.
+static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Local *local)
+{
+  const Side *below = sigma->sides, *above = below + 1;
+  const double *origin = node(above, point->edge, 0);
+  Ray ray = {.point = point};
+  Jet a[2], x1[2], xi[2], hidden = NULL;
+  for (int i = 0; i < 2; ++i)
+  {
+    a[i] = vertex_at(tape, origin, origin, local->own[0], i);
+    Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own[1], i);
+    ray.c[i] = combined(tape, 1, b, -1, a[i]);
+  }
+  ray.square = dotted(tape, ray.c, ray.c);
+  for (int e = 0; e < 2; ++e)
+  {
+    int v = point->ends[e];
+    if (v < 0)
+    {
+      xi[e] = constant(tape, sigma->fixed[-1 - v]);
+      continue;
+    }
+    Jet d[2];
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet x = vertex_at(tape, position(below, v), origin, local->of_end[e], i);
+      d[i] = combined(tape, 1, x, -1, a[i]);
+    }
+    xi[e] = quotient(tape, dotted(tape, d, ray.c), ray.square);
+  }
+  ray.width = combined(tape, point->width, xi[1], -point->width, xi[0]);
+  Jet at = combined(tape, 1 - point->at, xi[0], point->at, xi[1]);
+  Jet to = product(tape, at, ray.square);
+  if (point->part == 2)
+  {
+    double from = sigma->fixed[1], size = sigma->fixed[2] - from;
+    ray.share = combined(tape, 1 / size, at, -from / size, constant(tape, 1));
+  }
+  ray.curve = curve_at(above, point->edge, point->s, origin);
+  ray.s = above->num_nodes == 2
+              ? at
+              : met(tape, &ray.curve, above->num_dofs, local->own, point->s, a, ray.c, to);
+  for (int i = 0; i < 2; ++i)
+    x1[i] = on_curve(tape, &ray.curve, above->num_dofs, local->own, ray.s, 0, i);
+  for (int k = 0; k < point->num; ++k)
+  {
+    const Sheet *sheet = sigma->sheets + point->first + k;
+    const int *numbers = local->of_sheet[k];
+    Jet d[2];
+    ray.curves[k] = curve_at(below, sheet->edge, sheet->r, origin);
+    ray.r[k] = met(tape, ray.curves + k, below->num_dofs, numbers, sheet->r, a, ray.c, to);
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet x0 = on_curve(tape, ray.curves + k, below->num_dofs, numbers, ray.r[k], 0, i);
+      d[i] = combined(tape, 1, x0, -1, x1[i]);
+    }
+    Jet height = wedge(tape, d, ray.c);
+    Jet weight = weight_of(tape, sigma, &ray, k, numbers, height);
+    Jet part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
+    if (weight)
+    {
+      Jet left = combined(tape, -1, weight, 1, constant(tape, 1));
+      hidden = hidden ? product(tape, hidden, left) : left;
+    }
+    ray.visible[k] = part;
+    part = part ? product(tape, part, ray.width) : ray.width;
+    height = product(tape, part, height);
+    ray.covered = ray.covered ? combined(tape, 1, ray.covered, 1, part) : part;
+    ray.volume = ray.volume ? combined(tape, 1, ray.volume, 1, height) : height;
+  }
+  return ray;
+}
+
+// A tape that has room for any point.
+static int open_tape(const Sigma *sigma, int order, Tape *tape)
+{
+  int num = 0, sheets = 0, dofs = sigma->sides[0].num_dofs;
+  for (int p = 0; p < sigma->num_points; ++p)
+    sheets = sigma->points[p].num > sheets ? sigma->points[p].num : sheets;
+  num = 2 * (sigma->sides[1].num_dofs + sheets * dofs + 2);
+  *tape = (Tape){.order = order, .size = jet_size(num, order)};
+  tape->memory = malloc((JETS_OF_POINT + sheets * JETS_OF_SHEET) * tape->size * sizeof(double));
+  return tape->memory != NULL;
+}
+
+static Ray next_ray(Tape *tape, const Sigma *sigma, const Point *point, Local *local)
+{
+  gather(sigma, point, local);
+  tape->n = 2 * local->num, tape->size = jet_size(tape->n, tape->order), tape->used = 0;
+  return ray_at(tape, sigma, point, local);
+}
+
+static int component_of(const Local *local, int k)
+{
+  return 2 * local->dofs[k / 2] + k % 2;
+}
+
+static void add_row(const Local *local, int row, const double *jet, Entries *rows)
+{
+  for (int k = 0; k < 2 * local->num; ++k)
+    if (jet[1 + k] != 0)
+      add(rows, row, component_of(local, k), jet[1 + k]);
+}
+
+// What of a jet belongs to the start (0) or to the end (1) of its edge.
+static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
+{
+  if (!ray->share)
+    return jet;
+  Jet of_end = product(tape, ray->share, jet);
+  return end ? of_end : combined(tape, 1, jet, -1, of_end);
+}
+
+// Weighted gaps of the halves of Γ1's edges.
+//
+// g           (num_edges₁, 2)
+// covered     parts of the halves that see Γ0, likewise
+// C           ∂g/∂u
+// by_covered  ∂covered/∂u
+int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered)
+{
+  Local local;
+  Tape tape;
+  if (!open_tape(sigma, 1, &tape))
+    return NO_MEMORY;
+  memset(g, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
+  memset(covered, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
+  for (int p = 0; p < sigma->num_points; ++p)
+  {
+    const Point *point = sigma->points + p;
+    Ray ray = next_ray(&tape, sigma, point, &local);
+    for (int e = 0; e < 2; ++e)
+    {
+      if (point->part == 1 - e)
+        continue;
+      int row = 2 * point->edge + e;
+      Jet volume = shared(&tape, &ray, ray.volume, e), part = shared(&tape, &ray, ray.covered, e);
+      g[row] += volume[0], covered[row] += 2 * part[0];
+      add_row(&local, row, volume, C);
+      add_row(&local, row, combined(&tape, 2, part, 0, part), by_covered);
+    }
+  }
+  free(tape.memory);
+  return DONE;
+}
+
+// Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of the halves.
+int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H)
+{
+  Local local;
+  Tape tape;
+  if (!open_tape(sigma, 2, &tape))
+    return NO_MEMORY;
+  for (int k = 0; k < sigma->num_points; ++k)
+  {
+    const Point *point = sigma->points + k;
+    const double *own = p + 2 * point->edge, *by = by_covered + 2 * point->edge;
+    if (own[0] == 0 && own[1] == 0 && by[0] == 0 && by[1] == 0)
+      continue;
+    Ray ray = next_ray(&tape, sigma, point, &local);
+    Jet sum = constant(&tape, 0);
+    for (int e = 0; e < 2; ++e)
+      if (point->part != 1 - e)
+      {
+        Jet both = combined(&tape, own[e], ray.volume, 2 * by[e], ray.covered);
+        sum = combined(&tape, 1, sum, 1, shared(&tape, &ray, both, e));
+      }
+    const double *second = sum + 1 + tape.n;
+    for (int v = 0; v < tape.n; ++v)
+      for (int w = 0; w <= v; ++w, ++second)
+      {
+        int i = component_of(&local, v), j = component_of(&local, w);
+        if (*second == 0)
+          continue;
+        add(H, i, j, *second);
+        if (v != w)
+          add(H, j, i, *second);
+      }
+  }
+  free(tape.memory);
+  return DONE;
+}
+
+// Slip of Γ1 on Γ0 along a point's chord, against its direction, or what parts them across it: by
+// a dof of Γ0 or of Γ1.
+static Jet slip_by(Tape *tape, const Ray *ray, const Curve *curve, const double *s, int a, int i,
+                   int sheet, double sign, int across)
+{
+  if (across && i == 1)
+    sign = -sign;
+  Jet N = composed(tape, s, (double[]){sign * curve->N[0][a], sign * curve->N[1][a],
+                                       sign * curve->N[2][a]});
+  Jet slip = product(tape, product(tape, N, ray->c[across ? 1 - i : i]), ray->width);
+  return ray->visible[sheet] ? product(tape, slip, ray->visible[sheet]) : slip;
+}
+
+// What is done with the jets that multiply components of dofs in the slips of points.
+typedef struct {
+  const Local *local;
+  Tape *tape;
+  const Ray *ray;
+  int across;
+  const double *moved, *q;
+  Entries *entries;
+} Slip;
+
+static void take(const Slip *slip, int number, int i, Jet jet)
+{
+  const Local *local = slip->local;
+  int dof = 2 * local->dofs[number] + i, edge = slip->ray->point->edge;
+  for (int e = 0; e < 2; ++e)
+  {
+    int row = 2 * edge + e;
+    if (slip->ray->point->part == 1 - e)
+      continue;
+    Jet part = shared(slip->tape, slip->ray, jet, e);
+    if (!slip->q)
+      add(slip->entries, row, dof, part[0]);
+    // Σ q ∂T/∂u, or ∂T/∂u Δu
+    double factor = slip->q ? slip->q[row] : slip->moved ? slip->moved[dof] : 0;
+    for (int k = 0; factor != 0 && k < 2 * local->num; ++k)
+      add(slip->entries, slip->q ? dof : row, component_of(local, k), factor * part[1 + k]);
+  }
+}
+
+static int for_slips(const Sigma *sigma, int order, Slip slip)
+{
+  const Side *below = sigma->sides, *above = below + 1;
+  Local local;
+  Tape tape;
+  slip.local = &local, slip.tape = &tape;
+  if (!open_tape(sigma, order, &tape))
+    return NO_MEMORY;
+  for (int p = 0; p < sigma->num_points; ++p)
+  {
+    const Point *point = sigma->points + p;
+    if (slip.q && slip.q[2 * point->edge] == 0 && slip.q[2 * point->edge + 1] == 0)
+      continue;
+    Ray ray = next_ray(&tape, sigma, point, &local);
+    size_t used = tape.used;
+    slip.ray = &ray;
+    for (int k = 0; k < point->num; ++k)
+      for (int i = 0; i < 2; ++i)
+      {
+        for (int a = 0; a < below->num_dofs; ++a, tape.used = used)
+          take(&slip, local.of_sheet[k][a], i,
+               slip_by(&tape, &ray, ray.curves + k, ray.r[k], a, i, k, 1, slip.across));
+        for (int a = 0; a < above->num_dofs; ++a, tape.used = used)
+          take(&slip, local.own[a], i,
+               slip_by(&tape, &ray, &ray.curve, ray.s, a, i, k, -1, slip.across));
+      }
+  }
+  free(tape.memory);
+  return DONE;
+}
+
+// Weighted slips of the halves s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.
+//
+// across  whether what parts the sides across Γ1's edges is asked for, not along them
+int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows)
+{
+  return for_slips(sigma, moved != NULL,
+                   (Slip){.across = across, .moved = moved, .entries = rows});
+}
+
+// Σ q ∂T/∂u, with values of the halves; it isn't symmetric.
+int slip_curvature(const Sigma *sigma, const double *q, Entries *H)
+{
+  return for_slips(sigma, 1, (Slip){.q = q, .entries = H});
+}

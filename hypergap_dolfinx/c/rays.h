@@ -1,0 +1,49 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Edges in the plane, and rays between them (rays.c).
+
+#ifndef HYPERGAP_RAYS_H
+#define HYPERGAP_RAYS_H
+
+#include <math.h>
+
+#include "plane.h"
+
+// A point of an edge: functions of its dofs, and its position, with three derivatives each by the
+// reference coordinate.
+typedef struct {
+  double N[4][MOST_DOFS];
+  double x[4][2];
+} Curve;
+
+// Node k of an edge.
+static inline const double *node(const Side *side, int edge, int k)
+{
+  return side->nodes + 2 * (edge * side->num_nodes + k);
+}
+
+// From the start of an edge to its end.
+static inline double chord(const Side *side, int edge, double *c)
+{
+  const double *x = node(side, edge, 0), *y = node(side, edge, 1);
+  c[0] = y[0] - x[0], c[1] = y[1] - x[1];
+  return sqrt(c[0] * c[0] + c[1] * c[1]);
+}
+
+// A step from 0 to 1, once smooth, and its two derivatives.
+static inline void smooth_step(double t, double *f)
+{
+  int within = t > 0 && t < 1;
+  f[0] = within ? t * t * (3 - 2 * t) : t >= 1;
+  f[1] = within ? 6 * t * (1 - t) : 0;
+  f[2] = within ? 6 - 12 * t : 0;
+}
+
+Curve curve_at(const Side *side, int edge, double s, const double *origin);
+const double *position(const Side *side, int vertex);
+
+#endif
