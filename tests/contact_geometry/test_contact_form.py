@@ -137,12 +137,15 @@ def test_value(options):
 
 @pytest.mark.parametrize("k", ((1, 1), (2, 2), (1, 2)))
 def test_volume_between_loops(k):
-    """The sum of all gaps is nearly the volume between the bodies, the nearer the finer they are."""
+    """The sum of all gaps is the volume between the bodies but for wedges between its columns.
+
+    They are as thick as the gap over the radius, half of it.
+    """
     s, weights = basix.make_quadrature(basix.CellType.interval, 3)
     errors = []
-    for n in (16, 32):
-        sides, u, _ = scene(0.0, 0.0, rings=True, n=(n, n - 5), k=k)
-        u = u[0], 0.1 * _positions(sides[1], u[1])
+    for apart in (0.1, 0.05):
+        sides, u, _ = scene(0.0, 0.0, rings=True, n=(32, 27), k=k)
+        u = u[0], apart * _positions(sides[1], u[1])
         g, m, _ = PlaneSegments.between(sides, u).gap(u)
         assert (m > 0).all()
         volume = 0.0
@@ -151,7 +154,7 @@ def test_volume_between_loops(k):
             x, dx = (np.einsum("pa,fai->fpi", table, surface.nodes) for table in (N, dN))
             volume -= 0.5 * (weights * (x[..., 0] * dx[..., 1] - x[..., 1] * dx[..., 0])).sum()
         errors.append(abs(g.sum() / volume - 1))
-    assert errors[1] <= errors[0] / 3 <= 0.01
+    assert errors[1] <= 0.53 * errors[0] and errors[0] <= 0.053
 
 
 def test_room(monkeypatch):

@@ -115,14 +115,15 @@ def press_punch(cut, wide):
 def test_flat_punch(cut, wide):
     """Its corner falls anywhere on an edge of the wider block.
 
-    The mean pressure of a rigid punch over the last δ before its corner is 2/π √(2/δ) times the
-    one over its half width, however little δ a vertex has of it.
+    The pressure of a rigid punch of width 1 is p = F / (π √(s (1 − s))): over the last δ before
+    its corner 2/(π √δ) F in the mean, which is much where a vertex has little of it.
     """
     contact, problem, mean = press_punch(cut, wide)
     rows = problem.rows(contact)
     x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem) / mean
-    on = rows.m > 0
-    bound = 2 * 2 / np.pi / np.sqrt(rows.m[on])  # twice that
+    sizes = rows.state.opening._at(rows.u).gaps.sizes
+    on = rows.state.active
+    bound = 2 * 2 / np.pi / np.sqrt(sizes[on])  # twice that
     assert (rows.state.p[on] <= bound * mean).all() and problem.iterations <= 5
     inside = np.abs(x) < 0.25
     if wide and 0.2 < cut < 0.8:
