@@ -3,6 +3,7 @@
 """Gaps as functions of the displacements: continuous as corners pass, of the distance's sign."""
 
 from dataclasses import dataclass
+from functools import cache
 
 from mpi4py import MPI
 
@@ -116,12 +117,22 @@ def goes_to_zero(change):
     assert change[-2] <= 0.5 * change[0], change
 
 
+@cache
+def changes_in_the_plane(name, degree):
+    """Changes of gaps and forces on a path."""
+    return changes(path_of(name, degree))
+
+
 @pytest.mark.parametrize(("name", "degree"), CASES)
-def test_continuous(name, degree):
+def test_gaps_are_continuous(name, degree):
     """Nothing jumps as corners, ends, teeth pass each other."""
-    gaps, forces = changes(path_of(name, degree))
-    goes_to_zero(gaps)
-    goes_to_zero(forces)
+    goes_to_zero(changes_in_the_plane(name, degree)[0])
+
+
+@pytest.mark.parametrize(("name", "degree"), CASES)
+def test_forces_are_continuous(name, degree):
+    """Nor do forces, though gaps have kinks."""
+    goes_to_zero(changes_in_the_plane(name, degree)[1])
 
 
 @dataclass
@@ -169,13 +180,26 @@ def _over(x):
     return (np.abs(x[:, 0]) < 0.6) & (np.abs(x[:, 1]) < 0.5)
 
 
-@pytest.mark.parametrize("seed", (0, 1))
-@pytest.mark.parametrize("cell", (meshing.CellType.tetrahedron, meshing.CellType.hexahedron))
-def test_continuous_in_space(cell, seed):
-    """Nor in space."""
-    gaps, forces = changes(Blocks(seed, cell))
-    goes_to_zero(gaps)
-    goes_to_zero(forces)
+CELLS = meshing.CellType.tetrahedron, meshing.CellType.hexahedron
+SOLIDS = [(cell, seed) for cell in CELLS for seed in (0, 1)]
+
+
+@cache
+def changes_in_space(cell, seed):
+    """Changes of gaps and forces of blocks."""
+    return changes(Blocks(seed, cell))
+
+
+@pytest.mark.parametrize(("cell", "seed"), SOLIDS)
+def test_gaps_are_continuous_in_space(cell, seed):
+    """As corners and edges of blocks pass."""
+    goes_to_zero(changes_in_space(cell, seed)[0])
+
+
+@pytest.mark.parametrize(("cell", "seed"), SOLIDS)
+def test_forces_are_continuous_in_space(cell, seed):
+    """And forces."""
+    goes_to_zero(changes_in_space(cell, seed)[1])
 
 
 @pytest.mark.parametrize(("name", "degree"), CASES)
@@ -339,7 +363,7 @@ def test_derivatives_on_paths(name, degree):
     right_derivatives(states(name, degree))
 
 
-@pytest.mark.parametrize("cell", (meshing.CellType.tetrahedron, meshing.CellType.hexahedron))
+@pytest.mark.parametrize("cell", CELLS)
 def test_derivatives_in_space(cell):
     """The same of blocks."""
     path, rng = Blocks(2, cell), np.random.default_rng(5)
