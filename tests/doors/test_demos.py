@@ -279,12 +279,28 @@ DEMOS = {
         pictures=("read_meshes",),
         needs=("gmsh",),
     ),
+    "press_fit": Demo(
+        "--fine 1",
+        {"pressure": 1.02348, "friction": 0.200727},
+        {"each.*": 13, "halvings": 1},
+        pictures=("press_fit",),
+        needs=("matplotlib",),
+    ),
     "rolling": Demo(
         "--step 0.03 --time 1.2",
         {"expected": 0.72342, "speed": 0.7377, "dissipated": 0.2870},
         {"energy_error": 1e-3, "halvings": 0},
         accuracy=1e-2,
         pictures=("rolling",),
+        needs=("matplotlib",),
+    ),
+    "slender_contact": Demo(
+        "--scene hertz saw squeezed",
+        {"rows.0.forces.0.1": 4.3477e-2, "rows.1.forces.0.1": -0.22732}
+        | {"rows.2.forces.0.1": 2.4486e-4},
+        {"rows.0.newton_steps": 15, "rows.1.newton_steps": 26, "rows.2.newton_steps": 70}
+        | {"rows.*.halvings": 0},
+        pictures=("slender_contact",),
         needs=("matplotlib",),
     ),
     "stability": Demo(
@@ -362,7 +378,8 @@ AS_OTHERS = (
     *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
     *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
-    *("contact_conductance", "contact_run_time", "peeling", "rolling"),
+    *("contact_conductance", "contact_run_time", "peeling", "press_fit", "rolling"),
+    "slender_contact",
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
 
