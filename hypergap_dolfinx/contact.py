@@ -140,9 +140,8 @@ class Contact:
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
-        self._depth = BEHIND_BODY * min(
-            _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
-        )
+        pairs = list(zip(self._spaces, self._surfaces, strict=True))
+        self._depth = BEHIND_BODY * min(_thickness(*pair) for pair in pairs)
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
         self._compliance = (
             None
@@ -271,7 +270,7 @@ class Contact:
         """
         if self._surfaces[0].gdim == 3:
             return SpaceSegments.between(self._sides, u)
-        return PlaneSegments.between(self._sides, u, held, self._depth)
+        return PlaneSegments.between(self._sides, u, held)
 
     @property
     def swapped(self) -> bool:

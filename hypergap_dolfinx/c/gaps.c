@@ -14,14 +14,15 @@
 #include "rays.h"
 #include "vectors.h"
 
-#define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 1) + 2)
-#define JETS_OF_POINT 40 // more than a point takes, and each of its sheets
-#define JETS_OF_SHEET 50
+#define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 2) + 2)
+#define JETS_OF_POINT 70 // more than a point takes, and each of its sheets
+#define JETS_OF_SHEET 60
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
 typedef struct {
   int num, dofs[MOST_LOCAL];
-  int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_end[2]; // numbers among them
+  // Numbers among them
+  int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_foot[MOST_DOFS], of_end[2];
 } Local;
 
 // A point where it is, as jets. Lengths are in chords |c| of its edge, or times them.
@@ -78,6 +79,8 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
   number_edge(local, sigma->sides + 1, point->edge, local->own);
   for (int k = 0; k < point->num; ++k)
     number_edge(local, below, sigma->sheets[point->first + k].edge, local->of_sheet[k]);
+  if (point->foot >= 0)
+    number_edge(local, below, point->foot, local->of_foot);
   for (int e = 0; e < 2; ++e)
   {
     int v = point->ends[e];
@@ -178,32 +181,62 @@ static Jet root(Tape *tape, const double *a)
   return composed(tape, a, (double[]){value, 0.5 / value, -0.25 / (value * a[0])});
 }
 
+// Depth of a point in Γ0's body by what is nearest.
+static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Local *local,
+                    const double *origin, Jet const *x)
+{
+  const Side *below = sigma->sides;
+  Jet d[2], c[2];
+  for (int e = 1; e >= 0; --e)
+  {
+    double s = below->node_at[point->nodes[e]];
+    Curve curve = curve_at(below, point->foot, s, origin);
+    Jet at = constant(tape, s);
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet y = on_curve(tape, &curve, below->num_dofs, local->of_foot, at, 0, i);
+      if (e)
+        c[i] = y;
+      else
+        c[i] = combined(tape, 1, c[i], -1, y), d[i] = combined(tape, 1, x[i], -1, y);
+    }
+  }
+  if (point->nodes[0] == point->nodes[1])
+  {
+    Jet far = root(tape, dotted(tape, d, d));
+    return combined(tape, point->sign, far, 0, far);
+  }
+  return quotient(tape, wedge(tape, c, d), root(tape, dotted(tape, c, c)));
+}
+
 // Weight of a sheet: NULL if it is 1.
 //
 // height  times |c|
+// depth   by what is nearest, if that must be known
 static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const int *numbers,
-                     const double *height)
+                     const double *height, const double *depth)
 {
-  const Side *below = sigma->sides;
   double from = sigma->cosines[0], width = sigma->cosines[1] - from;
-  double depth = sigma->depths[ray->point->edge];
   const Curve *curve = ray->curves + k;
+  int fades = sigma->sheets[ray->point->first + k].fades;
   Jet t[2], result = NULL;
   double length = hypot(curve->x[1][0], curve->x[1][1]), size = sqrt(ray->square[0]);
   double cos = -(curve->x[1][0] * ray->c[0][0] + curve->x[1][1] * ray->c[1][0]) / (length * size);
+  if (cos >= from + width && !fades)
+    return NULL;
+  for (int i = 0; i < 2; ++i)
+    t[i] = on_curve(tape, curve, sigma->sides[0].num_dofs, numbers, ray->r[k], 1, i);
+  Jet both = root(tape, product(tape, dotted(tape, t, t), ray->square));
+  Jet turned = quotient(tape, combined(tape, -1, dotted(tape, t, ray->c), 0, both), both);
   if (cos < from + width)
-  {
-    for (int i = 0; i < 2; ++i)
-      t[i] = on_curve(tape, curve, below->num_dofs, numbers, ray->r[k], 1, i);
-    Jet both = root(tape, product(tape, dotted(tape, t, t), ray->square));
-    Jet turned = quotient(tape, combined(tape, -1, dotted(tape, t, ray->c), 0, both), both);
     result = step_of(tape, turned, from, width);
-  }
-  if (isfinite(depth) && height[0] / size < (sigma->fade - 1) * depth)
+  if (fades)
   {
-    Jet high = quotient(tape, height, root(tape, ray->square));
-    Jet faded = step_of(tape, high, -depth, sigma->fade * depth);
-    result = result ? product(tape, result, faded) : faded;
+    Jet chord = root(tape, ray->square);
+    Jet inside = product(tape, combined(tape, -1, depth, -sigma->slack, chord), chord);
+    Jet part = quotient(tape, inside, product(tape, height, turned));
+    Jet deep = step_of(tape, part, sigma->nearest[0], sigma->nearest[1] - sigma->nearest[0]);
+    result = result ? product(tape, result, deep) : deep;
   }
   return result;
 }
@@ -252,6 +285,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
               : met(tape, &ray.curve, above->num_dofs, local->own, point->s, a, ray.c, to);
   for (int i = 0; i < 2; ++i)
     x1[i] = on_curve(tape, &ray.curve, above->num_dofs, local->own, ray.s, 0, i);
+  Jet depth = point->foot < 0 ? NULL : depth_of(tape, sigma, point, local, origin, x1);
   for (int k = 0; k < point->num; ++k)
   {
     const Sheet *sheet = sigma->sheets + point->first + k;
@@ -265,7 +299,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
       d[i] = combined(tape, 1, x0, -1, x1[i]);
     }
     Jet height = wedge(tape, d, ray.c);
-    Jet weight = weight_of(tape, sigma, &ray, k, numbers, height);
+    Jet weight = weight_of(tape, sigma, &ray, k, numbers, height, depth);
     Jet part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
     if (weight)
     {
@@ -287,7 +321,7 @@ static int open_tape(const Sigma *sigma, int order, Tape *tape)
   int num = 0, sheets = 0, dofs = sigma->sides[0].num_dofs;
   for (int p = 0; p < sigma->num_points; ++p)
     sheets = sigma->points[p].num > sheets ? sigma->points[p].num : sheets;
-  num = 2 * (sigma->sides[1].num_dofs + sheets * dofs + 2);
+  num = 2 * (sigma->sides[1].num_dofs + (sheets + 1) * dofs + 2);
   *tape = (Tape){.order = order, .size = jet_size(num, order)};
   tape->memory = malloc((JETS_OF_POINT + sheets * JETS_OF_SHEET) * tape->size * sizeof(double));
   return tape->memory != NULL;

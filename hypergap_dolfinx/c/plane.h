@@ -32,23 +32,26 @@ typedef struct {
   int ends[2];      // vertices of Γ0 opposite of the piece's ends, or numbers of fixed places
   double at, width; // where on the piece, from 0 to 1, and the weight of the quadrature there
   double s;         // reference coordinate
+  int foot;         // edge of Γ0 that is nearest; −1 where that needn't be known
+  int nodes[2];     // those of the edge between which it is; the same one: there
+  double sign;      // −1 if the nearest node is convex, or the body isn't on its side, else 1
   int first, num;   // of its sheets
   int is_first;     // whether it is the piece's first point
 } Point;
 
 // An edge of Γ0 that a ray meets, and where.
 typedef struct {
-  int edge;
-  double r; // reference coordinate
+  int edge, fades;  // whether it does as others are nearer
+  double r;         // reference coordinate
 } Sheet;
 
 // Σ where the sides are.
 typedef struct {
   Side sides[2];
   const int *goes_on;    // whether Γ0's edges do beyond their ends, at a wall, (num_edges₀, 2)
-  const double *depths;  // overlap of Γ1's edges at which what they meet isn't theirs any more
   double cosines[2];     // between normals: from which on edges face each other, and do so fully
-  double fade;           // part of a depth over which weights fade
+  double nearest[2];     // depth by the nearest edge over that by a sheet, from which on it counts
+  double slack;          // length that is added to that depth, over a chord of Γ1
   double fixed[4];       // places along chords of the numbers −1 … −4: ends, and of what is shared
   int num_rule;          // points of the quadrature rule
   const double *rule_at, *rule_weights;
@@ -67,7 +70,6 @@ typedef struct {
 } Entries;
 
 int cast_rays(Sigma *sigma);
-int find_depths(const Sigma *sigma, double least, double *depths);
 void find_columns(const Sigma *sigma, double *x, int *shown);
 int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered);
 int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H);

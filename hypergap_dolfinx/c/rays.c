@@ -27,11 +27,11 @@ typedef struct {
   double c[2], size;
 } Frame;
 
-// An edge of Γ0 that faces an edge of Γ1, in part at least.
+// A part of an edge of Γ0 that runs against a chord of Γ1, and so faces it.
 typedef struct {
   int edge;
   double from, to;  // reference coordinates between which it does
-  double xi[2];     // places there along Γ1's chord: the first is larger, as Γ0 runs against Γ1
+  double low, high; // places there along Γ1's chord
 } Facing;
 
 // A place along a chord that is a vertex of Γ0, or stays.
@@ -52,6 +52,7 @@ typedef struct {
   Facing *facing;
   Break *breaks;
   int num_facing, num_breaks, edge;
+  int order[MOST_DOFS]; // of the nodes of Γ0's edges, from start to end
   Frame frame;
 } Cast;
 
@@ -172,14 +173,23 @@ static double cosine(const Frame *frame, const Side *side, int edge, double r)
   return -(t[0] * frame->c[0] + t[1] * frame->c[1]) / (length * frame->size);
 }
 
-// The part of an edge of Γ0 that faces an edge of Γ1; false if there is none.
-static int faces(const Cast *cast, int g, Facing *facing)
+// Add a part of an edge of Γ0 to what lines from an edge of Γ1 can meet.
+static void add_part(Cast *cast, int g, double from, double to)
+{
+  double slope, first = place(&cast->frame, cast->below, g, from, &slope);
+  double last = place(&cast->frame, cast->below, g, to, &slope);
+  if (first > last && last < 1 && first > 0)
+    cast->facing[cast->num_facing++] = (Facing){g, from, to, last, first};
+}
+
+// Add the parts of an edge of Γ0.
+static void add_parts(Cast *cast, int g)
 {
   const Side *side = cast->below;
   const Frame *frame = &cast->frame;
   const int *goes_on = cast->sigma->goes_on + 2 * g;
-  double slopes[2], xi[2], low = INFINITY, high = -INFINITY;
-  *facing = (Facing){g, goes_on[0] ? -BEYOND : 0, goes_on[1] ? 1 + BEYOND : 1, {0, 0}};
+  double from = goes_on[0] ? -BEYOND : 0, to = goes_on[1] ? 1 + BEYOND : 1;
+  double slopes[2], low = INFINITY, high = -INFINITY;
   for (int k = 0; k < side->num_nodes; ++k)
   {
     double at = along(frame, node(side, g, k));
@@ -187,24 +197,17 @@ static int faces(const Cast *cast, int g, Facing *facing)
   }
   double more = side->num_nodes > 2 ? 0.25 * (high - low) : 0; // a parabola's beyond its nodes
   if (low - more >= 1 || high + more <= 0)
-    return 0;
+    return;
   for (int k = 0; k < 2; ++k)
-    xi[k] = place(frame, side, g, k, slopes + k);
-  if (side->num_nodes == 2)
-  {
-    if (cosine(frame, side, g, 0) <= cast->sigma->cosines[0])
-      return 0;
-  }
-  else if (side->num_nodes == 3 && slopes[0] * slopes[1] < 0)
-  { // it turns: one part faces
+    place(frame, side, g, k, slopes + k);
+  if (side->num_nodes == 3 && slopes[0] * slopes[1] < 0)
+  { // it turns
     double turn = slopes[0] / (slopes[0] - slopes[1]);
-    *(slopes[0] < 0 ? &facing->to : &facing->from) = turn;
+    add_part(cast, g, from, turn);
+    add_part(cast, g, turn, to);
   }
-  else if (xi[0] <= xi[1])
-    return 0;
-  facing->xi[0] = place(frame, side, g, facing->from, slopes);
-  facing->xi[1] = place(frame, side, g, facing->to, slopes);
-  return facing->xi[0] > facing->xi[1];
+  else
+    add_part(cast, g, from, to);
 }
 
 static int by_place(const void *a, const void *b)
@@ -228,11 +231,9 @@ static void look(Cast *cast, int f)
   cast->num_facing = cast->num_breaks = 0;
   for (int g = 0; g < cast->below->num_edges; ++g)
   {
-    Facing *facing = cast->facing + cast->num_facing;
-    if (!faces(cast, g, facing))
-      continue;
-    ++cast->num_facing;
-    for (int k = 0; k < 2; ++k)
+    int before = cast->num_facing;
+    add_parts(cast, g);
+    for (int k = 0; before < cast->num_facing && k < 2; ++k)
       if (!cast->sigma->goes_on[2 * g + k]
           && cosine(&cast->frame, cast->below, g, k) > cast->sigma->cosines[0])
       {
@@ -245,48 +246,95 @@ static void look(Cast *cast, int f)
   qsort(cast->breaks, cast->num_breaks, sizeof(Break), by_place);
 }
 
+// Height over the chord of a point of an edge.
+static double height_at(const Frame *frame, const Side *side, int edge, double r)
+{
+  if (side->num_nodes == 2)
+  {
+    double first = above(frame, node(side, edge, 0));
+    return first + r * (above(frame, node(side, edge, 1)) - first);
+  }
+  Curve x = curve_at(side, edge, r, (double[]){0, 0});
+  return above(frame, x.x[0]);
+}
+
+// Depth of a point in Γ0's body by the nearest edge, a chain of straight ones between its nodes;
+// negative outside.
+static double find_foot(const Side *side, const int *order, const double *x, Point *point)
+{
+  double nearest = INFINITY, depth = 0;
+  point->foot = -1;
+  for (int g = 0; g < side->num_edges; ++g)
+    for (int k = 0; k + 1 < side->num_nodes; ++k)
+    {
+      const double *a = node(side, g, order[k]), *b = node(side, g, order[k + 1]);
+      double c[2] = {b[0] - a[0], b[1] - a[1]}, d[2] = {x[0] - a[0], x[1] - a[1]};
+      double square = c[0] * c[0] + c[1] * c[1], t = (d[0] * c[0] + d[1] * c[1]) / square;
+      int at = t <= 0 ? k : t >= 1 ? k + 1 : -1;
+      double inside = (c[0] * d[1] - c[1] * d[0]) / sqrt(square);
+      double far = fabs(inside);
+      if (at >= 0)
+      {
+        const double *y = node(side, g, order[at]);
+        far = hypot(x[0] - y[0], x[1] - y[1]);
+      }
+      if (!(far < nearest))
+        continue;
+      nearest = far;
+      point->foot = g;
+      point->nodes[0] = order[at < 0 ? k : at], point->nodes[1] = order[at < 0 ? k + 1 : at];
+      point->sign = 1;
+      if (at >= 0)
+      { // inside of a body the nearest node is one where it turns inwards
+        const double *next = NULL;
+        int to = at == k ? -1 : 1, v = side->vertices[2 * g + (to > 0)];
+        int other = side->beside[2 * v + (to > 0)];
+        if (at + to >= 0 && at + to < side->num_nodes)
+          next = node(side, g, order[at + to]);
+        else if (other >= 0)
+          next = node(side, other, order[to > 0 ? 1 : side->num_nodes - 2]);
+        const double *y = node(side, g, order[at]);
+        double e[2] = {0, 0};
+        for (int i = 0; next && i < 2; ++i)
+          e[i] = to * (next[i] - y[i]);
+        double turn = to * (c[0] * e[1] - c[1] * e[0]);
+        point->sign = next ? (turn > 0 ? -1 : 1) : inside < 0 ? -1 : 1;
+      }
+      depth = at >= 0 ? point->sign * far : inside;
+    }
+  return depth;
+}
+
 // Sheets that a ray sees, those farthest behind first; their number.
 //
-// at    reference coordinate of its start on Γ1
-// hits  (MOST_SHEETS)
-static int see(const Cast *cast, double xi, double at, Hit *hits)
+// point  its start on Γ1 is known; what of Γ0 is nearest is set
+// hits   (MOST_SHEETS)
+static int see(const Cast *cast, double xi, Point *point, Hit *hits)
 {
   const Sigma *sigma = cast->sigma;
   const Frame *frame = &cast->frame;
-  double depth = sigma->depths[cast->edge], start = 0, step[3];
-  int num = 0;
-  if (cast->above->num_nodes > 2)
-  {
-    Curve x = curve_at(cast->above, cast->edge, at, (double[]){0, 0});
-    start = above(frame, x.x[0]);
-  }
+  Curve x = curve_at(cast->above, cast->edge, point->s, (double[]){0, 0});
+  double start = above(frame, x.x[0]), step[3], depth = NAN;
+  int num = 0, fades = 0;
   for (int k = 0; k < cast->num_facing; ++k)
   {
     const Facing *facing = cast->facing + k;
-    if (xi > facing->xi[0] || xi < facing->xi[1])
+    if (xi < facing->low || xi > facing->high)
       continue;
     Hit hit = {.sheet.edge = facing->edge};
     hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
-    if (cast->below->num_nodes == 2)
-    {
-      const double *x = node(cast->below, facing->edge, 0), *y = x + 2;
-      double first = above(frame, x), last = above(frame, y);
-      hit.height = first + hit.sheet.r * (last - first) - start;
-    }
-    else
-    {
-      Curve x = curve_at(cast->below, facing->edge, hit.sheet.r, (double[]){0, 0});
-      hit.height = above(frame, x.x[0]) - start;
-    }
-    if (hit.height <= -depth)
-      continue;
-    double cos = cosine(frame, cast->below, facing->edge, hit.sheet.r);
+    hit.height = height_at(frame, cast->below, facing->edge, hit.sheet.r) - start;
+    double cos = cosine(frame, cast->below, hit.sheet.edge, hit.sheet.r);
     smooth_step((cos - sigma->cosines[0]) / (sigma->cosines[1] - sigma->cosines[0]), step);
     hit.weight = step[0];
-    if (isfinite(depth))
+    if (hit.weight > 0 && hit.height < 0)
     {
-      smooth_step((hit.height + depth) / (sigma->fade * depth), step);
+      if (isnan(depth))
+        depth = find_foot(cast->below, cast->order, x.x[0], point) + sigma->slack * frame->size;
+      double from = sigma->nearest[0], size = sigma->nearest[1] - from;
+      smooth_step((depth / (-hit.height * cos) - from) / size, step);
       hit.weight *= step[0];
+      hit.sheet.fades = step[0] < 1;
     }
     if (hit.weight <= 0)
       continue;
@@ -301,7 +349,11 @@ static int see(const Cast *cast, double xi, double at, Hit *hits)
   }
   for (int k = 0; k < num; ++k)
     if (hits[k].weight >= 1)
-      return k + 1; // hides the others
+      num = k + 1; // hides the others
+  for (int k = 0; k < num; ++k)
+    fades |= hits[k].sheet.fades;
+  if (!fades)
+    point->foot = -1;
   return num;
 }
 
@@ -324,36 +376,45 @@ static void add_piece(const Cast *cast, Sigma *sigma, const Break *from, const B
   int part = from->xi >= sigma->fixed[2] ? 1 : from->xi >= sigma->fixed[1] ? 2 : 0;
   int one = straight && part < 2, sheet = -1, is_first = 1;
   double width = to->xi - from->xi;
-  Point point = {cast->edge, part, {from->vertex, to->vertex}, 0, 0, 0, 0, 0, 0};
-  for (int k = 0; k < sigma->num_rule; ++k)
-  {
-    double xi = from->xi + width * sigma->rule_at[k];
-    double s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
-    int num = see(cast, xi, s, hits);
-    seen += num;
-    one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
-    sheet = num ? hits[0].sheet.edge : -1;
-  }
-  if (!seen)
-    return;
-  for (int k = 0; k < (one ? 1 : sigma->num_rule); ++k)
-  {
-    point.at = one ? 0.5 : sigma->rule_at[k], point.width = one ? 1 : sigma->rule_weights[k];
-    double xi = from->xi + width * point.at;
-    point.s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
-    int num = see(cast, xi, point.s, hits);
-    if (!num)
-      continue;
-    point.is_first = is_first, is_first = 0;
-    emit(sigma, point, hits, num);
-  }
+  Point point = {.edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex}};
+  for (int again = 0; again < 2; ++again)
+    for (int k = 0; k < (again && one ? 1 : sigma->num_rule); ++k)
+    {
+      point.at = again && one ? 0.5 : sigma->rule_at[k];
+      point.width = again && one ? 1 : sigma->rule_weights[k];
+      double xi = from->xi + width * point.at;
+      point.s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
+      point.foot = -1;
+      int num = see(cast, xi, &point, hits);
+      if (!again)
+      {
+        seen += num;
+        one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
+        sheet = num ? hits[0].sheet.edge : -1;
+      }
+      else if (num)
+      {
+        point.is_first = is_first, is_first = 0;
+        emit(sigma, point, hits, num);
+      }
+      if (!again && !straight && k + 1 == sigma->num_rule && !seen)
+        return;
+    }
 }
 
 static int start(Cast *cast, const Sigma *sigma)
 {
   int num = sigma->sides[0].num_edges;
   *cast = (Cast){.sigma = sigma, .below = sigma->sides, .above = sigma->sides + 1};
-  cast->facing = malloc((num + 1) * sizeof(Facing));
+  const Side *below = cast->below;
+  for (int k = 0; k < below->num_nodes; ++k)
+  {
+    int at = 0;
+    for (int other = 0; other < below->num_nodes; ++other)
+      at += below->node_at[other] < below->node_at[k];
+    cast->order[at] = k;
+  }
+  cast->facing = malloc((2 * num + 1) * sizeof(Facing));
   cast->breaks = malloc((2 * num + 4) * sizeof(Break));
   return cast->facing && cast->breaks;
 }
@@ -381,38 +442,6 @@ int cast_rays(Sigma *sigma)
         add_piece(&cast, sigma, last, next);
       last = next;
     }
-  }
-  end(&cast);
-  return can ? DONE : NO_MEMORY;
-}
-
-// Find the overlap at which what edges of Γ1 meet isn't theirs any more: half of the way to what
-// lies behind, if that is more than what overlaps at most.
-//
-// least   overlap up to which a sheet isn't behind
-// depths  INFINITY where there is nothing, (num_edges₁)
-int find_depths(const Sigma *sigma, double least, double *depths)
-{
-  Cast cast;
-  int can = start(&cast, sigma);
-  for (int f = 0; can && f < cast.above->num_edges; ++f)
-  {
-    double behind = INFINITY;
-    look(&cast, f);
-    for (int k = 0; k < cast.num_facing; ++k)
-    {
-      const Facing *facing = cast.facing + k;
-      for (int e = 0; e < 2; ++e)
-      {
-        double xi = smaller(larger(facing->xi[e], 0), 1);
-        double r = meet(&cast.frame, cast.below, facing->edge, facing->from, facing->to, xi);
-        Curve x = curve_at(cast.below, facing->edge, r, (double[]){0, 0});
-        double height = above(&cast.frame, x.x[0]);
-        if (height < -least)
-          behind = smaller(behind, -height);
-      }
-    }
-    depths[f] = larger(least, 0.5 * behind);
   }
   end(&cast);
   return can ? DONE : NO_MEMORY;

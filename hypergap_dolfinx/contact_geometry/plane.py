@@ -15,7 +15,7 @@ from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
 from hypergap_dolfinx.contact_geometry.tolerances import END
-from hypergap_dolfinx.errors import InterfaceError, NotFacingError
+from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
@@ -54,10 +54,6 @@ class PlaneSegments(Segments[_Seen]):
 
     held: Sequence[npt.NDArray[np.bool_]] = ()
     """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each; none without it."""
-    thickness: float = np.inf
-    """Overlap from which something lies behind Γ1's body."""
-    _depths: npt.NDArray[np.float64] | None = None
-    """Overlaps at which what edges of Γ1 meet isn't opposite of them, ``(num_edges1,)``."""
 
     @cached_property
     def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -95,20 +91,11 @@ class PlaneSegments(Segments[_Seen]):
         return self.held[i][np.searchsorted(side.dofs, side.vertex_dofs[vertex])]
 
     @override
-    def start_step(self, u: Displacements):
-        self._depths = rays.depths(self._in_c, displaced(self.sides, u), self.thickness)
-        self._last = None
-
-    @override
     def _find(self, u: Displacements) -> _Seen:
-        if self._depths is None:
-            self.start_step(u)
-        assert self._depths is not None
         surfaces = displaced(self.sides, u)
         goes_on = [wall.end for wall in self._walls if wall.is_between(surfaces)]
-        found = rays.cast(self._in_c, surfaces, self._depths, goes_on)
+        found = rays.cast(self._in_c, surfaces, goes_on)
         if not len(found.points):
-            self._check_behind(surfaces)
             mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
         return _Seen(u, Blended(found, *self._edges(surfaces[1])))
@@ -117,19 +104,6 @@ class PlaneSegments(Segments[_Seen]):
         """Vertices and lengths of Γ1's edges where it is, and the number of vertices."""
         chords = above.x[above.facets[:, 1]] - above.x[above.facets[:, 0]]
         return above.facets, lengths(chords), self.num_multipliers
-
-    def _check_behind(self, surfaces: tuple[Surface, Surface]):
-        """Raise if all of Γ1 lies behind Γ0 at the start."""
-        if self._last is not None:
-            return
-        found = rays.cast(self._in_c, surfaces, np.full(len(surfaces[1].facets), np.inf))
-        if len(found.points):
-            seen = Blended(found, *self._edges(surfaces[1]))
-            deep = -(seen.g / np.where(seen.m > 0, seen.m, 1))[seen.m > 0].max()
-            raise InterfaceError(
-                f"Γ1 is {deep:.3g} and more behind Γ0: the bodies are on the wrong sides of each "
-                "other, or the facets on those of the bodies."
-            )
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

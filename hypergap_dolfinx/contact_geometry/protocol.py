@@ -32,9 +32,8 @@ class Segments[State: Found](ABC):
     behind all of Γ0's, all components of a dof together. Slips are counted from displacements
     u_since. They have n − 1 components, each for all vertices, one behind the other.
 
-    The state is what was found at the last displacements, so that asking again there costs nothing,
-    and what :meth:`start_step` told. Nothing of it is changed in place: a ``copy.copy`` of segments
-    keeps the state to go back to.
+    The only state is what was found at the last displacements, so that asking again there costs
+    nothing.
     """
 
     sides: Sides
@@ -73,9 +72,6 @@ class Segments[State: Found](ABC):
         if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
             self._last = last = self._find((u[0].copy(), u[1].copy()))
         return last
-
-    def start_step(self, u: Displacements):
-        """Start a load step: tell there what lies behind Γ1's body from what overlaps it."""
 
     @abstractmethod
     def _find(self, u: Displacements) -> State:

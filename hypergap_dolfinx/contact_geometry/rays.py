@@ -12,14 +12,17 @@ which belongs to the vertex at its end, are
 over ξ, the place along the chord from 0 to 1, with the sheets in order from behind Γ1 to the front.
 A sheet has the weight
 
-.. math:: \omega = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,W\Bigl(\frac{h + D}{F D}\Bigr),
+.. math:: \omega = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,
+   W\Bigl(\frac{d / (-h\cos) - N_0}{N_1 - N_0}\Bigr)
 
-with a smooth step W, the cosine between the normals that face each other, C₀ and C₁
-(:data:`COSINES`), and F (:data:`FADE`): it fades where Γ0 turns away, and at overlaps near D, half
-of the way to what lies behind Γ1's body when the load step starts (if something does). The product
-is what sheets farther behind leave of the ray: as one fades, it uncovers those in front of it with
-exactly what it loses. So gaps and areas are continuous functions of the displacements, whatever
-ends, corners and far sides pass; with one sheet of weight 1 they are volumes and lengths.
+with a smooth step W, the cosine between the normals that face each other, C (:data:`COSINES`) and N
+(:data:`NEAREST`). It fades where Γ0 turns away; and, where h < 0, with the depth d of the point in
+Γ0's body by the edge that is nearest, if that is less than −h cos, the one by the sheet's plane:
+what pushes is what is near, and a sheet behind Γ1's body is that of a body in which the point
+isn't (d < 0). The product is what sheets farther behind leave of the ray: as one fades, it uncovers
+those in front of it with exactly what it loses. So gaps and areas are continuous functions of the
+displacements, whatever ends, corners and far sides pass; with one sheet of weight 1 they are
+volumes and lengths.
 
 A motion Δu of both sides has the slip :math:`\int \mathbf c\cdot(\Delta\mathbf u_0 -
 \Delta\mathbf u_1)\,d\xi` with the same weights: of points that are opposite to each other. It is
@@ -40,7 +43,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.tolerances import COSINES, FADE, SHARED
+from hypergap_dolfinx.contact_geometry.tolerances import COSINES, NEAREST, SHARED, SLACK
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
@@ -165,34 +168,12 @@ def _placed(
     rule = {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
-    return {"cosines": list(COSINES), "fade": FADE, **given}
-
-
-def depths(
-    sides: Sequence[dict[str, Any]],
-    surfaces: tuple[Surface, Surface],
-    least: float,
-) -> npt.NDArray[np.float64]:
-    """Overlaps D of Γ1's edges at which what they meet isn't opposite of them any more.
-
-    Half of the way to what lies behind where the sides are, infinite if there is nothing.
-
-    Args:
-        sides: Γ0 and Γ1, from :func:`side_of`.
-        surfaces: The same where they are.
-        least: Overlap from which something lies behind.
-    """
-    found = np.full(len(surfaces[1].facets), np.inf)
-    sigma = struct("Sigma", **_placed(sides, surfaces), depths=found.copy())
-    if call("find_depths", sigma, float(least), found):
-        raise MemoryError(WRONG)
-    return found
+    return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}
 
 
 def cast(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
-    depths: npt.NDArray[np.float64],
     goes_on: Sequence[tuple[int, int]] = (),
 ) -> Rays:
     """Find the rays between two surfaces where they are.
@@ -200,11 +181,10 @@ def cast(
     Args:
         sides: Γ0 and Γ1, from :func:`side_of`.
         surfaces: The same where they are.
-        depths: From :func:`depths`.
         goes_on: Edges and ends (0 or 1) of Γ0 beyond which it goes on, as mirrored at a wall.
     """
     room = points_an_edge * sum(len(surface.facets) for surface in surfaces)
-    fields = {**_placed(sides, surfaces, goes_on), "depths": depths}
+    fields = _placed(sides, surfaces, goes_on)
     while True:
         points, sheets = np.empty(room, dtype("Point")), np.empty(room, dtype("Sheet"))
         given = {"points": points, "sheets": sheets, "max_points": room, "max_sheets": room}

@@ -43,8 +43,12 @@ COSINES = 0.1, 0.4
 """Cosines between normals in the plane from which on edges face each other, and do so fully.
 Measured: TODO"""
 
-FADE = 0.4
-"""Part of the overlap at which edges meet what lies behind, over which its weight fades.
+NEAREST = 0.25, 0.75
+"""Depth by the nearest edge over that by a sheet, from which on the sheet counts, and does so fully.
+Measured: TODO"""
+
+SLACK = 0.1
+"""Length that is added to the depth by the nearest edge, in edges of Γ1.
 Measured: TODO"""
 
 BLENDS = 0.5

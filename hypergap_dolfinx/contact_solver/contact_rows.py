@@ -188,8 +188,6 @@ class ContactRows:
         """Start a load step: read values that the user may have changed. Collective."""
         if self._contact.compliance is not None:
             self._compliance = self._contact.compliance.at_vertices()
-        if self.state.opening is not None and self.start is not None and self._follows:
-            self.state.opening.start_step(self.start)
 
     def update_geometry(self):
         """Compute the gaps at the present displacements. Collective.
@@ -358,7 +356,8 @@ class ContactRows:
         Raises:
             InterfaceError: All of them do at the start.
         """
-        opposite, deep = self.m > 0, self.g < -self._depth * self.m
+        opposite = self.m > 0
+        deep = np.divide(self.g, self.m, np.zeros_like(self.g), where=opposite) < -self._depth
         if self._accepted is None:
             if opposite.any() and deep[opposite].all():
                 raise InterfaceError(
@@ -369,6 +368,8 @@ class ContactRows:
             self._accepted = deep, opposite
         before, there = self._accepted
         self._behind = (before & (self.g < 0)) | (deep & ~there)
+        if self._n == 2:  # gaps know it
+            self._behind = np.zeros_like(deep)
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:
