@@ -19,6 +19,7 @@
 
 #define STEPS 60 // to where a ray meets a curved edge: by bisection at most
 #define LAST_STEP 1e-15
+#define TINY 1e-12 // part of a chord that is round-off
 #define BEYOND 0.25 // how far an edge goes on beyond its end, in its reference coordinate
 
 // The chord of an edge of Γ1.
@@ -285,20 +286,21 @@ static double find_foot(const Side *side, const int *order, const double *x, Poi
       point->nodes[0] = order[at < 0 ? k : at], point->nodes[1] = order[at < 0 ? k + 1 : at];
       point->sign = 1;
       if (at >= 0)
-      { // inside of a body the nearest node is one where it turns inwards
-        const double *next = NULL;
+      { // on which side of the node's mean normal
+        const double *y = node(side, g, order[at]), *next = NULL;
         int to = at == k ? -1 : 1, v = side->vertices[2 * g + (to > 0)];
         int other = side->beside[2 * v + (to > 0)];
         if (at + to >= 0 && at + to < side->num_nodes)
           next = node(side, g, order[at + to]);
         else if (other >= 0)
           next = node(side, other, order[to > 0 ? 1 : side->num_nodes - 2]);
-        const double *y = node(side, g, order[at]);
-        double e[2] = {0, 0};
+        double e[2] = {c[0], c[1]}, length;
         for (int i = 0; next && i < 2; ++i)
           e[i] = to * (next[i] - y[i]);
-        double turn = to * (c[0] * e[1] - c[1] * e[0]);
-        point->sign = next ? (turn > 0 ? -1 : 1) : inside < 0 ? -1 : 1;
+        length = hypot(e[0], e[1]);
+        for (int i = 0; i < 2; ++i)
+          e[i] = e[i] / length + c[i] / sqrt(square), d[i] = x[i] - y[i];
+        point->sign = e[0] * d[1] - e[1] * d[0] < 0 ? -1 : 1;
       }
       depth = at >= 0 ? point->sign * far : inside;
     }
@@ -319,7 +321,7 @@ static int see(const Cast *cast, double xi, Point *point, Hit *hits)
   for (int k = 0; k < cast->num_facing; ++k)
   {
     const Facing *facing = cast->facing + k;
-    if (xi < facing->low || xi > facing->high)
+    if (xi < facing->low - TINY || xi > facing->high + TINY)
       continue;
     Hit hit = {.sheet.edge = facing->edge};
     hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
@@ -373,7 +375,7 @@ static void add_piece(const Cast *cast, Sigma *sigma, const Break *from, const B
 {
   Hit hits[MOST_SHEETS];
   int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2, seen = 0;
-  int part = from->xi >= sigma->fixed[2] ? 1 : from->xi >= sigma->fixed[1] ? 2 : 0;
+  int part = to->xi <= sigma->fixed[1] ? 0 : from->xi >= sigma->fixed[2] ? 1 : 2;
   int one = straight && part < 2, sheet = -1, is_first = 1;
   double width = to->xi - from->xi;
   Point point = {.edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex}};
@@ -438,8 +440,8 @@ int cast_rays(Sigma *sigma)
     for (int k = 1; k < cast.num_breaks; ++k)
     {
       const Break *next = cast.breaks + k;
-      if (next->xi > last->xi)
-        add_piece(&cast, sigma, last, next);
+      if (next->vertex != last->vertex)
+        add_piece(&cast, sigma, last, next); // derivatives aren't zero where it is as short as that
       last = next;
     }
   }
