@@ -21,7 +21,13 @@ from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, COVERED_AREA, HOLDS
+from hypergap_dolfinx.contact_solver.tolerances import (
+    CLOSED_GAP,
+    COVERED_AREA,
+    EXACT,
+    HOLDS,
+    ROUND_OFF_FORCES,
+)
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
@@ -305,6 +311,55 @@ class ContactRows:
     def forget(self):
         """Set all pressures to zero."""
         self.state.p = np.zeros_like(self.g)
+
+    # The linearised contact problem: gaps over areas, and multipliers, both times √stiffness
+
+    def signs(
+        self, changes: Sequence[npt.NDArray], multipliers: npt.NDArray, stiffness: float
+    ) -> npt.NDArray[np.float64]:
+        """New gaps of inactive multipliers, active multipliers, 0 for others. Collective.
+
+        Args:
+            changes: What is subtracted from this rank's displacements of each body.
+            multipliers: Active multipliers, in the matrix's units, ``(num_multipliers,)``.
+            stiffness: Stiffness of the bodies' nodes.
+        """
+        gap = self.clearance - self.times(self.from_bodies(changes))
+        gap = np.divide(gap, self.m, out=np.zeros_like(gap), where=self.valid)
+        return np.sqrt(stiffness) * np.where(self.state.active, multipliers, gap)
+
+    def least(self, stiffness: float, zero: float) -> npt.NDArray[np.float64]:
+        """Sizes of these treated as zero; ``zero`` is such a pressure."""
+        size = float(self.sides[1].reference.size.max())
+        force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * size)
+        return np.sqrt(stiffness) * np.where(self.state.active, force, EXACT * size)
+
+    def watched(self, stiffness: float) -> Sparse:
+        """Rows of them in terms of the unknowns of the equations."""
+        on, root = np.flatnonzero(self.state.active), np.sqrt(stiffness)
+        use = (self.valid & ~self.state.active)[self.C.i] & (self.unknowns[0] != -2)[self.C.j]
+        i, j, values = self.C.i[use], self.C.j[use], self.C.values[use]
+        gaps = Sparse(i, j, root * values / self.m[i])
+        return joined(gaps, Sparse(on, self._num_dofs + on, np.full(len(on), root)))
+
+    def scale_of(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """Pressures over the matrix's units of them."""
+        return np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+
+    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """What a compliance adds to a gap by a new multiplier."""
+        return (
+            np.divide(
+                stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
+            )
+            * ~self.state.active
+        )
+
+    def start_set(self):
+        """Working set: those with a pressure, and those that are closed or overlap."""
+        now = self.state
+        now.active = self.valid & (now.active | (self.distance <= self.closed))
+        now.p = np.where(now.active, now.p, 0)
 
     # Geometry
 
@@ -594,8 +649,9 @@ class ContactRows:
         return self.forces(self.state.p * self.state.active)
 
     def is_closed(self) -> bool:
-        """True if active gaps are closed."""
-        return self._largest_gap() <= self.closed
+        """True if active gaps are closed, and no others overlap."""
+        apart = self.distance[self.valid & ~self.state.active]
+        return self._largest_gap() <= self.closed and bool((apart >= -self.closed).all())
 
     def _largest_gap(self) -> float:
         return float(np.abs(self.distance[self.state.active]).max(initial=0))

@@ -39,6 +39,7 @@ from hypergap_dolfinx.contact_solver.friction_rows import (
     FrictionState,
     hold_by_sticking,
 )
+from hypergap_dolfinx.contact_solver.exact_step import LinearisedContact
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
@@ -48,6 +49,8 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     RELAXED,
     REUSED,
     ROUND_OFF_FORCES,
+    SHIFT,
+    SHIFTS,
     SHORTENED,
     STEPS,
     UNPRESSED,
@@ -58,6 +61,11 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements
+
+
+import os
+
+DEBUG = bool(os.environ.get("DEBUGC"))
 
 
 class ContactSystem(NonlinearSystem):
@@ -132,6 +140,7 @@ class ContactSystem(NonlinearSystem):
         if self._free is None:
             self.assemble_matrix()
             self._scales_fixed = True
+            self._tangent.remember_stiffness()
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
             self._num_free = self._free.num
             self._strays = RigidBodyDiagnostics(self._system.spaces, self._free, self._names)
@@ -173,6 +182,78 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
+        return self._alternate() if self._frictional else self._iterate()
+
+    def _iterate(self) -> int:
+        """Newton's iteration without friction: each step solves its linearised contact problem."""
+        self._largest = 0.0
+        for step in range(STEPS + 1):
+            for rows in self._rows:
+                rows.update_geometry()
+            self._evaluate(self._x, self._b)
+            jump = self._jump()
+            if step == 0:
+                self._assemble_what_moved()
+            for rows in self._rows:
+                rows.start_set()
+            if self._num_free:
+                self._hold(first=False)
+            if self._balances() and step:
+                self._check_pushing()
+                return step
+            if not np.isfinite(self._unbalanced):
+                raise SolveError("Newton's iteration diverged: the residual is no number.")
+            if step == STEPS:
+                break
+            if step:
+                try:
+                    self.assemble_matrix()
+                except ValueError as error:  # points of the residual needn't see cells inverted
+                    raise SolveError(f"Newton's iteration diverged: {error}") from error
+            if step == 0 and self._slides(jump):
+                self._carry()
+            else:
+                self._step_exactly()
+            self._iterations += 1
+        raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _step_exactly(self):
+        """Solve the linearised contact problem, and take its solution. Collective."""
+        stiffness, right = self._stiffness(), self._right()
+        moves = self._jump()
+        increments = (
+            moves if self._comm.allreduce(any(part.any() for part in moves), MPI.LOR) else None
+        )
+        equations = [rows.equations(stiffness, increments, exact=True) for rows in self._rows]
+        problem = LinearisedContact(
+            self._tangent, self._rows, equations, stiffness, self._zero_pressure()
+        )
+        ties = self._x.getNestSubVecs()[len(self._x.getNestSubVecs()) - self._num_ties :]
+        expected = sum(part.getSize() for part in ties) + sum(
+            int(rows.state.active.sum()) for rows in self._rows
+        )
+        shift = 0.0
+        for attempt in range(SHIFTS + 1):
+            found = problem.solve(right, shift)
+            negative = self._tangent.negative
+            if DEBUG and (found.num or negative not in (None, expected) or not found.is_solved):
+                print(
+                    f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active {[int(a.sum()) for a in found.active]}"
+                )
+            if negative is None or negative <= expected:
+                break
+            shift = 4 * shift or SHIFT
+        for rows, linear, values, active in zip(
+            self._rows, equations, found.unknowns, found.active, strict=True
+        ):
+            rows.state.active = active
+            rows.state.p = values * rows.scale_of(stiffness)
+        for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
+            x.array[:] -= dx
+        self._assign(self._x)
+
+    def _alternate(self) -> int:
+        """Newton's iteration with friction: sets are guessed by signs."""
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
         polished, returned, self._largest, way = False, 0, 0.0, None

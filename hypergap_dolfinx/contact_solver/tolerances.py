@@ -142,3 +142,20 @@ REUSED = 1e-4
 facet sizes, below which a load step's first step reuses a body's stiffness.
 Measured: ironing, Hertz: matrices that change by 1e-10 to 3e-5 take 2 to 4 iterations, 1e-4 to 6e-4
 5 or 6, 2e-3 to 1e-2 7 to 13; as many Newton steps with displacements of 0 to 1e-4."""
+
+BLOCKS = 10
+"""Rounds of block pivoting without fewer wrong signs, after which they are exchanged one by one;
+rounds a row after which it is given up.
+Measured: later"""
+
+PIVOT = 1e-9
+"""Pivot, over the largest number in its table, treated as zero.
+Measured: later"""
+
+SHIFT = 0.05
+"""First share of the elastic stiffness that is added where a tangent has too many negative pivots.
+Measured: later"""
+
+SHIFTS = 6
+"""Times that this share is increased.
+Measured: later"""
