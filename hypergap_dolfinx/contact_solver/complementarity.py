@@ -14,7 +14,7 @@ def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_
     """Solve the problem, by block pivoting or, where that meets a singular matrix, by Lemke's.
 
     Args:
-        M: ``(num, num)``; z is unique if each principal minor is positive (a P-matrix). If M is at
+        M: ``(num, num)``, of numbers around 1; z is unique if each principal minor is positive (a P-matrix). If M is at
             least positive semi-definite there is a solution unless w ≥ 0 for no z ≥ 0.
         b: ``(num,)``.
         zero: Sizes treated as zero, of z and w alike, ``(num,)``.
@@ -22,8 +22,10 @@ def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_
     Returns:
         z, and the mask where w = 0; None if there is no solution (a ray).
     """
-    found = _by_blocks(M, b, zero)
-    return _by_lemke(M, b, zero) if found is None else found
+    size = np.sqrt(np.maximum(np.diag(M), 1))
+    scaled = M / size / size[:, None], b / size, zero / size
+    found = _by_blocks(*scaled) or _by_lemke(*scaled)
+    return found and (found[0] / size, found[1])
 
 
 def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
@@ -42,7 +44,7 @@ def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.b
             ).T
         except np.linalg.LinAlgError:
             return None
-        if np.abs(probe).max(initial=0) * np.abs(part).max(initial=0) * PIVOT > 1:
+        if np.abs(probe).max(initial=0) * PIVOT > 1:
             return None
         w = np.where(on, 0, b + M @ z)
         wrong = np.where(on, z, w) < -zero
@@ -82,7 +84,7 @@ def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bo
             return np.maximum(z[num : 2 * num], 0), ~np.isin(np.arange(num), basis)
         enters = leaves + num if leaves < num else leaves - num
         column = table[:, enters]
-        can = column > PIVOT * np.abs(table[:, :-1]).max()
+        can = column > PIVOT * max(np.abs(column).max(), 1)
         if not can.any():
             return None
         ratio = np.where(can, np.maximum(table[:, -1], 0) / np.where(can, column, 1), np.inf)

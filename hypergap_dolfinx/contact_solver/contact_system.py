@@ -45,6 +45,10 @@ from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AHEAD,
+    ENOUGH,
+    PATIENCE,
+    RAYS,
+    TRIALS,
     EXCEEDS,
     RELAXED,
     REUSED,
@@ -186,7 +190,7 @@ class ContactSystem(NonlinearSystem):
 
     def _iterate(self) -> int:
         """Newton's iteration without friction: each step solves its linearised contact problem."""
-        self._largest = 0.0
+        self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
         for step in range(STEPS + 1):
             for rows in self._rows:
                 rows.update_geometry()
@@ -196,26 +200,94 @@ class ContactSystem(NonlinearSystem):
                 self._assemble_what_moved()
             for rows in self._rows:
                 rows.start_set()
-            if self._num_free:
-                self._hold(first=False)
             if self._balances() and step:
-                self._check_pushing()
                 return step
-            if not np.isfinite(self._unbalanced):
-                raise SolveError("Newton's iteration diverged: the residual is no number.")
             if step == STEPS:
                 break
+            if self._num_free:
+                self._hold(first=False)
             if step:
                 try:
                     self.assemble_matrix()
                 except ValueError as error:  # points of the residual needn't see cells inverted
                     raise SolveError(f"Newton's iteration diverged: {error}") from error
+            self._iterations += 1
             if step == 0 and self._slides(jump):
                 self._carry()
-            else:
-                self._step_exactly()
-            self._iterations += 1
+                continue
+            natural = self._natural()
+            since = since + 1 if natural >= best else 0
+            best = min(best, natural)
+            if DEBUG:
+                print(f"  residual {natural:.3e} since {since}")
+            way = self._step_exactly()
+            self._search(way, always=since >= PATIENCE and step > 0)
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _natural(self) -> float:
+        """Size of what is left of forces, gaps and pulls, as forces. Collective."""
+        c = self._stiffness()
+        left = [
+            np.minimum(rows.state.p * rows.m / c, rows.distance)[rows.valid] for rows in self._rows
+        ]
+        return float(np.hypot(self._unbalanced, c * np.linalg.norm(np.concatenate(left))))
+
+    def _search(self, way, *, always: bool):
+        """Shorten a step until its end is one of numbers, and of less penalty. Collective."""
+        start, end = way
+        owned = self._owned()
+        ends = self._x.getNestSubVecs()[: len(owned)]
+        if not always:
+            share = 1.0
+            for _ in range(TRIALS):
+                self._evaluate(self._x, self._b)
+                if np.isfinite(
+                    self._comm.allreduce(
+                        sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
+                    )
+                ):
+                    return
+                share /= 4
+                start.towards(end, share)
+                self._restore(start.towards(end, share))
+                self._set_sets(end)
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        moves = [b - a for a, b in zip(start.values[: len(owned)], end.values)]
+        held = self._held
+        moves = [np.where(h, 0, m) for h, m in zip(held, moves)]
+        price = 2 * max(max(np.abs(s.p).max(initial=0) for s in state.contacts) for state in way)
+
+        def at(share):
+            self._restore(start.towards(end, share))
+            for rows in self._rows:
+                rows.update_geometry()
+            self._evaluate(self._x, self._b)
+            parts = self._b.getNestSubVecs()
+            slope = self._comm.allreduce(
+                sum(float(np.dot(m, b.array_r)) for m, b in zip(moves, parts))
+            )
+            overlap = sum(
+                float(np.maximum(-rows.clearance, 0)[rows.valid].sum()) for rows in self._rows
+            )
+            return slope, price * overlap
+
+        first, before = at(0.0)
+        share, (last, overlap) = 1.0, at(1.0)
+        for _ in range(TRIALS):
+            middle, between = at(share / 2)
+            change = share / 6 * (first + 4 * middle + last) + overlap - before
+            if DEBUG:
+                print("    search", share, change, first, before)
+            if change <= ENOUGH * share * min(first - before, 0):
+                break
+            share, last, overlap = share / 2, middle, between
+        self._restore(start.towards(end, share))
+        self._set_sets(end)
+
+    def _set_sets(self, end):
+        for rows, state in zip(self._rows, end.contacts, strict=True):
+            rows.state.active = state.active.copy()
+            rows.state.p = state.p.copy()
 
     def _step_exactly(self):
         """Solve the linearised contact problem, and take its solution. Collective."""
@@ -232,17 +304,33 @@ class ContactSystem(NonlinearSystem):
         expected = sum(part.getSize() for part in ties) + sum(
             int(rows.state.active.sum()) for rows in self._rows
         )
-        shift = 0.0
-        for attempt in range(SHIFTS + 1):
+        shift, near = (0.0, 0.0), 0.0
+        for _ in range(SHIFTS + 1):
             found = problem.solve(right, shift)
             negative = self._tangent.negative
             if DEBUG and (found.num or negative not in (None, expected) or not found.is_solved):
                 print(
                     f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active {[int(a.sum()) for a in found.active]}"
                 )
-            if negative is None or negative <= expected:
-                break
-            shift = 4 * shift or SHIFT
+            convex = negative is None or negative <= expected
+            if found.is_solved:
+                if convex:
+                    break
+                free = [
+                    np.where(held, 0, dx)
+                    for held, dx in zip(self._held, found.changes, strict=False)
+                ]
+                if self._tangent.work(free) > 0:
+                    break
+            if convex and self._num_free:
+                near = 4 * near or self._nearness()
+            else:
+                shift = (4 * shift[0] or SHIFT, 0.0)
+            shift = (shift[0], near)
+        self._rays = self._rays + 1 if near else 0
+        if not found.is_solved or self._rays == RAYS:
+            self._tell_pull(found)
+        start = self._state()
         for rows, linear, values, active in zip(
             self._rows, equations, found.unknowns, found.active, strict=True
         ):
@@ -251,6 +339,30 @@ class ContactSystem(NonlinearSystem):
         for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
+        return start, self._state()
+
+    def _tell_pull(self, found):
+        """Raise that a body that only contact holds leaves."""
+        if not self._num_free:
+            raise SolveError("the linearised contact problem has no solution.")
+        pulls = [
+            rows.typical_area * values.min(initial=0)
+            for rows, values in zip(self._rows, found.base, strict=True)
+        ]
+        rows = self._rows[int(np.argmin(pulls))]
+        k = int(found.base[int(np.argmin(pulls))].argmin())
+        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
+        raise SolveError(
+            f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
+            "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
+        )
+
+    def _nearness(self) -> float:
+        """Share of the bodies' diagonal with which free motions go a facet's size. Collective."""
+        modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
+        largest = self._comm.allreduce(max(float(np.abs(m).max(initial=0)) for m in modes), MPI.MAX)
+        size = min(float(rows.sides[1].reference.size.max()) for rows in self._rows)
+        return largest * float(np.abs(self._load(modes)).max()) / (self._stiffness() * size)
 
     def _alternate(self) -> int:
         """Newton's iteration with friction: sets are guessed by signs."""

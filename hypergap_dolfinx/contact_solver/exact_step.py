@@ -38,6 +38,8 @@ class Found:
     """False if there is none: then it is that of the working set, some of which pulls."""
     num: int
     """Number of right-hand sides beside the first."""
+    base: list[npt.NDArray[np.float64]]
+    """Multipliers of the working set, in the matrix's units."""
 
 
 class LinearisedContact:
@@ -66,7 +68,7 @@ class LinearisedContact:
         self._least = np.concatenate([part.least(stiffness, zero) for part in rows])
         self._comm = rows[0].spaces[0].mesh.comm
 
-    def solve(self, right: Sequence[npt.NDArray], shift: float) -> Found:
+    def solve(self, right: Sequence[npt.NDArray], shift: tuple[float, float]) -> Found:
         """Solve it.
 
         Args:
@@ -77,6 +79,7 @@ class LinearisedContact:
             SolveError: The linear solver failed.
         """
         changes, unknowns = self._tangent.solve(right, self._equations, shift=shift)
+        self._base = unknowns
         w = self._signs(changes, unknowns)
         if not (w < -self._least).any():
             return self._found(changes, unknowns, self._on, solved=True, num=0)
@@ -134,4 +137,4 @@ class LinearisedContact:
             np.where(on, values, 0)
             for on, values in zip(self._split(active), unknowns, strict=True)
         ]
-        return Found(changes, unknowns, self._split(active), solved, num)
+        return Found(changes, unknowns, self._split(active), solved, num, self._base)

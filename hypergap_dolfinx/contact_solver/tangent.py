@@ -232,8 +232,15 @@ class Tangent:
 
     def remember_stiffness(self):
         """Remember the present stiffness of the bodies, which is that without stress."""
-        blocks = self._blocks()
-        self._elastic = [b.getValuesCSR()[2] * (i == j < self._num_bodies) for i, j, b in blocks]
+        self._elastic, self._diagonals = [], []
+        for i, j, block in self._blocks():
+            indptr, columns, values = block.getValuesCSR()
+            own = values * (i == j < self._num_bodies)
+            start, end = block.getOwnershipRange()
+            self._elastic.append(own)
+            self._diagonals.append(
+                own * (columns == np.repeat(np.arange(start, end), np.diff(indptr)))
+            )
 
     def solve(
         self,
@@ -241,7 +248,7 @@ class Tangent:
         equations: Sequence[Linear],
         viscous: float = 0.0,
         *,
-        shift: float = 0.0,
+        shift: tuple[float, float] = (0.0, 0.0),
         beside: npt.NDArray | None = None,
         anew: bool = False,
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
@@ -251,7 +258,7 @@ class Tangent:
             right: This rank's right-hand side of bodies and ties.
             equations: Equations of each contact.
             viscous: Share of the bodies' stiffness that is added.
-            shift: Share of their stiffness without stress that is added.
+            shift: Share of their stiffness without stress that is added, and of its diagonal.
             beside: What is subtracted from the right-hand side, in this rank's unknowns.
             anew: True for factors of this very matrix.
 
@@ -283,18 +290,18 @@ class Tangent:
                 return solution
         return self.solve(right, equations, viscous, shift=shift, beside=beside, anew=anew)
 
-    def _base(self, viscous: float, shift: float) -> npt.NDArray:
+    def _base(self, viscous: float, shift: tuple[float, float]) -> npt.NDArray:
         """This rank's entries of the nested matrix, the same array while they are the same."""
         blocks = list(self._blocks())
-        state = [viscous, shift, *(block.stateGet() for *_, block in blocks)]
+        state = [viscous, *shift, *(block.stateGet() for *_, block in blocks)]
         if self._last_base is None or self._last_base[0] != state:
             values = [block.getValuesCSR()[2] for *_, block in blocks]
             if viscous:
                 for (i, j, _), part in zip(blocks, values, strict=True):
                     part *= 1 + viscous * (i == j < self._num_bodies)
-            if shift:
-                for part, elastic in zip(values, self._elastic, strict=True):
-                    part += shift * elastic
+            if any(shift):
+                for part, *added in zip(values, self._elastic, self._diagonals, strict=True):
+                    part += shift[0] * added[0] + shift[1] * added[1]
             self._last_base = state, np.concatenate(values)
         return self._last_base[1]
 
@@ -358,6 +365,24 @@ class Tangent:
         if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
             return None
         return pc.getFactorMatrix().getMumpsInfog(12)
+
+    def work(self, changes: Sequence[npt.NDArray]) -> float:
+        """Work of the last matrix, without multipliers, on changes of the bodies. Collective.
+
+        Args:
+            changes: This rank's displacements of each body, 0 where they are prescribed.
+        """
+        retained = self._retained
+        assert retained is not None
+        x, b = (v.duplicate() for v in retained.vectors)
+        x.set(0.0)
+        values = np.concatenate(changes)
+        x.array[: len(values)] = values
+        retained.A.mult(x, b)
+        found = x.dot(b)
+        for vector in (x, b):
+            vector.destroy()
+        return found.real
 
     def watch(self, entries: Sequence[Sparse]) -> sparse.csr_array:
         """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.

@@ -148,8 +148,8 @@ BLOCKS = 10
 rounds a row after which it is given up.
 Measured: later"""
 
-PIVOT = 1e-9
-"""Pivot, over the largest number in its table, treated as zero.
+PIVOT = 1e-10
+"""Pivot treated as zero, in a matrix of numbers around 1.
 Measured: later"""
 
 SHIFT = 0.05
@@ -158,4 +158,20 @@ Measured: later"""
 
 SHIFTS = 6
 """Times that this share is increased.
+Measured: later"""
+
+PATIENCE = 4
+"""Newton steps without a smaller residual after which steps are searched along.
+Measured: later"""
+
+RAYS = 3
+"""Newton steps in a row with a linearised problem that has no solution after which a body leaves.
+Measured: later"""
+
+ENOUGH = 1e-4
+"""Part of the expected decrease of the penalty that is enough for a step.
+Measured: later"""
+
+TRIALS = 6
+"""Times that a step is halved.
 Measured: later"""
