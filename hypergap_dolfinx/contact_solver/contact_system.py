@@ -47,6 +47,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     AHEAD,
     ENOUGH,
     PATIENCE,
+    PROGRESS,
     RAYS,
     TRIALS,
     EXCEEDS,
@@ -216,7 +217,7 @@ class ContactSystem(NonlinearSystem):
                 self._carry()
                 continue
             natural = self._natural()
-            since = since + 1 if natural >= best else 0
+            since = since + 1 if natural > PROGRESS * best else 0
             best = min(best, natural)
             if DEBUG:
                 print(f"  residual {natural:.3e} since {since}")

@@ -175,3 +175,7 @@ Measured: later"""
 TRIALS = 6
 """Times that a step is halved.
 Measured: later"""
+
+PROGRESS = 0.9
+"""Residual, over the smallest so far, that is progress.
+Measured: later"""
