@@ -118,8 +118,6 @@ class ContactRows:
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._depth = self._contact.depth
         self._first: tuple[Segments, npt.NDArray, npt.NDArray, Sparse] | None = None
-        self._apart: npt.NDArray[np.float64] | None = None
-        """:attr:`distance` at the start of the load step, if no pressure acts there."""
         self.number = -1
         """Number among the contact's rows of all problems, the same on every rank."""
         self.start: Displacements | None = None
@@ -244,40 +242,24 @@ class ContactRows:
             self._unsettled = new
         state.exists = self.valid
 
-    def choose_active(
-        self, stiffness: float, zero: float, last: npt.NDArray | None, *, ahead: bool
-    ):
+    def choose_active(self, stiffness: float, zero: float, last: npt.NDArray | None):
         """Choose the active set.
 
         Args:
             stiffness: Stiffness of the bodies' nodes.
             zero: Pressure treated as zero.
             last: :attr:`sets` of the last Newton step; None in the first one.
-            ahead: True if zones that are too large may lose more than what pulls: mostly this
-                saves steps, but sets can cycle by it.
         """
         state, c, g = self.state, stiffness / self.typical_area, self.clearance
         if last is not None:  # what a step leaves of a closed gap is curvature's: p alone decides
             g = np.where(state.active, np.minimum(g, 0), g)
-        closed, apart = self.closed, self._apart
         active = active_set.pushing(
             state.p, g, self.m, self.valid, self.in_series(c), state.active, zero
         )
         state.active = np.where(self._unsettled, state.active, active)
         if last is None:
-            self._apart = None
             if not state.p.any():
-                state.active |= self.distance <= closed
-                self._apart = self.distance
-        elif ahead:
-            state.active = active_set.shrunk(
-                last[: len(self.g)].astype(bool),
-                state.active,
-                self.sides[1].reference.facets,
-                state.p * self.m,
-                apart,
-                closed,
-            )
+                state.active |= self.distance <= self.closed
 
     def activate(self, active: npt.NDArray[np.bool_]):
         """Set the active set, ``(num_multipliers,)``."""

@@ -206,7 +206,7 @@ class ContactSystem(NonlinearSystem):
             if step == STEPS:
                 break
             if self._num_free:
-                self._hold(first=False)
+                self._hold()
             if step:
                 try:
                     self.assemble_matrix()
@@ -379,7 +379,7 @@ class ContactSystem(NonlinearSystem):
             if step == 0:
                 self._assemble_what_moved()
             last = [rows.state.copy() for rows in self._rows]
-            held = self._choose(before, ahead=step < AHEAD)
+            held = self._choose(before)
             as_before, as_earlier = [
                 bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
             ]
@@ -476,23 +476,20 @@ class ContactSystem(NonlinearSystem):
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
 
-    def _choose(
-        self, before: Sequence[npt.NDArray[np.bool_]], *, ahead: bool
-    ) -> list[npt.NDArray[np.bool_]]:
+    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
         """Choose the active sets, enlarged where they alone hold bodies. Collective.
 
         Args:
             before: The last sets; empty in the first step.
-            ahead: As for :meth:`ContactRows.choose_active`.
         """
         stiffness, zero = self._stiffness(), self._zero_pressure()
         for c, rows in enumerate(self._rows):
-            rows.choose_active(stiffness, zero, before[c] if before else None, ahead=ahead)
+            rows.choose_active(stiffness, zero, before[c] if before else None)
         if self._num_free:
-            self._hold(first=not before and not any(rows.state.p.any() for rows in self._rows))
+            self._hold()
         return [rows.sets for rows in self._rows]
 
-    def _hold(self, *, first: bool):
+    def _hold(self):
         """Enlarge active sets until they hold; ``first`` if no pressure acts yet. Collective."""
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
@@ -500,16 +497,14 @@ class ContactSystem(NonlinearSystem):
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
         every = np.concatenate([rows.state.active for rows in self._rows])
-        distance, area, valid = (
+        distance, valid = (
             np.concatenate([getattr(rows, name) for rows in self._rows])
-            for name in ("distance", "m", "valid")
+            for name in ("distance", "valid")
         )
         frictional = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
         sticking = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
         across = np.vstack([part.reshape(-1, self._num_free) for part in (holds[:0], *sticking)])
-        active, num_free = active_set.seeded(
-            every, distance, area, valid, holds, self._load(modes), across, first=first
-        )
+        active, num_free = active_set.holding(every, distance, valid, holds, across)
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(active, ends), strict=True):
             rows.activate(part)
