@@ -21,7 +21,13 @@ from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, COVERED_AREA, HOLDS
+from hypergap_dolfinx.contact_solver.tolerances import (
+    CLOSED_GAP,
+    COVERED_AREA,
+    EXACT,
+    HOLDS,
+    ROUND_OFF_FORCES,
+)
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
@@ -112,8 +118,6 @@ class ContactRows:
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self._depth = self._contact.depth
         self._first: tuple[Segments, npt.NDArray, npt.NDArray, Sparse] | None = None
-        self._apart: npt.NDArray[np.float64] | None = None
-        """:attr:`distance` at the start of the load step, if no pressure acts there."""
         self.number = -1
         """Number among the contact's rows of all problems, the same on every rank."""
         self.start: Displacements | None = None
@@ -238,40 +242,24 @@ class ContactRows:
             self._unsettled = new
         state.exists = self.valid
 
-    def choose_active(
-        self, stiffness: float, zero: float, last: npt.NDArray | None, *, ahead: bool
-    ):
+    def choose_active(self, stiffness: float, zero: float, last: npt.NDArray | None):
         """Choose the active set.
 
         Args:
             stiffness: Stiffness of the bodies' nodes.
             zero: Pressure treated as zero.
             last: :attr:`sets` of the last Newton step; None in the first one.
-            ahead: True if zones that are too large may lose more than what pulls: mostly this
-                saves steps, but sets can cycle by it.
         """
         state, c, g = self.state, stiffness / self.typical_area, self.clearance
         if last is not None:  # what a step leaves of a closed gap is curvature's: p alone decides
             g = np.where(state.active, np.minimum(g, 0), g)
-        closed, apart = self.closed, self._apart
         active = active_set.pushing(
             state.p, g, self.m, self.valid, self.in_series(c), state.active, zero
         )
         state.active = np.where(self._unsettled, state.active, active)
         if last is None:
-            self._apart = None
             if not state.p.any():
-                state.active |= self.distance <= closed
-                self._apart = self.distance
-        elif ahead:
-            state.active = active_set.shrunk(
-                last[: len(self.g)].astype(bool),
-                state.active,
-                self.sides[1].reference.facets,
-                state.p * self.m,
-                apart,
-                closed,
-            )
+                state.active |= self.distance <= self.closed
 
     def activate(self, active: npt.NDArray[np.bool_]):
         """Set the active set, ``(num_multipliers,)``."""
@@ -305,6 +293,55 @@ class ContactRows:
     def forget(self):
         """Set all pressures to zero."""
         self.state.p = np.zeros_like(self.g)
+
+    # The linearised contact problem: gaps over areas, and multipliers, both times √stiffness
+
+    def signs(
+        self, changes: Sequence[npt.NDArray], multipliers: npt.NDArray, stiffness: float
+    ) -> npt.NDArray[np.float64]:
+        """New gaps of inactive multipliers, active multipliers, 0 for others. Collective.
+
+        Args:
+            changes: What is subtracted from this rank's displacements of each body.
+            multipliers: Active multipliers, in the matrix's units, ``(num_multipliers,)``.
+            stiffness: Stiffness of the bodies' nodes.
+        """
+        gap = self.clearance - self.times(self.from_bodies(changes))
+        gap = np.divide(gap, self.m, out=np.zeros_like(gap), where=self.valid)
+        return np.sqrt(stiffness) * np.where(self.state.active, multipliers, gap)
+
+    def least(self, stiffness: float, zero: float) -> npt.NDArray[np.float64]:
+        """Sizes of these treated as zero; ``zero`` is such a pressure."""
+        size = float(self.sides[1].reference.size.max())
+        force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * size)
+        return np.sqrt(stiffness) * np.where(self.state.active, force, EXACT * size)
+
+    def watched(self, stiffness: float) -> Sparse:
+        """Rows of them in terms of the unknowns of the equations."""
+        on, root = np.flatnonzero(self.state.active), np.sqrt(stiffness)
+        use = (self.valid & ~self.state.active)[self.C.i] & (self.unknowns[0] != -2)[self.C.j]
+        i, j, values = self.C.i[use], self.C.j[use], self.C.values[use]
+        gaps = Sparse(i, j, root * values / self.m[i])
+        return joined(gaps, Sparse(on, self._num_dofs + on, np.full(len(on), root)))
+
+    def scale_of(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """Pressures over the matrix's units of them."""
+        return np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+
+    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """What a compliance adds to a gap by a new multiplier."""
+        return (
+            np.divide(
+                stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
+            )
+            * ~self.state.active
+        )
+
+    def start_set(self):
+        """Working set: those with a pressure, and those that are closed or overlap."""
+        now = self.state
+        now.active = self.valid & (now.active | (self.distance <= self.closed))
+        now.p = np.where(now.active, now.p, 0)
 
     # Geometry
 
@@ -597,8 +634,9 @@ class ContactRows:
         return self.forces(self.state.p * self.state.active)
 
     def is_closed(self) -> bool:
-        """True if active gaps are closed."""
-        return self._largest_gap() <= self.closed
+        """True if active gaps are closed, and no others overlap."""
+        apart = self.distance[self.valid & ~self.state.active]
+        return self._largest_gap() <= self.closed and bool((apart >= -self.closed).all())
 
     def _largest_gap(self) -> float:
         return float(np.abs(self.distance[self.state.active]).max(initial=0))

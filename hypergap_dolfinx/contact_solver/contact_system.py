@@ -39,15 +39,23 @@ from hypergap_dolfinx.contact_solver.friction_rows import (
     FrictionState,
     hold_by_sticking,
 )
+from hypergap_dolfinx.contact_solver.exact_step import LinearisedContact
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AHEAD,
+    ENOUGH,
+    PATIENCE,
+    PROGRESS,
+    RAYS,
+    TRIALS,
     EXCEEDS,
     RELAXED,
     REUSED,
     ROUND_OFF_FORCES,
+    SHIFT,
+    SHIFTS,
     SHORTENED,
     STEPS,
     UNPRESSED,
@@ -58,6 +66,11 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements
+
+
+import os
+
+DEBUG = bool(os.environ.get("DEBUGC"))
 
 
 class ContactSystem(NonlinearSystem):
@@ -132,6 +145,7 @@ class ContactSystem(NonlinearSystem):
         if self._free is None:
             self.assemble_matrix()
             self._scales_fixed = True
+            self._tangent.remember_stiffness()
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
             self._num_free = self._free.num
             self._strays = RigidBodyDiagnostics(self._system.spaces, self._free, self._names)
@@ -173,6 +187,186 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
+        return self._alternate() if self._frictional else self._iterate()
+
+    def _iterate(self) -> int:
+        """Newton's iteration without friction: each step solves its linearised contact problem."""
+        self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
+        for step in range(STEPS + 1):
+            for rows in self._rows:
+                rows.update_geometry()
+            self._evaluate(self._x, self._b)
+            jump = self._jump()
+            if step == 0:
+                self._assemble_what_moved()
+            for rows in self._rows:
+                rows.start_set()
+            if self._balances() and step:
+                return step
+            if step == STEPS:
+                break
+            if self._num_free:
+                self._hold()
+            if step:
+                try:
+                    self.assemble_matrix()
+                except ValueError as error:  # points of the residual needn't see cells inverted
+                    raise SolveError(f"Newton's iteration diverged: {error}") from error
+            self._iterations += 1
+            if step == 0 and self._slides(jump):
+                self._carry()
+                continue
+            natural = self._natural()
+            since = since + 1 if natural > PROGRESS * best else 0
+            best = min(best, natural)
+            if DEBUG:
+                print(f"  residual {natural:.3e} since {since}")
+            way = self._step_exactly()
+            self._search(way, always=since >= PATIENCE and step > 0)
+        raise SolveError(f"Newton's iteration did not end in {step} steps.")
+
+    def _natural(self) -> float:
+        """Size of what is left of forces, gaps and pulls, as forces. Collective."""
+        c = self._stiffness()
+        left = [
+            np.minimum(rows.state.p * rows.m / c, rows.distance)[rows.valid] for rows in self._rows
+        ]
+        return float(np.hypot(self._unbalanced, c * np.linalg.norm(np.concatenate(left))))
+
+    def _search(self, way, *, always: bool):
+        """Shorten a step until its end is one of numbers, and of less penalty. Collective."""
+        start, end = way
+        owned = self._owned()
+        ends = self._x.getNestSubVecs()[: len(owned)]
+        if not always:
+            share = 1.0
+            for _ in range(TRIALS):
+                self._evaluate(self._x, self._b)
+                if np.isfinite(
+                    self._comm.allreduce(
+                        sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
+                    )
+                ):
+                    return
+                share /= 4
+                start.towards(end, share)
+                self._restore(start.towards(end, share))
+                self._set_sets(end)
+            raise SolveError("Newton's iteration diverged: the residual is no number.")
+        moves = [b - a for a, b in zip(start.values[: len(owned)], end.values)]
+        held = self._held
+        moves = [np.where(h, 0, m) for h, m in zip(held, moves)]
+        price = 2 * max(max(np.abs(s.p).max(initial=0) for s in state.contacts) for state in way)
+
+        def at(share):
+            self._restore(start.towards(end, share))
+            for rows in self._rows:
+                rows.update_geometry()
+            self._evaluate(self._x, self._b)
+            parts = self._b.getNestSubVecs()
+            slope = self._comm.allreduce(
+                sum(float(np.dot(m, b.array_r)) for m, b in zip(moves, parts))
+            )
+            overlap = sum(
+                float(np.maximum(-rows.clearance, 0)[rows.valid].sum()) for rows in self._rows
+            )
+            return slope, price * overlap
+
+        first, before = at(0.0)
+        share, (last, overlap) = 1.0, at(1.0)
+        for _ in range(TRIALS):
+            middle, between = at(share / 2)
+            change = share / 6 * (first + 4 * middle + last) + overlap - before
+            if DEBUG:
+                print("    search", share, change, first, before)
+            if change <= ENOUGH * share * min(first - before, 0):
+                break
+            share, last, overlap = share / 2, middle, between
+        self._restore(start.towards(end, share))
+        self._set_sets(end)
+
+    def _set_sets(self, end):
+        for rows, state in zip(self._rows, end.contacts, strict=True):
+            rows.state.active = state.active.copy()
+            rows.state.p = state.p.copy()
+
+    def _step_exactly(self):
+        """Solve the linearised contact problem, and take its solution. Collective."""
+        stiffness, right = self._stiffness(), self._right()
+        moves = self._jump()
+        increments = (
+            moves if self._comm.allreduce(any(part.any() for part in moves), MPI.LOR) else None
+        )
+        equations = [rows.equations(stiffness, increments, exact=True) for rows in self._rows]
+        problem = LinearisedContact(
+            self._tangent, self._rows, equations, stiffness, self._zero_pressure()
+        )
+        ties = self._x.getNestSubVecs()[len(self._x.getNestSubVecs()) - self._num_ties :]
+        expected = sum(part.getSize() for part in ties) + sum(
+            int(rows.state.active.sum()) for rows in self._rows
+        )
+        shift, near = (0.0, 0.0), 0.0
+        for _ in range(SHIFTS + 1):
+            found = problem.solve(right, shift)
+            negative = self._tangent.negative
+            if DEBUG and (found.num or negative not in (None, expected) or not found.is_solved):
+                print(
+                    f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active {[int(a.sum()) for a in found.active]}"
+                )
+            convex = negative is None or negative <= expected
+            if found.is_solved:
+                if convex:
+                    break
+                free = [
+                    np.where(held, 0, dx)
+                    for held, dx in zip(self._held, found.changes, strict=False)
+                ]
+                if self._tangent.work(free) > 0:
+                    break
+            if convex and self._num_free:
+                near = 4 * near or self._nearness()
+            else:
+                shift = (4 * shift[0] or SHIFT, 0.0)
+            shift = (shift[0], near)
+        self._rays = self._rays + 1 if near else 0
+        if not found.is_solved or self._rays == RAYS:
+            self._tell_pull(found)
+        start = self._state()
+        for rows, linear, values, active in zip(
+            self._rows, equations, found.unknowns, found.active, strict=True
+        ):
+            rows.state.active = active
+            rows.state.p = values * rows.scale_of(stiffness)
+        for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
+            x.array[:] -= dx
+        self._assign(self._x)
+        return start, self._state()
+
+    def _tell_pull(self, found):
+        """Raise that a body that only contact holds leaves."""
+        if not self._num_free:
+            raise SolveError("the linearised contact problem has no solution.")
+        pulls = [
+            rows.typical_area * values.min(initial=0)
+            for rows, values in zip(self._rows, found.base, strict=True)
+        ]
+        rows = self._rows[int(np.argmin(pulls))]
+        k = int(found.base[int(np.argmin(pulls))].argmin())
+        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
+        raise SolveError(
+            f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
+            "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
+        )
+
+    def _nearness(self) -> float:
+        """Share of the bodies' diagonal with which free motions go a facet's size. Collective."""
+        modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
+        largest = self._comm.allreduce(max(float(np.abs(m).max(initial=0)) for m in modes), MPI.MAX)
+        size = min(float(rows.sides[1].reference.size.max()) for rows in self._rows)
+        return largest * float(np.abs(self._load(modes)).max()) / (self._stiffness() * size)
+
+    def _alternate(self) -> int:
+        """Newton's iteration with friction: sets are guessed by signs."""
         before: list[npt.NDArray] = []
         earlier: list[npt.NDArray] = []
         polished, returned, self._largest, way = False, 0, 0.0, None
@@ -185,7 +379,7 @@ class ContactSystem(NonlinearSystem):
             if step == 0:
                 self._assemble_what_moved()
             last = [rows.state.copy() for rows in self._rows]
-            held = self._choose(before, ahead=step < AHEAD)
+            held = self._choose(before)
             as_before, as_earlier = [
                 bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
             ]
@@ -282,23 +476,20 @@ class ContactSystem(NonlinearSystem):
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
 
-    def _choose(
-        self, before: Sequence[npt.NDArray[np.bool_]], *, ahead: bool
-    ) -> list[npt.NDArray[np.bool_]]:
+    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
         """Choose the active sets, enlarged where they alone hold bodies. Collective.
 
         Args:
             before: The last sets; empty in the first step.
-            ahead: As for :meth:`ContactRows.choose_active`.
         """
         stiffness, zero = self._stiffness(), self._zero_pressure()
         for c, rows in enumerate(self._rows):
-            rows.choose_active(stiffness, zero, before[c] if before else None, ahead=ahead)
+            rows.choose_active(stiffness, zero, before[c] if before else None)
         if self._num_free:
-            self._hold(first=not before and not any(rows.state.p.any() for rows in self._rows))
+            self._hold()
         return [rows.sets for rows in self._rows]
 
-    def _hold(self, *, first: bool):
+    def _hold(self):
         """Enlarge active sets until they hold; ``first`` if no pressure acts yet. Collective."""
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
@@ -306,16 +497,14 @@ class ContactSystem(NonlinearSystem):
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
         every = np.concatenate([rows.state.active for rows in self._rows])
-        distance, area, valid = (
+        distance, valid = (
             np.concatenate([getattr(rows, name) for rows in self._rows])
-            for name in ("distance", "m", "valid")
+            for name in ("distance", "valid")
         )
         frictional = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
         sticking = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
         across = np.vstack([part.reshape(-1, self._num_free) for part in (holds[:0], *sticking)])
-        active, num_free = active_set.seeded(
-            every, distance, area, valid, holds, self._load(modes), across, first=first
-        )
+        active, num_free = active_set.holding(every, distance, valid, holds, across)
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(active, ends), strict=True):
             rows.activate(part)

@@ -163,14 +163,12 @@ class FrictionRows(ContactRows):
 
     # Sets
 
-    def choose_active(
-        self, stiffness: float, zero: float, last: npt.NDArray | None, *, ahead: bool
-    ):
+    def choose_active(self, stiffness: float, zero: float, last: npt.NDArray | None):
         """Choose the active set, and which of it sticks.
 
         In the first step active multipliers go on as they were, and new ones stick.
         """
-        super().choose_active(stiffness, zero, last, ahead=ahead)
+        super().choose_active(stiffness, zero, last)
         now = self.state
         c = stiffness / self.typical_area
         stuck = self.stuck

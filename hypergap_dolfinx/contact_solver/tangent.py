@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
@@ -28,6 +29,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
+from hypergap_dolfinx.surface.moving import Sparse
 
 ROOM = {"mat_mumps_icntl_14": 30}
 """LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
@@ -111,11 +113,15 @@ class _Retained:
     entries: compat.Triplets
     units: npt.NDArray[np.float64] | None
     """Units of this rank's rows, if they differ."""
+    numbers: list[npt.NDArray[np.int64]]
+    """This rank's number of each contact's unknowns, -1 for other ranks' and prescribed ones."""
     load_step: int
     """Load step in which it was made."""
     vectors: tuple[PETSc.Vec, PETSc.Vec]
     """Solution and right-hand side."""
     ksp: PETSc.KSP | None = None
+    old: bool = False
+    """True if the last solve used factors of a similar matrix."""
     _values: list[npt.NDArray] | None = None
     _factorised: list[npt.NDArray] | None = None
     _iterating: PETSc.KSP | None = None
@@ -224,8 +230,27 @@ class Tangent:
         """Start a load step: entries of the last one need no room any more."""
         self._load_step += 1
 
+    def remember_stiffness(self):
+        """Remember the present stiffness of the bodies, which is that without stress."""
+        self._elastic, self._diagonals = [], []
+        for i, j, block in self._blocks():
+            indptr, columns, values = block.getValuesCSR()
+            own = values * (i == j < self._num_bodies)
+            start, end = block.getOwnershipRange()
+            self._elastic.append(own)
+            self._diagonals.append(
+                own * (columns == np.repeat(np.arange(start, end), np.diff(indptr)))
+            )
+
     def solve(
-        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
+        self,
+        right: Sequence[npt.NDArray],
+        equations: Sequence[Linear],
+        viscous: float = 0.0,
+        *,
+        shift: tuple[float, float] = (0.0, 0.0),
+        beside: npt.NDArray | None = None,
+        anew: bool = False,
     ) -> tuple[list[npt.NDArray], list[npt.NDArray[np.float64]]]:
         """Solve with the present values of the nested matrix.
 
@@ -233,6 +258,9 @@ class Tangent:
             right: This rank's right-hand side of bodies and ties.
             equations: Equations of each contact.
             viscous: Share of the bodies' stiffness that is added.
+            shift: Share of their stiffness without stress that is added, and of its diagonal.
+            beside: What is subtracted from the right-hand side, in this rank's unknowns.
+            anew: True for factors of this very matrix.
 
         Returns:
             This rank's displacements of each body and multipliers of ties, and the unknowns of each
@@ -241,14 +269,14 @@ class Tangent:
         Raises:
             SolveError: The solver failed.
         """
-        base = self._base(viscous)
+        base = self._base(viscous, shift)
         values = self._values(equations, len(base))
         fresh = values is None
         if values is None:
             values = self._renew(equations)
         for number, way in enumerate(self._ways):
             try:
-                solution = self._solve(right, equations, [base, *values], way)
+                solution = self._solve(right, equations, [base, *values], way, beside, anew=anew)
             except SolveError:
                 if not fresh or number == len(self._ways) - 1:
                     self.destroy()
@@ -260,17 +288,20 @@ class Tangent:
             else:
                 self._ways = self._ways[number:]
                 return solution
-        return self.solve(right, equations, viscous)
+        return self.solve(right, equations, viscous, shift=shift, beside=beside, anew=anew)
 
-    def _base(self, viscous: float) -> npt.NDArray:
+    def _base(self, viscous: float, shift: tuple[float, float]) -> npt.NDArray:
         """This rank's entries of the nested matrix, the same array while they are the same."""
         blocks = list(self._blocks())
-        state = [viscous, *(block.stateGet() for *_, block in blocks)]
+        state = [viscous, *shift, *(block.stateGet() for *_, block in blocks)]
         if self._last_base is None or self._last_base[0] != state:
             values = [block.getValuesCSR()[2] for *_, block in blocks]
             if viscous:
                 for (i, j, _), part in zip(blocks, values, strict=True):
                     part *= 1 + viscous * (i == j < self._num_bodies)
+            if any(shift):
+                for part, *added in zip(values, self._elastic, self._diagonals, strict=True):
+                    part += shift[0] * added[0] + shift[1] * added[1]
             self._last_base = state, np.concatenate(values)
         return self._last_base[1]
 
@@ -289,19 +320,23 @@ class Tangent:
                 found.append(np.empty(0) if values is None else values[mine])
         return found if self._nest.comm.tompi4py().allreduce(fits, MPI.LAND) else None
 
-    def _solve(self, right, equations, values, way: Way):
+    def _solve(self, right, equations, values, way: Way, beside, *, anew: bool):
         """Solve in one way, with values for all places."""
         retained = self._retained
         assert retained is not None
         ksp = retained.ksp = retained.ksp or self._created(retained.A, way)
-        near = way.keeps and retained.units is None and retained.has_factors_near(values)
+        near = way.keeps and retained.units is None and not anew
+        near = near and retained.has_factors_near(values)
         retained.fill(values)
         x, b = retained.vectors
         pairs = list(zip(equations, self._mine, strict=True))
         own = [linear.right[mine] for linear, mine in pairs]
         b.array[:] = np.concatenate([*right, *own])
+        if beside is not None:
+            b.array[:] -= beside
         start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
-        if not (near and retained.iterate(np.concatenate(start))):
+        retained.old = near and retained.iterate(np.concatenate(start))
+        if not retained.old:
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
             message = saddle.failure(ksp, units=retained.units, bound=way.residual)
@@ -316,6 +351,97 @@ class Tangent:
         return found[: len(right)], [
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
         ]
+
+    @property
+    def has_old_factors(self) -> bool:
+        """True if the last solve used factors of a similar matrix."""
+        return self._retained is not None and self._retained.old
+
+    @property
+    def negative(self) -> int | None:
+        """Number of negative pivots of the last factors; None if unknown."""
+        assert self._retained is not None and self._retained.ksp is not None
+        pc = self._retained.ksp.getPC()
+        if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+            return None
+        return pc.getFactorMatrix().getMumpsInfog(12)
+
+    def work(self, changes: Sequence[npt.NDArray]) -> float:
+        """Work of the last matrix, without multipliers, on changes of the bodies. Collective.
+
+        Args:
+            changes: This rank's displacements of each body, 0 where they are prescribed.
+        """
+        retained = self._retained
+        assert retained is not None
+        x, b = (v.duplicate() for v in retained.vectors)
+        x.set(0.0)
+        values = np.concatenate(changes)
+        x.array[: len(values)] = values
+        retained.A.mult(x, b)
+        found = x.dot(b)
+        for vector in (x, b):
+            vector.destroy()
+        return found.real
+
+    def watch(self, entries: Sequence[Sparse]) -> sparse.csr_array:
+        """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.
+
+        Args:
+            entries: Rows of each contact, columns are its unknowns.
+        """
+        retained = self._retained
+        assert retained is not None
+        rows, columns, values, before = [], [], [], 0
+        for numbers, part, own in zip(retained.numbers, entries, self._rows, strict=True):
+            column = numbers[part.j]
+            use = column >= 0
+            rows.append(before + part.i[use])
+            columns.append(column[use])
+            values.append(part.values[use])
+            before += len(own.g)
+        i, j, v = (np.concatenate(part) for part in (rows, columns, values))
+        return sparse.csr_array((v, (i, j)), shape=(before, retained.vectors[0].getLocalSize()))
+
+    def responses(self, loads: sparse.csr_array) -> npt.NDArray:
+        """Solutions for several right-hand sides, with the last factors. Collective.
+
+        Args:
+            loads: This rank's part of them, ``(num, num_local)``.
+
+        Returns:
+            This rank's part, ``(num_local, num)``.
+
+        Raises:
+            SolveError: The solver failed.
+        """
+        retained = self._retained
+        assert retained is not None and retained.ksp is not None
+        ksp, (x, b) = retained.ksp, retained.vectors
+        pc, num = ksp.getPC(), loads.shape[0]
+        found = np.empty((loads.shape[1], num))
+        if pc.getType() not in ("lu", "cholesky"):
+            for k in range(num):
+                b.array[:] = loads[[k]].toarray()[0]
+                with self._ways[0].options.in_use():
+                    ksp.solve(b, x)
+                message = saddle.failure(ksp, units=retained.units)
+                if message:
+                    raise SolveError(message)
+                found[:, k] = x.array_r
+            return found
+        sizes = (b.getSizes(), (PETSc.DECIDE, num))
+        B = PETSc.Mat().createDense(sizes, comm=b.comm)
+        X = PETSc.Mat().createDense(sizes, comm=b.comm)
+        B.getDenseArray()[:] = loads.toarray().T
+        for matrix in (B, X):
+            matrix.assemble()
+        with self._ways[0].options.in_use():
+            pc.getFactorMatrix().matSolve(B, X)
+        found[:] = X.getDenseArray().real
+        for matrix in (B, X):
+            matrix.destroy()
+        return found
 
     def _renew(self, equations: Sequence[Linear]) -> list[npt.NDArray[np.float64]]:
         """Make a matrix with room for equations; their values."""
@@ -338,7 +464,7 @@ class Tangent:
         ranges = [nest.getNestSubMatrix(i, i).getOwnershipRanges() for i in range(num)]
         numbering = StackedNumbering([*ranges, *(rows.ranges for rows in self._rows)])
         first, end = numbering.of_rank(comm.rank)
-        i, j, mine = [], [], []
+        i, j, mine, numbers = [], [], [], []
         for k, of, block in self._blocks():
             indptr, columns, _ = block.getValuesCSR()
             rows_of = np.arange(*block.getOwnershipRange())
@@ -352,6 +478,7 @@ class Tangent:
                 among[part == body] = numbering.of(
                     num + c if body == -1 else body, number[part == body]
                 )
+            numbers.append(np.where((first <= among) & (among < end), among - first, -1))
             row, column = (among[at] for at in pattern.places)
             mine.append(np.flatnonzero((first <= row) & (row < end)))
             i.append(row[mine[-1]])
@@ -367,7 +494,7 @@ class Tangent:
             of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
             units[: len(of_nest)] = of_nest
         return _Retained(
-            patterns, mine, num_base, A, entries, units, self._load_step, A.createVecs()
+            patterns, mine, num_base, A, entries, units, numbers, self._load_step, A.createVecs()
         )
 
     def _created(self, A: PETSc.Mat, way: Way) -> PETSc.KSP:

@@ -142,3 +142,40 @@ REUSED = 1e-4
 facet sizes, below which a load step's first step reuses a body's stiffness.
 Measured: ironing, Hertz: matrices that change by 1e-10 to 3e-5 take 2 to 4 iterations, 1e-4 to 6e-4
 5 or 6, 2e-3 to 1e-2 7 to 13; as many Newton steps with displacements of 0 to 1e-4."""
+
+BLOCKS = 10
+"""Rounds of block pivoting without fewer wrong signs, after which they are exchanged one by one;
+rounds a row after which it is given up.
+Measured: later"""
+
+PIVOT = 1e-10
+"""Pivot treated as zero, in a matrix of numbers around 1.
+Measured: later"""
+
+SHIFT = 0.05
+"""First share of the elastic stiffness that is added where a tangent has too many negative pivots.
+Measured: later"""
+
+SHIFTS = 6
+"""Times that this share is increased.
+Measured: later"""
+
+PATIENCE = 4
+"""Newton steps without a smaller residual after which steps are searched along.
+Measured: later"""
+
+RAYS = 3
+"""Newton steps in a row with a linearised problem that has no solution after which a body leaves.
+Measured: later"""
+
+ENOUGH = 1e-4
+"""Part of the expected decrease of the penalty that is enough for a step.
+Measured: later"""
+
+TRIALS = 6
+"""Times that a step is halved.
+Measured: later"""
+
+PROGRESS = 0.9
+"""Residual, over the smallest so far, that is progress.
+Measured: later"""

@@ -1,0 +1,98 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Small dense linear complementarity problems: z ≥ 0, w = b + Mz ≥ 0, zᵀw = 0."""
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.contact_solver.tolerances import BLOCKS, PIVOT
+
+Array = npt.NDArray[np.float64]
+
+
+def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+    """Solve the problem, by block pivoting or, where that meets a singular matrix, by Lemke's.
+
+    Args:
+        M: ``(num, num)``, of numbers around 1; z is unique if each principal minor is positive (a P-matrix). If M is at
+            least positive semi-definite there is a solution unless w ≥ 0 for no z ≥ 0.
+        b: ``(num,)``.
+        zero: Sizes treated as zero, of z and w alike, ``(num,)``.
+
+    Returns:
+        z, and the mask where w = 0; None if there is no solution (a ray).
+    """
+    size = np.sqrt(np.maximum(np.diag(M), 1))
+    scaled = M / size / size[:, None], b / size, zero / size
+    found = _by_blocks(*scaled) or _by_lemke(*scaled)
+    return found and (found[0] / size, found[1])
+
+
+def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+    """Block pivoting with the safeguard of Júdice and Pires (1994); None where that fails.
+
+    All that is wrong is exchanged at once; where that hasn't made less of it for some rounds, only
+    the last one, until there is less (Murty's rule, finite for a P-matrix).
+    """
+    num = len(b)
+    on, fewest, left = b < -zero, num + 1, BLOCKS
+    for _ in range(BLOCKS * (num + 1)):
+        z, part = np.zeros(num), M[np.ix_(on, on)]
+        try:
+            z[on], probe = np.linalg.solve(
+                part, np.stack((-b[on], np.cos(np.arange(on.sum()))), 1)
+            ).T
+        except np.linalg.LinAlgError:
+            return None
+        if np.abs(probe).max(initial=0) * PIVOT > 1:
+            return None
+        w = np.where(on, 0, b + M @ z)
+        wrong = np.where(on, z, w) < -zero
+        count = int(wrong.sum())
+        if not np.isfinite(z).all():
+            return None
+        if not count:
+            return np.maximum(z, 0), on
+        if count < fewest:
+            fewest, left = count, BLOCKS
+        elif left:
+            left -= 1
+        else:
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        on ^= wrong
+    return None
+
+
+def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+    """Lemke's method; None on a ray. It needs no regular matrices, but a pivot for each change."""
+    num = len(b)
+    if (b >= -zero).all():
+        return np.zeros(num), b <= zero
+    # Columns: w, z, the artificial variable, right-hand side
+    table = np.hstack((np.eye(num), -M, -np.ones((num, 1)), b[:, None]))
+    basis, enters, extra = np.arange(num), 2 * num, 2 * num
+    row = int(b.argmin())
+    for _ in range(BLOCKS * (num + 1) ** 2):
+        table[row] /= table[row, enters]
+        factors = table[:, enters].copy()
+        factors[row] = 0
+        table -= factors[:, None] * table[row]
+        leaves, basis[row] = int(basis[row]), enters
+        if leaves == extra:
+            z = np.zeros(2 * num + 1)
+            z[basis] = table[:, -1]
+            return np.maximum(z[num : 2 * num], 0), ~np.isin(np.arange(num), basis)
+        enters = leaves + num if leaves < num else leaves - num
+        column = table[:, enters]
+        can = column > PIVOT * max(np.abs(column).max(), 1)
+        if not can.any():
+            return None
+        ratio = np.where(can, np.maximum(table[:, -1], 0) / np.where(can, column, 1), np.inf)
+        ties = np.flatnonzero(ratio <= ratio.min() + zero.min())
+        # What is artificial leaves first; else the lexicographically smallest row, against cycles
+        if (basis[ties] == extra).any():
+            row = int(ties[basis[ties] == extra][0])
+        else:
+            rows = table[ties, :num] / column[ties, None]
+            row = int(ties[np.lexsort(rows.T[::-1])[0]])
+    return None
