@@ -24,6 +24,7 @@
 #   of it, so that it needs no contact to stay where it is;
 # - materials are convex in strain (linear) or polyconvex (compressible neo-Hookean, with
 #   (J² − 1)/2 − ln J), and no cell is turned over at the start;
+# - in the plane no sharp corner starts on a sharp corner, where bodies can give way to either side;
 # - what is prescribed squeezes the bodies, taken as rigid, by no more than 30 % of the smaller one's
 #   height (of a beam or an arch: of the geometric mean of thickness and length), and brings no part
 #   that is held onto another body.
@@ -63,7 +64,8 @@ from meshes import bodies
 LIMIT = 200  # Newton steps in a load step
 OVERLAP = 0.1  # of a facet, off sharp corners
 APART = 0.1  # of a facet, from the other body to the facets around a vertex with a pressure
-SHARP = 40.0  # degrees by which the boundary turns at a sharp corner
+AT_CORNER = 1.0  # the same at sharp corners, which means of gaps don't see
+SHARP = 30.0  # degrees by which a boundary turns at a sharp corner
 BALANCE = 1e-6  # of forces in the bodies
 UNLOADED = 1e-6  # force over the stiffest modulus and its area: bodies with less have round-off
 # -
@@ -173,28 +175,27 @@ class Boundary:
         x = mesh.geometry.x[compat.geometry_dofmap(mesh)[cell], :dim]
         self.X = np.einsum("fpn,fni->fpi", of_mesh, x)
         self.dofs, self._tabulated = V.dofmap.list[cell], of_V
-        self._inside = x[:, : len(corners)].mean(axis=1)
         vertices = np.array([mesh.topology.connectivity(dim, 0).links(c) for c in cell])
         self.vertices = np.take_along_axis(vertices, np.array(facets)[local], axis=1)
         at = np.array([self.borders[k][0] for k in range(len(self.borders))])
         self.corner_points = at if dim == 3 else np.array([0, len(barycentric) - 1])
         ends = x[np.arange(len(x))[:, None], np.array(facets)[local]]
         self.size = np.linalg.norm(ends[:, :, None] - ends[:, None], axis=3).max(axis=(1, 2))
-        self.normals = self._normals()
+        self._out = np.ones(len(cell), dtype=bool)
+        outwards = self.X.mean(axis=1) - x[:, : len(corners)].mean(axis=1)
+        self._out = (outwards * self.normals_at(self.X)).sum(axis=1) > 0
+        self.normals = self.normals_at(self.X)
         self.sharp = self._sharp()
 
-    def _normals(self):
-        """Unit outward normals in the facets' middles; puts the pieces in order by them."""
-        x = self.X[:, self._pieces]  # (facet, piece, corner, dim)
+    def normals_at(self, x):
+        """Unit outward normals of facets with samples x, means over each."""
+        x = x[:, self._pieces]  # (facet, piece, corner, dim)
         if x.shape[3] == 2:
             d = (x[:, :, 1] - x[:, :, 0]).mean(axis=1)
             n = np.column_stack((d[:, 1], -d[:, 0]))
         else:
             n = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]).mean(axis=1)
-        out = ((self.X.mean(axis=1) - self._inside) * n).sum(axis=1) > 0
-        self._order = np.where(out[:, None], self._pieces.shape[1] - 1, 0)
-        self._out = out
-        n[~out] *= -1
+        n[~self._out] *= -1
         return n / np.linalg.norm(n, axis=1, keepdims=True)
 
     def _sharp(self):
@@ -550,7 +551,17 @@ class Scene:
             part.move(np.eye(dim), shift)
             part.hold(-up if on_top else up, rng.uniform(0.25, 0.4))
             part.start_gap = gap
+            if dim == 2 and any(self._corner_on_corner(part, other, gap) for other in below):
+                return False
         return True
+
+    def _corner_on_corner(self, a, b, gap):
+        """Whether sharp corners of two bodies are less than a facet apart but for the gap."""
+        x, y = (p.boundary.X[p.boundary.sharp] for p in (a, b))
+        if not len(x) or not len(y):
+            return False
+        reach = gap + max(np.median(a.boundary.size), np.median(b.boundary.size))
+        return bool(np.linalg.norm(x[:, None] - y, axis=2).min() < reach)
 
     def _load(self, rng, dim):
         """Say what is prescribed; False if that asks for too much."""
@@ -658,6 +669,7 @@ class Scene:
             del give
         self.bcs = [bc for part in self.parts for bc in part.form(self.linear)]
         pairs = [(0, 1), (0, 2), (1, 2)] if len(self.parts) == 3 else [(0, 1)]
+        pairs = [pair for pair in pairs if self._may_meet(*pair)]
         self.pairs, self.contacts = pairs, []
         self.of_pair = []
         for pair in pairs:
@@ -677,6 +689,16 @@ class Scene:
             self.contacts.append(
                 (sides, {"stiffness": moduli, "sliding": self.sliding, "friction": self.friction})
             )
+
+    def _may_meet(self, i, j):
+        """Whether bodies can come near each other: their boxes do, with room for the motion."""
+        a, b = self.parts[i], self.parts[j]
+        room = np.linalg.norm(a.motion) + np.linalg.norm(a.along) + np.linalg.norm(b.motion)
+        room += np.linalg.norm(b.along) + 0.1 * min(a.height, b.height)
+        (low, high), (low1, high1) = (
+            (p.boundary.X.min(axis=(0, 1)), p.boundary.X.max(axis=(0, 1))) for p in (a, b)
+        )
+        return bool((low - room < high1).all() and (low1 - room < high).all())
 
     @property
     def about(self):
@@ -712,33 +734,37 @@ class Scene:
 def overlaps(scene, x):
     """Largest overlaps over the size of facets: off sharp corners, and at them.
 
-    Between facets that are given to a contact.
+    Between facets that are given to a contact. The size is that of the larger facet of both bodies;
+    a corner is sharp if either outline turns by more than ``SHARP`` within that distance.
     """
     worst = [0.0, 0.0]
+    normals = [part.boundary.normals_at(y) for part, y in zip(scene.parts, x, strict=True)]
     for pair, masks in zip(scene.pairs, scene.of_pair, strict=True):
-        for (i, mine), (j, others) in (
-            ((pair[0], masks[0]), (pair[1], masks[1])),
-            ((pair[1], masks[1]), (pair[0], masks[0])),
-        ):
+        for one in (0, 1):
+            i, j = pair[one], pair[1 - one]
             a, b = scene.parts[i].boundary, scene.parts[j].boundary
             pieces = b.pieces(x[j])
-            facet = np.repeat(np.flatnonzero(mine), x[i].shape[1])
-            points = x[i][mine].reshape(-1, scene.dim)
+            facet = np.repeat(np.flatnonzero(masks[one]), x[i].shape[1])
+            points = x[i][masks[one]].reshape(-1, scene.dim)
             within = pieces.contains(points)
-            if not within.any():
-                continue
             points, facet = points[within], facet[within]
             depth, opposite = pieces.nearest(points)
-            real = others[opposite]
             size = np.maximum(a.size[facet], b.size[opposite])
-            corners = np.vstack([x[i][a.sharp], x[j][b.sharp]])
-            near = np.zeros(len(points), dtype=bool)
-            if len(corners):
-                far = np.linalg.norm(points[:, None] - corners, axis=2).min(axis=1)
-                near = far < size
-            for k, which in enumerate((real & ~near, real & near)):
-                worst[k] = max(worst[k], float((depth / size)[which].max(initial=0)))
+            for p, d, h, f, g in zip(points, depth, size, facet, opposite, strict=True):
+                if masks[1 - one][g] and d / h > min(worst):
+                    turns = any(
+                        _turns(p, h, x[k], normals[k], n)
+                        for k, n in ((i, normals[i][f]), (j, normals[j][g]))
+                    )
+                    worst[turns] = max(worst[turns], float(d / h))
     return worst
+
+
+def _turns(point, reach, x, normals, normal):
+    """Whether a boundary turns by more than ``SHARP`` within reach of a point."""
+    near = (np.linalg.norm(x - point, axis=2) <= reach).any(axis=1)
+    n = np.vstack((normals[near], normal))
+    return bool((n @ n.T).min() < np.cos(np.radians(SHARP)))
 
 
 def where_pressed(scene, problem, x):
@@ -804,9 +830,9 @@ def balance(scene, problem, x):
     scale = max(scale, UNLOADED * stiffest * extent ** (scene.dim - 1))
     if _touches_held(scene, x):
         return float(left / scale), None, None
-    total = np.linalg.norm(sum(f for f, _ in totals)) + np.linalg.norm(
-        sum(m for _, m in totals)
-    ) / extent
+    total = np.linalg.norm(sum(f for f, _ in totals))
+    if scene.sliding == "finite" or not scene.friction:  # else shear acts across the first gap
+        total += np.linalg.norm(sum(m for _, m in totals)) / extent
     for contact, pair in zip(problem.contacts, scene.pairs, strict=True):
         force = contact.force(problem)
         one = next(k for k in (0, 1) if scene.parts[pair[k]].V == contact.spaces[1])
@@ -844,6 +870,8 @@ def wrong(row):
     found = []
     if row["overlap"] > OVERLAP:
         found.append(f"overlap of {row['overlap']:.2f} facets")
+    if row["overlap_at_corners"] > AT_CORNER:
+        found.append(f"overlap of {row['overlap_at_corners']:.2f} facets at a corner")
     if row["apart"] > APART:
         found.append(f"pressure {row['apart']:.2f} facets apart")
     for name in ("left", "balance", "force"):
