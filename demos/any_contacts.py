@@ -508,8 +508,7 @@ class Scene:
             cell = str(rng.choice(shape.cells))
             order = self.degree if shape.curved else int(rng.integers(1, self.degree + 1))
             self.parts.append(Part(shape, size, cell, self.degree, order))
-        stiff = 10 ** rng.uniform(-3, 3, num)
-        stiff[0] = 1
+        stiff = 10 ** (rng.uniform(0, 3, num) if num > 2 else rng.uniform(-3, 3) * np.eye(2)[0])
         for part, E in zip(self.parts, stiff / stiff.min(), strict=True):
             part.modulus, part.poisson = float(E), float(rng.uniform(0, 0.4))
         count = sum(part.mesh.geometry.x.shape[0] for part in self.parts)
