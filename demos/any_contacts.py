@@ -431,10 +431,11 @@ def _heights(points, pieces):
     e, f = pieces[:, 1] - a, pieces[:, 2] - a
     det = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
     rel = points[:, None, :2] - a[:, :2]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         s = (rel[..., 0] * f[:, 1] - rel[..., 1] * f[:, 0]) / det
         t = (e[:, 0] * rel[..., 1] - e[:, 1] * rel[..., 0]) / det
-    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+    s, t = np.where(inside, s, 0), np.where(inside, t, 0)
     return np.where(inside, a[:, 2] + s * e[:, 2] + t * f[:, 2], np.nan)
 
 
@@ -450,7 +451,7 @@ def rotation(rng, dim, angle=None):
     return turn
 
 
-def tilt(rng, dim, front_down, most=0.3):
+def tilt(rng, dim, front_down, most):
     """A rotation by a small angle about a horizontal axis, after one that puts the front down."""
     turn = np.eye(dim)
     angle = rng.uniform(-most, most) + np.pi * front_down
@@ -481,7 +482,7 @@ class Scene:
         self.kind = str(rng.choice(("two", "two", "stack", "side by side")))
         if dim == 3:
             self.kind = str(rng.choice(("two", "two", "two", "stack")))
-        self.degree = int(rng.choice((1, 1, 2)))
+        self.degree = int(rng.choice((1, 1, 2)))  # with the cells of degree 2 twice as large
         self.linear = bool(rng.random() < 0.2)
         self.sliding = "small" if self.linear and rng.random() < 0.6 else "finite"
         self.friction = None if rng.random() < 0.4 else float(rng.uniform(0.02, 0.8))
@@ -522,7 +523,7 @@ class Scene:
         self.apart = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.01, 0.15))
         for k, part in enumerate(self.parts):
             on_top = k > 0 and not (self.kind == "stack" and k == 1)
-            part.move(tilt(rng, dim, on_top), np.zeros(dim))
+            part.move(tilt(rng, dim, on_top, rng.choice((0.0, 0.3))), np.zeros(dim))
             if self.kind == "stack" and k == 1 and part.body.kind in ("beam", "arch"):
                 return False  # on springs it would fold up
             part.hold(-up if on_top else up, rng.uniform(0.25, 0.4))
