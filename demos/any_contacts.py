@@ -21,7 +21,8 @@
 # A scene is well posed, by construction:
 #
 # - each body is held on a good part of its boundary, by displacements or by a bed of springs in all
-#   of it, so that it needs no contact to stay where it is;
+#   of it, so that it needs no contact to stay where it is; springs are stiff enough, and tractions
+#   small enough, not to let it tip over a corner on which it stands;
 # - materials are convex in strain (linear) or polyconvex (compressible neo-Hookean, with
 #   (J² − 1)/2 − ln J), and no cell is turned over at the start;
 # - in the plane no sharp corner starts on a sharp corner, where bodies can give way to either side;
@@ -63,6 +64,7 @@ from meshes import bodies
 
 LIMIT = 200  # Newton steps in a load step
 OVERLAP = 0.1  # of a facet, off sharp corners
+TIPPING = 0.08  # way over height by which a traction moves a body on springs: from 1/6 on it tips
 APART = 0.1  # of a facet, from the other body to the facets around a vertex with a pressure
 AT_CORNER = 1.0  # the same at sharp corners, which means of gaps don't see
 SHARP = 30.0  # degrees by which a boundary turns at a sharp corner
@@ -567,7 +569,7 @@ class Scene:
         """Say what is prescribed; False if that asks for too much."""
         give = min(part.give for part in self.parts)
         self.pressed = float(rng.uniform(0.03, 0.3)) * (0.06 if self.linear else 1)
-        self.slid = float(rng.uniform(0.05, 1.0)) * (0.03 if self.linear else 1)
+        self.slid = float(rng.uniform(0.05, 0.6)) * (0.03 if self.linear else 1)
         self.steps = int(rng.integers(2, 5)), int(rng.integers(0, 5))
         if not self.steps[1]:
             self.slid = 0.0
@@ -586,6 +588,8 @@ class Scene:
             self.parts[1].spring = self._spring(rng, self.parts[1])
         last = self.parts[-1]
         if self.by_traction:
+            if last.body.ends:
+                return False
             last.spring = self._spring(rng, last)
         if not self._within(give):
             return False
@@ -593,15 +597,16 @@ class Scene:
             part.load = part.load_along = np.zeros(dim)
             if part.spring:
                 size = self._measure(part)
+                most = TIPPING * part.height / max(np.linalg.norm(part.motion), 1e-300)
                 part.load, part.load_along = (
-                    part.spring * size * f for f in (1.5 * part.motion, part.along)
+                    part.spring * size * min(1, most) * way for way in (part.motion, part.along)
                 )
         return True
 
     def _spring(self, rng, part):
         """Stiffness of the bed of springs over the volume."""
         soft = min(p.modulus for p in self.parts)
-        return float(soft * np.exp(rng.uniform(np.log(0.05), np.log(0.5))) / part.height**2)
+        return float(soft * np.exp(rng.uniform(np.log(0.5), np.log(3))) / part.height**2)
 
     def _measure(self, part):
         """Volume over the area of the back, where tractions act."""
