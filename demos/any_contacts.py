@@ -6,7 +6,7 @@
 
 # # Any contacts
 #
-# Random bodies, two or three, are pressed on each other and slid: ellipses, rounded boxes, polygons,
+# Two or three random bodies are pressed on each other and slid: ellipses, rounded boxes, polygons,
 # wedges, brackets with inner corners, arches and beams in the plane; ellipsoids, rounded blocks,
 # plates and wavy plates in space. Degrees, cells, sizes of facets (1 : 4 to 4 : 1), stiffness
 # (1 : 1000 to 1000 : 1), friction (none to .8), small and finite sliding, from apart or touching,
@@ -25,8 +25,8 @@
 #   small enough, not to let it tip over a corner on which it stands;
 # - materials are convex in strain (linear) or polyconvex (compressible neo-Hookean, with
 #   (J² − 1)/2 − ln J), and no cell is turned over at the start;
-# - in the plane no sharp corner starts on a sharp corner, where bodies can give way to either side;
-# - what is prescribed squeezes the bodies, taken as rigid, by no more than 30 % of the smaller one's
+# - in the plane no sharp corner starts on a sharp corner, off which bodies can slip to either side;
+# - what is prescribed squeezes bodies, taken as rigid, by no more than 30 % of the smaller one's
 #   height (of a beam or an arch: of the geometric mean of thickness and length), and brings no part
 #   that is held onto another body.
 #
@@ -45,7 +45,6 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
@@ -56,229 +55,19 @@ import basix
 import dolfinx
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.mesh import exterior_facet_indices
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the meshes beside this folder
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, SolveError, compat
 from meshes import bodies
+from meshes.boundary import SHARP, Boundary, chunks
 
 LIMIT = 200  # Newton steps in a load step
 OVERLAP = 0.1  # of a facet, off sharp corners
 TIPPING = 0.08  # way over height by which a traction moves a body on springs: from 1/6 on it tips
 APART = 0.1  # of a facet, from the other body to the facets around a vertex with a pressure
 AT_CORNER = 1.0  # the same at sharp corners, which means of gaps don't see
-SHARP = 30.0  # degrees by which a boundary turns at a sharp corner
 BALANCE = 1e-6  # of forces in the bodies
 UNLOADED = 1e-6  # force over the stiffest modulus and its area: bodies with less have round-off
-# -
-
-# ## A body's boundary, displaced
-#
-# Facets are sampled, and what lies between the samples taken as straight.
-
-
-# +
-@dataclass
-class Pieces:
-    """Edges or triangles of a displaced boundary."""
-
-    x: np.ndarray
-    """Corners, out of the body by their order in space, ``(num, dim, dim)``."""
-    facet: np.ndarray
-    """Facet of each."""
-
-    def contains(self, points):
-        """Mask of points inside."""
-        found = np.zeros(len(points), dtype=bool)
-        low, high = self.x.min(axis=(0, 1)), self.x.max(axis=(0, 1))
-        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        for part in chunks(near, len(self.x)):
-            found[part] = (_crosses if self.x.shape[2] == 2 else _winds)(points[part], self.x)
-        return found
-
-    def nearest(self, points):
-        """Distance to the boundary, and the facet there."""
-        distance, facet = np.full(len(points), np.inf), np.zeros(len(points), dtype=int)
-        for part in chunks(np.arange(len(points)), len(self.x)):
-            d = (_to_edges if self.x.shape[2] == 2 else _to_triangles)(points[part], self.x)
-            at = d.argmin(axis=1)
-            distance[part], facet[part] = d[np.arange(len(at)), at], self.facet[at]
-        return distance, facet
-
-
-def chunks(index, m, most=1_000_000):
-    """Parts of an index, for arrays of m numbers for each."""
-    return np.array_split(index, max(1, len(index) * m // most + 1)) if len(index) else ()
-
-
-def _crosses(p, x):
-    """Whether a ray to the right crosses edges an odd number of times, ``(num_points,)``."""
-    (ax, ay), (bx, by) = x[:, 0].T, x[:, 1].T
-    between = (ay > p[:, 1:]) != (by > p[:, 1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = ax + (p[:, 1:] - ay) / (by - ay) * (bx - ax)
-    return (between & (p[:, :1] < at)).sum(axis=1) % 2 == 1
-
-
-def _winds(p, x):
-    """Whether triangles wind around points: the sum of their solid angles, ``(num_points,)``."""
-    a, b, c = (x[None, :, k] - p[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-    det = np.einsum("pti,pti->pt", a, np.cross(b, c))
-    dots = [np.einsum("pti,pti->pt", *pair) for pair in ((a, b), (b, c), (c, a))]
-    rest = la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb
-    return np.arctan2(det, rest).sum(axis=1) > np.pi
-
-
-def _to_edges(p, x):
-    """Distances of points to edges, ``(num_points, num)``."""
-    d = x[:, 1] - x[:, 0]
-    rel = p[:, None] - x[None, :, 0]
-    t = np.clip((rel * d).sum(axis=2) / np.maximum((d * d).sum(axis=1), 1e-300), 0, 1)
-    return np.linalg.norm(rel - t[:, :, None] * d, axis=2)
-
-
-def _to_triangles(p, x):
-    """Distances of points to triangles, ``(num_points, num)``."""
-    edges = [_to_edges(p, x[:, pair]) for pair in ((0, 1), (1, 2), (2, 0))]
-    n = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
-    rel = p[:, None] - x[None, :, 0]
-    above = np.ones(rel.shape[:2], dtype=bool)
-    for k in range(3):
-        side = np.cross(n, x[:, k - 2] - x[:, k])
-        above &= ((p[:, None] - x[None, :, k]) * side).sum(axis=2) >= 0
-    return np.where(above, np.abs((rel * n).sum(axis=2)), np.min(edges, axis=0))
-
-
-class Boundary:
-    """Exterior facets of a body, sampled, and where its displacement takes them."""
-
-    def __init__(self, V):
-        """Sample them."""
-        mesh, dim = V.mesh, V.mesh.geometry.dim
-        mesh.topology.create_connectivity(dim - 1, dim)
-        mesh.topology.create_connectivity(dim, dim - 1)
-        mesh.topology.create_connectivity(dim, 0)
-        self.facets = exterior_facet_indices(mesh.topology)
-        to_cell, to_facet = (mesh.topology.connectivity(*d) for d in ((dim - 1, dim), (dim, dim - 1)))
-        cell = np.array([to_cell.links(f)[0] for f in self.facets])
-        local = np.array(
-            [np.flatnonzero(to_facet.links(c) == f)[0] for c, f in zip(cell, self.facets)]
-        )
-        kind = mesh.ufl_domain().ufl_coordinate_element().cell_type
-        corners, facets = basix.geometry(kind), basix.topology(kind)[dim - 1]
-        barycentric, self._pieces, self.borders = samples(len(facets[0]), dim)
-        points = np.stack([barycentric @ corners[f] for f in facets])  # (local facet, point, dim)
-        of_mesh, of_V = (
-            np.stack([element.sub_elements[0].tabulate(0, X)[0] for X in points])[local]
-            for element in (mesh.ufl_domain().ufl_coordinate_element(), V.ufl_element())
-        )
-        x = mesh.geometry.x[compat.geometry_dofmap(mesh)[cell], :dim]
-        self.X = np.einsum("fpn,fni->fpi", of_mesh, x)
-        self.dofs, self._tabulated = V.dofmap.list[cell], of_V
-        vertices = np.array([mesh.topology.connectivity(dim, 0).links(c) for c in cell])
-        self.vertices = np.take_along_axis(vertices, np.array(facets)[local], axis=1)
-        at = np.array([self.borders[k][0] for k in range(len(self.borders))])
-        self.corner_points = at if dim == 3 else np.array([0, len(barycentric) - 1])
-        ends = x[np.arange(len(x))[:, None], np.array(facets)[local]]
-        self.size = np.linalg.norm(ends[:, :, None] - ends[:, None], axis=3).max(axis=(1, 2))
-        self._out = np.ones(len(cell), dtype=bool)
-        outwards = self.X.mean(axis=1) - x[:, : len(corners)].mean(axis=1)
-        self._out = (outwards * self.normals_at(self.X)).sum(axis=1) > 0
-        self.normals = self.normals_at(self.X)
-        self.sharp = self._sharp()
-
-    def normals_at(self, x):
-        """Unit outward normals of facets with samples x, means over each."""
-        x = x[:, self._pieces]  # (facet, piece, corner, dim)
-        if x.shape[3] == 2:
-            d = (x[:, :, 1] - x[:, :, 0]).mean(axis=1)
-            n = np.column_stack((d[:, 1], -d[:, 0]))
-        else:
-            n = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]).mean(axis=1)
-        n[~self._out] *= -1
-        return n / np.linalg.norm(n, axis=1, keepdims=True)
-
-    def _sharp(self):
-        """Mask of samples at sharp corners, or on sharp edges, ``(facet, point)``."""
-        num = self._tabulated.shape[1]
-        found = np.zeros((len(self.facets), num), dtype=bool)
-        around = {}
-        for k, border in enumerate(self.borders):
-            ends = self.vertices[:, _ENDS[len(self.vertices[0])][k]]
-            for f, key in enumerate(map(tuple, np.sort(ends, axis=1))):
-                around.setdefault(key, []).append((f, border))
-        for found_at in around.values():
-            if len(found_at) != 2:
-                continue
-            (f, b), (g, c) = found_at
-            n = [self._normal_at(f, b), self._normal_at(g, c)]
-            if np.degrees(np.arccos(np.clip(n[0] @ n[1], -1, 1))) > SHARP:
-                found[f, b] = found[g, c] = True
-        return found
-
-    def _normal_at(self, f, border):
-        """Normal of a facet in the plane at its end, in space in its middle."""
-        if self.X.shape[2] == 3:
-            return self.normals[f]
-        piece = self.X[f][self._pieces[0 if border[0] == 0 else -1]]
-        d = (piece[1] - piece[0]) * (1 if self._out[f] else -1)
-        return np.array((d[1], -d[0])) / np.linalg.norm(d)
-
-    def at(self, u):
-        """Places of the samples, ``(facet, point, dim)``.
-
-        Args:
-            u: Displacements at the dofs, ``(num_dofs, dim)``.
-        """
-        return self.X + np.einsum("fpa,fai->fpi", self._tabulated, u[self.dofs])
-
-    def pieces(self, x, chosen=slice(None)):
-        """Edges or triangles between samples x of chosen facets."""
-        facet = np.arange(len(x))[chosen]
-        found = x[facet][:, self._pieces]
-        turned = ~self._out[facet]
-        found[turned] = found[turned][:, :, ::-1]
-        dim = x.shape[2]
-        return Pieces(found.reshape(-1, dim, dim), np.repeat(facet, len(self._pieces)))
-
-
-_ENDS = {2: ([0], [1]), 3: ([0, 1], [1, 2], [0, 2]), 4: ([0, 1], [1, 3], [2, 3], [0, 2])}
-"""Vertices at the borders of a facet, by the number of its vertices."""
-
-
-def samples(num_vertices, dim, n=4):
-    """Samples of a facet, by weights of its vertices; pieces between them; samples on borders."""
-    if dim == 2:
-        t = np.linspace(0, 1, n + 1)
-        i = np.arange(n)
-        return np.column_stack((1 - t, t)), np.column_stack((i, i + 1)), [[0], [n]]
-    n = 2
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-    if num_vertices == 3:
-        i, j = i[i + j <= n], j[i + j <= n]
-        weights = np.column_stack((n - i - j, i, j)) / n
-        number = {pair: k for k, pair in enumerate(zip(i.tolist(), j.tolist(), strict=True))}
-        steps = ((0, 0), (1, 0), (0, 1)), ((1, 0), (1, 1), (0, 1))
-    else:
-        s, t = i / n, j / n
-        weights = np.column_stack(((1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t))
-        number = {pair: k for k, pair in enumerate(zip(i.tolist(), j.tolist(), strict=True))}
-        steps = ((0, 0), (1, 0), (0, 1)), ((1, 0), (1, 1), (0, 1))
-    pieces = []
-    for a, b in number:
-        for step in steps:
-            corners = [(a + da, b + db) for da, db in step]
-            if all(c in number for c in corners):
-                pieces.append([number[c] for c in corners])
-    borders = [
-        np.flatnonzero(np.isclose(weights[:, list(ends)].sum(axis=1), 1)).tolist()
-        for ends in _ENDS[num_vertices]
-    ]
-    return weights, np.array(pieces), borders
-
-
 # -
 
 # ## A part of a scene
@@ -400,8 +189,8 @@ def turned_over(mesh):
 
 # ## Scenes
 #
-# Bodies are placed with the last coordinate upwards, each let down on those that are there. Then all
-# is turned at random.
+# Bodies are placed with the last coordinate upwards, each let down on those that are there. Then
+# all is turned at random.
 
 
 # +
@@ -471,12 +260,13 @@ class Scene:
     def __init__(self, seed, dim):
         """Draw scenes until one is well posed."""
         rng = np.random.default_rng((seed, dim))
-        for self.draws in range(1, 200):  # noqa: B007
+        for self.draws in range(1, 200):
             if self._draw(rng, dim):
                 break
         else:
             raise RuntimeError(f"no well-posed scene with seed {seed}")
         self.seed, self.dim = seed, dim
+        self.largest = 0.0
         self._turn(rng)
 
     def _draw(self, rng, dim):
@@ -674,6 +464,9 @@ class Scene:
             del give
         self.bcs = [bc for part in self.parts for bc in part.form(self.linear)]
         pairs = [(0, 1), (0, 2), (1, 2)] if len(self.parts) == 3 else [(0, 1)]
+        apart = {"stack": (0, 2), "side by side": (1, 2)}.get(self.kind)
+        if self.sliding == "small":  # Σ stays between what was let down on each other
+            pairs = [pair for pair in pairs if pair != apart]
         pairs = [pair for pair in pairs if self._may_meet(*pair)]
         self.pairs, self.contacts = pairs, []
         self.of_pair = []
@@ -832,7 +625,8 @@ def balance(scene, problem, x):
         forces.append(f.sum(axis=0))
     extent = max(np.abs(part.boundary.X).max() for part in scene.parts)
     stiffest = max(part.modulus for part in scene.parts)
-    scale = max(scale, UNLOADED * stiffest * extent ** (scene.dim - 1))
+    scale = max(scale, UNLOADED * stiffest * extent ** (scene.dim - 1), scene.largest)
+    scene.largest = scale  # its digits are lost when forces fall
     if _touches_held(scene, x):
         return float(left / scale), None, None
     total = np.linalg.norm(sum(f for f, _ in totals))
@@ -1013,9 +807,7 @@ def failed(row):
 def summary(rows):
     """A table."""
     kinds = Counter(kind for row in rows for kind in set(row["scene"].split(" on ")))
-    solved = Counter(
-        kind for row in rows if row["ok"] for kind in set(row["scene"].split(" on "))
-    )
+    solved = Counter(kind for row in rows if row["ok"] for kind in set(row["scene"].split(" on ")))
     print()
     for kind, number in sorted(kinds.items()):
         print(f"with {kind:15} {solved[kind]:4} of {number}")

@@ -237,9 +237,7 @@ def rounded_block(rng, w: float) -> Body:
 
     cells = ("tetrahedron", "hexahedron")
     volume = float(np.prod(a))
-    return Body(
-        "rounded block", volume, float(a.min()), True, cells, place=place, lengths=tuple(a)
-    )
+    return Body("rounded block", volume, float(a.min()), True, cells, place=place, lengths=tuple(a))
 
 
 def plate(rng, w: float, waves: float = 0.0) -> Body:
