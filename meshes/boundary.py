@@ -8,11 +8,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import basix
 from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx import compat
 
+FEW = 12
+"""Pieces that are looked at first for the nearest one."""
 SHARP = 30.0
 """Degrees by which the boundary turns at a sharp corner in the plane."""
 
@@ -35,11 +38,22 @@ class Pieces:
             found[part] = (_crosses if self.x.shape[2] == 2 else _winds)(points[part], self.x)
         return found
 
-    def nearest(self, points):
-        """Distance to the boundary, and the facet there."""
+    def nearest(self, points, most=np.inf):
+        """Distance to the boundary, and the facet there; beyond ``most`` not the least one."""
         distance, facet = np.full(len(points), np.inf), np.zeros(len(points), dtype=int)
-        for part in chunks(np.arange(len(points)), len(self.x)):
-            d = (_to_edges if self.x.shape[2] == 2 else _to_triangles)(points[part], self.x)
+        measure = _to_edges if self.x.shape[2] == 2 else _to_triangles
+        middles = self.x.mean(axis=1)
+        reach = np.linalg.norm(self.x - middles[:, None], axis=2).max()
+        left = np.arange(len(points))
+        if len(self.x) > FEW and len(points):  # most points need those with the nearest middles
+            away, near = cKDTree(middles).query(points, FEW)
+            d = measure(np.repeat(points, FEW, axis=0), self.x[near.ravel()], paired=True)
+            d = d.reshape(near.shape)
+            at = d.argmin(axis=1)[:, None]
+            distance, facet = (np.take_along_axis(a, at, 1)[:, 0] for a in (d, self.facet[near]))
+            left = np.flatnonzero((distance > away[:, -1] - reach) & (away[:, 0] - reach <= most))
+        for part in chunks(left, len(self.x)):
+            d = measure(points[part], self.x)
             at = d.argmin(axis=1)
             distance[part], facet[part] = d[np.arange(len(at)), at], self.facet[at]
         return distance, facet
@@ -69,25 +83,29 @@ def _winds(p, x):
     return np.arctan2(det, rest).sum(axis=1) > np.pi
 
 
-def _to_edges(p, x):
-    """Distances of points to edges, ``(num_points, num)``."""
+def _to_edges(p, x, paired=False):
+    """Distances of points to edges, ``(num_points, num)``; paired: to one each."""
     d = x[:, 1] - x[:, 0]
-    rel = p[:, None] - x[None, :, 0]
-    t = np.clip((rel * d).sum(axis=2) / np.maximum((d * d).sum(axis=1), 1e-300), 0, 1)
-    return np.linalg.norm(rel - t[:, :, None] * d, axis=2)
+    rel = p - x[:, 0] if paired else p[:, None] - x[:, 0]
+    t = np.einsum("...i,...i", rel, d) / np.maximum(np.einsum("ei,ei->e", d, d), 1e-300)
+    return _length(rel - np.clip(t, 0, 1)[..., None] * d)
 
 
-def _to_triangles(p, x):
-    """Distances of points to triangles, ``(num_points, num)``."""
-    edges = [_to_edges(p, x[:, pair]) for pair in ((0, 1), (1, 2), (2, 0))]
+def _to_triangles(p, x, paired=False):
+    """Distances of points to triangles, as to edges."""
+    edges = [_to_edges(p, x[:, pair], paired) for pair in ((0, 1), (1, 2), (2, 0))]
     n = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
-    rel = p[:, None] - x[None, :, 0]
-    above = np.ones(rel.shape[:2], dtype=bool)
+    n /= np.maximum(_length(n)[:, None], 1e-300)
+    p = p if paired else p[:, None]
+    above = True
     for k in range(3):
         side = np.cross(n, x[:, k - 2] - x[:, k])
-        above &= ((p[:, None] - x[None, :, k]) * side).sum(axis=2) >= 0
-    return np.where(above, np.abs((rel * n).sum(axis=2)), np.min(edges, axis=0))
+        above = above & (np.einsum("...i,...i", p - x[:, k], side) >= 0)
+    return np.where(above, np.abs(np.einsum("...i,...i", p - x[:, 0], n)), np.min(edges, axis=0))
+
+
+def _length(x):
+    return np.sqrt(np.einsum("...i,...i", x, x))
 
 
 class Boundary:
