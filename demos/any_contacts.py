@@ -369,6 +369,9 @@ class Scene:
         self.steps = int(rng.integers(2, 5)), int(rng.integers(0, 5))
         if not self.steps[1]:
             self.slid = 0.0
+        size = min(float(np.median(part.boundary.size)) for part in self.parts)
+        least = (0.1 if self.linear else 0.2) * size / give  # else a corner isn't noticed
+        self.pressed = min(max(self.pressed, least), 0.3)
         depth = self.pressed * give
         for k, part in enumerate(self.parts):
             way = np.zeros(dim)
