@@ -45,6 +45,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from itertools import permutations
 from pathlib import Path
 
 from mpi4py import MPI
@@ -94,14 +95,17 @@ class Part:
         self.body, self.cell, self.degree, self.order = body, cell, degree, order
         self.mesh, self.ends = body.mesh(MPI.COMM_SELF, h, cell, order)
         self.dim = self.mesh.geometry.dim
-        self.free = self.held = np.empty(0, dtype=np.int32)
-        self.motion, self.spring, self.load = np.zeros(self.dim), 0.0, np.zeros(self.dim)
+        self.held = np.empty(0, dtype=np.int32)
+        self.motion, self.along, self.load, self.load_along = np.zeros((4, self.dim))
+        self.spring = self.start_gap = 0.0
         self.modulus, self.poisson = 1.0, 0.3
 
     def move(self, turn, shift):
         """Turn and move the mesh; ``turn`` takes places in rows from the right."""
         x = self.mesh.geometry.x
         x[:, : self.dim] = x[:, : self.dim] @ turn + shift
+        self.V = fem.functionspace(self.mesh, ("Lagrange", self.degree, (self.dim,)))
+        self.boundary = Boundary(self.V)
 
     def hold(self, up, band):
         """Divide the boundary into what is held and what is free.
@@ -110,8 +114,7 @@ class Part:
             up: Direction of the front, a unit vector.
             band: Part of the height at the back that is held, unless it is held at its ends.
         """
-        self.V = fem.functionspace(self.mesh, ("Lagrange", self.degree, (self.dim,)))
-        self.boundary = b = Boundary(self.V)
+        b = self.boundary
         height = b.X @ up
         low, high = height.min(), height.max()
         back = height.max(axis=1) < low + band * (high - low)
@@ -161,11 +164,10 @@ class Part:
 
     def set(self, share, slide):
         """Prescribe the share of the motion, or of the traction, and of the slide."""
-        where = self.traction if self.spring else self.goal
         if self.spring:
-            where.value[:] = share * self.load + slide * self.load_along
+            self.traction.value[:] = share * self.load + slide * self.load_along
         else:
-            where.value[:] = share * self.motion + slide * self.along
+            self.goal.value[:] = share * self.motion + slide * self.along
 
     @property
     def values(self):
@@ -347,7 +349,6 @@ class Scene:
             gap += 2e-3 * part.height * (dim == 3)  # edges of facets cross between samples
             shift[-1] -= drop - gap
             part.move(np.eye(dim), shift)
-            part.hold(-up if on_top else up, rng.uniform(0.25, 0.4))
             part.start_gap = gap
             if dim == 2 and any(self._corner_on_corner(part, other, gap) for other in below):
                 return False
@@ -377,13 +378,12 @@ class Scene:
             way = np.zeros(dim)
             way[: dim - 1] = rng.normal(size=dim - 1)
             way /= np.linalg.norm(way)
-            part.along = self.slid * give * way if k else np.zeros(dim)
             if k:
-                part.motion = np.zeros(dim)
+                part.along = self.slid * give * way
                 part.motion[-1] = -depth - part.start_gap
-        if self.kind == "stack":  # what lies between is on springs, and goes half of the way
+        if self.kind == "stack":  # what lies between is on springs
             self.parts[2].motion[-1] -= self.parts[1].start_gap
-            self.parts[1].motion, self.parts[1].along = np.zeros(dim), np.zeros(dim)
+            self.parts[1].motion, self.parts[1].along = np.zeros((2, dim))
             self.parts[1].spring = self._spring(rng, self.parts[1])
         last = self.parts[-1]
         if self.by_traction:
@@ -393,9 +393,8 @@ class Scene:
         if not self._within(give):
             return False
         for part in self.parts:
-            part.load = part.load_along = np.zeros(dim)
             if part.spring:
-                size = self._measure(part)
+                size = part.body.volume / part.boundary.measures[part.at_back].sum()
                 most = TIPPING * part.height / max(np.linalg.norm(part.motion), 1e-300)
                 part.load, part.load_along = (
                     part.spring * size * min(1, most) * way for way in (part.motion, part.along)
@@ -407,79 +406,47 @@ class Scene:
         soft = min(p.modulus for p in self.parts)
         return float(soft * np.exp(rng.uniform(np.log(0.5), np.log(3))) / part.height**2)
 
-    def _measure(self, part):
-        """Volume over the area of the back, where tractions act."""
-        x = part.boundary.X[part.at_back][:, part.boundary._pieces]
-        d = x[:, :, 1] - x[:, :, 0]
-        if part.dim == 2:
-            return part.body.volume / np.linalg.norm(d, axis=2).sum()
-        area = np.linalg.norm(np.cross(d, x[:, :, 2] - x[:, :, 0]), axis=2) / 2
-        return part.body.volume / area.sum()
-
     def _within(self, give):
         """Whether rigid bodies would overlap by no more than 30 %, and not where they are held."""
-        ends = [[(1, 0)] * len(self.parts), [(1, 1)] * len(self.parts)]
-        for shares in ends:
-            x = [
-                part.boundary.X + s * part.motion + t * part.along
-                for part, (s, t) in zip(self.parts, shares, strict=True)
-            ]
-            for i, a in enumerate(self.parts):
-                for j, b in enumerate(self.parts):
-                    if i == j:
-                        continue
-                    pieces = b.boundary.pieces(x[j])
-                    held = x[i][a.at_back][:, a.boundary.corner_points].reshape(-1, a.dim)
-                    room = 0.3 * give * self._room
-                    if not a.spring and (
-                        pieces.contains(held).any() or pieces.nearest(held, room)[0].min() < room
-                    ):
+        for slide in (0, 1):
+            x = [part.boundary.X + part.motion + slide * part.along for part in self.parts]
+            for i, j in permutations(range(len(x)), 2):
+                a, b = self.parts[i], self.parts[j]
+                pieces = b.boundary.pieces(x[j])
+                held = x[i][a.at_back][:, a.boundary.corner_points].reshape(-1, a.dim)
+                room = (0.06 if self.linear else 0.15) * give
+                if not a.spring and (
+                    pieces.contains(held).any() or pieces.nearest(held, room)[0].min() < room
+                ):
+                    return False
+                if self.kind == "side by side" and min(i, j) > 0:
+                    points = x[i].reshape(-1, a.dim)
+                    within = points[pieces.contains(points)]
+                    if pieces.nearest(within)[0].max(initial=0) > 0.2 * min(a.height, b.height):
                         return False
-                    if self.kind == "side by side" and min(i, j) > 0:
-                        points = x[i].reshape(-1, a.dim)
-                        within = points[pieces.contains(points)]
-                        deepest = pieces.nearest(within)[0].max(initial=0)
-                        if deepest > 0.2 * min(a.height, b.height):
-                            return False
-                    elif i > j and not (self.kind == "stack" and (i, j) == (2, 0)):
-                        overlap = -clearance((a.boundary, x[i]), (b.boundary, x[j]))
-                        if not np.isfinite(overlap):
-                            continue
-                        if overlap > 0.3 * give * (1 + 1e-9) + a.start_gap * 0:
-                            return False
-                        if shares[0][1] == 0 and overlap <= 0 and self.kind == "two":
-                            return False
+                elif i > j:
+                    overlap = -clearance((a.boundary, x[i]), (b.boundary, x[j]))
+                    if overlap > 0.3 * give * (1 + 1e-9):
+                        return False
         return True
 
-    @property
-    def _room(self):
-        """Share of 30 % that is to be left between what is held and other bodies."""
-        return 0.2 if self.linear else 0.5
-
     def _turn(self, rng):
-        """Turn all of it."""
+        """Turn all of it, and make forms and contacts' sides."""
         turn = rotation(rng, self.dim)
-        up = np.eye(self.dim)[-1] @ turn
         for part in self.parts:
-            back, given, front, give = part.at_back, part.given, part.front, part.give
-            height = part.height
             part.move(turn, np.zeros(self.dim))
-            part.hold(up, 0.3)
-            part.at_back, part.given, part.front, part.height = back, given, front, height
             part.motion, part.along, part.load, part.load_along = (
                 v @ turn for v in (part.motion, part.along, part.load, part.load_along)
             )
-            if part.spring:
-                part.given = np.ones_like(back) if self.kind == "stack" else ~back
-            del give
+        if self.kind == "stack":
+            self.parts[1].given[:] = True
         self.bcs = [bc for part in self.parts for bc in part.form(self.linear)]
         pairs = [(0, 1), (0, 2), (1, 2)] if len(self.parts) == 3 else [(0, 1)]
         apart = {"stack": (0, 2), "side by side": (1, 2)}.get(self.kind)
         if self.sliding == "small":  # Σ stays between what was let down on each other
             pairs = [pair for pair in pairs if pair != apart]
         pairs = [pair for pair in pairs if self._may_meet(*pair)]
-        self.pairs, self.contacts = pairs, []
-        self.of_pair = []
+        self.pairs, self.of_pair, self.contacts = pairs, [], []
         for pair in pairs:
             sides, masks = [], []
             for i in pair:

@@ -158,6 +158,15 @@ class Boundary:
         return n / np.linalg.norm(n, axis=1, keepdims=True)
 
     @property
+    def measures(self):
+        """Lengths or areas of facets."""
+        x = self.X[:, self._pieces]  # (facet, piece, corner, dim)
+        d = x[:, :, 1] - x[:, :, 0]
+        if x.shape[3] == 3:
+            d = np.cross(d, x[:, :, 2] - x[:, :, 0]) / 2
+        return np.linalg.norm(d, axis=2).sum(axis=1)
+
+    @property
     def sharp(self):
         """Mask of samples at sharp corners in the plane, ``(facet, point)``."""
         x = self.X[:, self._pieces]
