@@ -44,6 +44,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from itertools import permutations
 from pathlib import Path
@@ -689,16 +690,53 @@ class Counted(ContactProblem):
 
 
 class Told(logging.Handler):
-    """What the package warns of."""
+    """What the package warns of, while it is in use."""
 
     def __init__(self):
         """Nothing yet."""
         super().__init__(logging.WARNING)
-        self.lines = []
+        self.lines, self.log = [], logging.getLogger("hypergap_dolfinx")
+        self.caught = warnings.catch_warnings()
 
     def emit(self, record):
         """Keep a line."""
         self.lines.append(record.getMessage())
+
+    def __enter__(self):
+        """Listen."""
+        self.caught.__enter__()
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *about: self.lines.append(str(message))
+        self.log.addHandler(self)
+        self.log.propagate = False
+        return self
+
+    def __exit__(self, *error):
+        """Listen no longer."""
+        self.log.removeHandler(self)
+        self.log.propagate = True
+        self.caught.__exit__(*error)
+
+
+def solve(scene, row, spoil=None):
+    """Solve a scene load step by load step, and check each; into its row."""
+    contacts = [Contact.between(*sides, **options) for sides, options in scene.contacts]
+    parts = scene.parts
+    problem = Counted(
+        [part.F for part in parts], [part.u for part in parts], bcs=scene.bcs, contacts=contacts
+    )
+    press, along = scene.steps
+    path = [((k + 1) / press, 0.0) for k in range(press)]
+    path += [(1.0, (k + 1) / along) for k in range(along)]
+    for k, (share, slide) in enumerate(path):
+        for part in parts:
+            part.set(share, slide)
+        problem.count = 0
+        problem.solve()
+        if spoil:
+            spoil(scene, problem)
+        row["steps"].append(checked(scene, problem))
+        row["wrong"] += [f"step {k + 1}: {what}" for what in wrong(row["steps"][-1])]
 
 
 def run(seed, dim, spoil=None):
@@ -709,31 +747,13 @@ def run(seed, dim, spoil=None):
         dim: Of space.
         spoil: Changes a solved scene, to see the checks fail.
     """
-    told, log = Told(), logging.getLogger("hypergap_dolfinx")
-    log.addHandler(told)
-    log.propagate = False
     start = time.perf_counter()
     scene = Scene(seed, dim)
     row = {**scene.about, "steps": [], "error": "", "wrong": [], "status": "solved"}
     made = time.perf_counter()
     try:
-        contacts = [Contact.between(*sides, **options) for sides, options in scene.contacts]
-        parts = scene.parts
-        problem = Counted(
-            [part.F for part in parts], [part.u for part in parts], bcs=scene.bcs, contacts=contacts
-        )
-        press, along = scene.steps
-        path = [((k + 1) / press, 0.0) for k in range(press)]
-        path += [(1.0, (k + 1) / along) for k in range(along)]
-        for k, (share, slide) in enumerate(path):
-            for part in parts:
-                part.set(share, slide)
-            problem.count = 0
-            problem.solve()
-            if spoil:
-                spoil(scene, problem)
-            row["steps"].append(checked(scene, problem))
-            row["wrong"] += [f"step {k + 1}: {what}" for what in wrong(row["steps"][-1])]
+        with Told() as told:
+            solve(scene, row, spoil)
     except (SolveError, TooManySteps) as error:
         row["status"], row["error"] = "failed", str(error)
     except InterfaceError as error:
@@ -742,9 +762,6 @@ def run(seed, dim, spoil=None):
         where = traceback.extract_tb(error.__traceback__)[-1]
         row["status"] = "crashed"
         row["error"] = f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"
-    finally:
-        log.removeHandler(told)
-        log.propagate = True
     if row["wrong"]:
         row["status"] = "wrong" if row["status"] == "solved" else row["status"]
     row["ok"] = row["status"] == "solved"
