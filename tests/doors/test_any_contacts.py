@@ -109,3 +109,14 @@ def test_boxes():
         depth = (0.5 - np.abs(p - 0.5)).min(axis=1)
         distance = np.where(inside, depth, np.linalg.norm(out, axis=1))
         np.testing.assert_allclose(pieces.nearest(p)[0], distance, atol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("dim", "scenes", "least"), ((2, 300, 235), (3, 30, 10)))
+def test_sweep(dim, scenes, least):
+    """As many solved as when the demo was written, but for a few; none that ends a process."""
+    rows = [any_contacts.run(seed, dim) for seed in range(scenes)]
+    assert not [row["error"] for row in rows if row["status"] == "crashed"]
+    assert sum(row["ok"] for row in rows) >= least, [
+        any_contacts.failed(row) for row in rows if not row["ok"]
+    ]
