@@ -171,6 +171,18 @@ class Part:
             self.goal.value[:] = share * self.motion + slide * self.along
 
     @property
+    def squeezed(self):
+        """The least det F at vertices and nodes: how far the worst cell is from turning over."""
+        mesh, points = self.mesh, lattice(self.mesh)
+        element, V_element = mesh.ufl_domain().ufl_coordinate_element(), self.V.ufl_element()
+        x = mesh.geometry.x[compat.geometry_dofmap(mesh), : self.dim]
+        u = self.values[self.V.dofmap.list]
+        at = V_element.sub_elements[0].basix_element.points
+        places = np.einsum("an,cni->cai", element.sub_elements[0].tabulate(0, at)[0], x) + u
+        before = jacobians(element, points, x)
+        return float((jacobians(V_element, points, places) / before).min())
+
+    @property
     def values(self):
         """Displacements at the dofs, ``(num_dofs, dim)``."""
         return self.u.x.array.reshape(-1, self.dim)
@@ -178,15 +190,24 @@ class Part:
 
 def turned_over(mesh):
     """Whether det J ≤ 0 at a vertex or node of a cell."""
-    element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-    points = basix.create_lattice(element.cell_type, 2, basix.LatticeType.equispaced, True)
-    d = element.tabulate(1, points)[1:]
-    dim = mesh.geometry.dim
-    x = mesh.geometry.x[compat.geometry_dofmap(mesh), :dim]
-    det = np.linalg.det(np.einsum("jpn,cni->cpij", d, x))
+    points = lattice(mesh)
+    x = mesh.geometry.x[compat.geometry_dofmap(mesh), : mesh.geometry.dim]
+    det = jacobians(mesh.ufl_domain().ufl_coordinate_element(), points, x)
     scale = np.abs(det).max(axis=1, keepdims=True)
     det *= np.sign(det.mean(axis=1, keepdims=True))
     return bool((det <= 1e-3 * scale).any())
+
+
+def lattice(mesh):
+    """Points of a reference cell: vertices, and the middles between them."""
+    kind = mesh.ufl_domain().ufl_coordinate_element().cell_type
+    return basix.create_lattice(kind, 2, basix.LatticeType.equispaced, True)
+
+
+def jacobians(element, points, x):
+    """Determinants of the derivatives of places x of an element's nodes, ``(cell, point)``."""
+    d = element.sub_elements[0].tabulate(1, points)[1:]
+    return np.linalg.det(np.einsum("jpn,cni->cpij", d, x))
 
 
 # -
@@ -327,7 +348,7 @@ class Scene:
             part.move(tilt(rng, dim, on_top, rng.choice((0.0, 0.3))), np.zeros(dim))
             if self.kind == "stack" and k == 1 and part.body.kind in ("beam", "arch"):
                 return False  # on springs it would fold up
-            part.hold(-up if on_top else up, rng.uniform(0.25, 0.4))
+            part.hold(-up if on_top else up, rng.uniform(0.1, 0.25))
             if k == 0:
                 continue
             low, high = (f(self.parts[0].boundary.X, axis=(0, 1)) for f in (np.min, np.max))
@@ -784,6 +805,7 @@ def checked(scene, problem):
         "newton": problem.iterations,
         "halvings": problem.halvings,
         "active": active,
+        "squeezed": min(part.squeezed for part in scene.parts),
         "overlap": overlap,
         "overlap_at_corners": at_corner,
         "apart": apart,
@@ -799,6 +821,8 @@ def checked(scene, problem):
 def failed(row):
     """A line on a scene that isn't solved, or wrong."""
     at = f"step {len(row['steps']) + 1} of {row['planned']}: " if row["error"] else ""
+    if row["error"] and row["steps"] and row["steps"][-1]["squeezed"] < 0.1:
+        at += f"(det F {row['steps'][-1]['squeezed']:.2g}) "
     said = "; ".join(([at + row["error"]] if row["error"] else []) + row["wrong"][:2])
     return (
         f"{row['seed']:5} {row['status']:8} {row['scene']} (degree {row['degree']}, "
