@@ -43,6 +43,14 @@ class Demo:
 
 
 DEMOS = {
+    "any_contacts": Demo(
+        "--only 1 2 3 4 7 10 11 12 15 36 82 97 105 127 132 136 163 182 198 208 212 232 252 256 292",
+        {"*.ok": True},
+        needs=("gmsh", "scipy"),
+    ),
+    "any_contacts_in_space": Demo(
+        "--dim 3 --only 5 13 26 27", {"*.ok": True}, needs=("gmsh", "scipy"), script="any_contacts"
+    ),
     "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
         pinned={"*.displacement": 3.39994e-2, "*.energy": 18.3092, "*.ties": 32},
@@ -370,6 +378,7 @@ def results(content, name):
 
 
 LONG = (
+    *("any_contacts", "any_contacts_in_space"),
     *("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap"),
     *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
 )
