@@ -179,3 +179,7 @@ Measured: later"""
 PROGRESS = 0.9
 """Residual, over the smallest so far, that is progress.
 Measured: later"""
+
+DENSE = 30
+"""Newton steps in a small problem with friction, before and with a line search.
+Measured: later"""
