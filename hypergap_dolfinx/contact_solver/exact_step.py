@@ -26,8 +26,10 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import DENSE
+from hypergap_dolfinx.contact_solver.tolerances import DENSE, ENOUGH, SHORTEST
 
+import os
+DEBUG = int(os.environ.get("DEBUGC", 0))
 Array = npt.NDArray[np.float64]
 
 
@@ -155,27 +157,24 @@ class LinearisedContact:
             M = np.where(on[:, None], A[of], B[of])
             found = complementarity.solved(M, np.where(on, f0[of], y0[of]), least[of])
             return None if found is None else found[0]
-        best, least = np.inf, z
-        for k in range(2 * DENSE):
-            error, slope, close = self._laws(y0 + B @ z, f0 + A @ z, of, A, B)
-            size = float(np.linalg.norm(error))
+        error, slope, close = self._laws(y0 + B @ z, f0 + A @ z, of, A, B)
+        for k in range(DENSE):
+            if DEBUG > 1:
+                print(f"       dense {k} {np.linalg.norm(error):.2e}")
             if close:
                 return z
-            if size < best:
-                best, least = size, z
-            if k == DENSE:
-                z = least
-                error, slope, close = self._laws(y0 + B @ z, f0 + A @ z, of, A, B)
-                size = best
-            way = np.linalg.lstsq(slope, -error)[0]
-            share = 1.0
-            while k >= DENSE and share > 1e-3:
+            try:
+                way = np.linalg.solve(slope, -error)
+            except np.linalg.LinAlgError:
+                way = np.linalg.lstsq(slope, -error)[0]
+            size, share = np.linalg.norm(error), 1.0
+            while True:
                 trial = z + share * way
-                new = float(np.linalg.norm(self._laws(y0 + B @ trial, f0 + A @ trial, of, A, B)[0]))
-                if new < (1 - 1e-4 * share) * size:
+                error, slope, close = self._laws(y0 + B @ trial, f0 + A @ trial, of, A, B)
+                if np.linalg.norm(error) < (1 - ENOUGH * share) * size or close or share < SHORTEST:
                     break
                 share /= 2
-            z = z + share * way
+            z = trial
         return None
 
     def _laws(self, y, f, of, A, B):

@@ -329,7 +329,7 @@ class FrictionRows(ContactRows):
             return closed, size <= root * self._soft, -reach / np.where(size > 0, size, 1)
         trial = f[1:] - y[1:]
         size = np.linalg.norm(trial, axis=0)
-        bound, _ = self._scaled_bounds(f[0], at, stiffness)
+        bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at, stiffness)
         least, _ = self._least(stiffness, self._zero)
         none = np.maximum(EXCEEDS * bound, least[at])
         sticks = (size <= bound + np.where(self.state.sticks[at], none, -none)) & (self.mu[at] > 0)
@@ -338,7 +338,7 @@ class FrictionRows(ContactRows):
     def _scaled_bounds(self, p, at, stiffness: float):
         """Friction's bound in the units of :meth:`law`, and its derivative."""
         bound = self.mu[at] * np.maximum(p, 0)
-        limit = self._limit * self.m[at] / np.sqrt(stiffness)
+        limit = self._limit * np.where(self.valid, self.m, 1)[at] / np.sqrt(stiffness)
         return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
 
     def law(self, y, f, at, stiffness: float, zero: float):
