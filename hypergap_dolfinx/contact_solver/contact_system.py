@@ -202,15 +202,15 @@ class ContactSystem(NonlinearSystem):
                 self._assemble_what_moved()
             for rows in self._rows:
                 rows.start_set(self._stiffness(), self._zero_pressure())
-            if self._balances() and step:
+            if self._num_free:
+                self._hold()
+            if self._balances() and (step or self._is_exact):
                 if polished or all(rows.is_exact for rows in self._rows):
                     self._check_pushing()
                     return step
                 polished = True
             if step == STEPS:
                 break
-            if self._num_free:
-                self._hold()
             if step:
                 try:
                     self.assemble_matrix()
@@ -286,6 +286,8 @@ class ContactSystem(NonlinearSystem):
             if change <= ENOUGH * share * min(first - before, 0):
                 break
             share, last, overlap = share / 2, middle, between
+        else:
+            share = 1.0
         self._restore(start.towards(end, share))
         self._set_sets(end)
 
@@ -563,7 +565,8 @@ class ContactSystem(NonlinearSystem):
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
-        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF_FORCES * self._largest))
+        self._is_exact = worst <= ROUND_OFF_FORCES * self._largest
+        return bool(worst <= self._rtol * np.sqrt(size) or self._is_exact)
 
     def _continues(self) -> bool:
         """True if the active sets are those that had pressures."""
