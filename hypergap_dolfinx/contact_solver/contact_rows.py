@@ -294,50 +294,125 @@ class ContactRows:
         """Set all pressures to zero."""
         self.state.p = np.zeros_like(self.g)
 
-    # The linearised contact problem: gaps over areas, and multipliers, both times √stiffness
+    # The linearised contact problem: gaps over areas times √stiffness, multipliers in these units
 
-    def signs(
-        self, changes: Sequence[npt.NDArray], multipliers: npt.NDArray, stiffness: float
-    ) -> npt.NDArray[np.float64]:
-        """New gaps of inactive multipliers, active multipliers, 0 for others. Collective.
+    @property
+    def num_unknowns(self) -> int:
+        """Number of multipliers' unknowns."""
+        return len(self._active_unknowns)
+
+    @property
+    def is_in(self) -> npt.NDArray[np.bool_]:
+        """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
+        return self._active_unknowns
+
+    def new_gaps(self, changes: Sequence[npt.NDArray], stiffness: float) -> npt.NDArray[np.float64]:
+        """Gaps after a step, without what a compliance adds. Collective.
 
         Args:
             changes: What is subtracted from this rank's displacements of each body.
-            multipliers: Active multipliers, in the matrix's units, ``(num_multipliers,)``.
             stiffness: Stiffness of the bodies' nodes.
         """
-        gap = self.clearance - self.times(self.from_bodies(changes))
-        gap = np.divide(gap, self.m, out=np.zeros_like(gap), where=self.valid)
-        return np.sqrt(stiffness) * np.where(self.state.active, multipliers, gap)
+        return self._over_areas(self.g - self.times(self.from_bodies(changes)), stiffness)
+
+    def _over_areas(self, values: npt.NDArray, stiffness: float) -> npt.NDArray[np.float64]:
+        """Weighted lengths as lengths times √stiffness, 0 without a multiplier."""
+        m, valid = (np.tile(part, self._per_vertex) for part in (self.m, self.valid))
+        return np.sqrt(stiffness) * np.divide(values, m, out=np.zeros_like(values), where=valid)
 
     def least(self, stiffness: float, zero: float) -> npt.NDArray[np.float64]:
-        """Sizes of these treated as zero; ``zero`` is such a pressure."""
-        size = float(self.sides[1].reference.size.max())
+        """Sizes treated as zero, of multipliers or gaps; ``zero`` is such a pressure."""
+        return np.where(self.state.active, *self._least(stiffness, zero))
+
+    def _least(self, stiffness: float, zero: float) -> tuple[npt.NDArray[np.float64], float]:
+        """Sizes treated as zero, of multipliers and of gaps."""
+        size, root = float(self.sides[1].reference.size.max()), np.sqrt(stiffness)
         force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * size)
-        return np.sqrt(stiffness) * np.where(self.state.active, force, EXACT * size)
+        return root * force, root * EXACT * size
 
-    def watched(self, stiffness: float) -> Sparse:
-        """Rows of them in terms of the unknowns of the equations."""
-        on, root = np.flatnonzero(self.state.active), np.sqrt(stiffness)
-        use = (self.valid & ~self.state.active)[self.C.i] & (self.unknowns[0] != -2)[self.C.j]
-        i, j, values = self.C.i[use], self.C.j[use], self.C.values[use]
-        gaps = Sparse(i, j, root * values / self.m[i])
-        return joined(gaps, Sparse(on, self._num_dofs + on, np.full(len(on), root)))
+    def wrong(self, y, f, stiffness: float, zero: float) -> npt.NDArray[np.bool_]:
+        """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``.
 
-    def scale_of(self, stiffness: float) -> npt.NDArray[np.float64]:
+        Args:
+            y: Gaps, ``(num_unknowns,)``.
+            f: Multipliers, ``(num_unknowns,)``.
+            stiffness: Stiffness of the bodies' nodes.
+            zero: Pressure treated as zero.
+        """
+        return self.valid & (np.where(self.state.active, f, y) < -self.least(stiffness, zero))
+
+    def law(self, y, f, at, stiffness: float, zero: float):
+        """What is wrong by the laws of contact and friction: zero where they hold.
+
+        Args:
+            y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
+            f: Pressures and tractions, likewise.
+            at: Numbers of the multipliers, ``(num,)``.
+            stiffness: Stiffness of the bodies' nodes.
+            zero: Pressure treated as zero.
+
+        Returns:
+            The errors, ``(n, num)``; their derivatives by y and f, ``(n, n, num)`` each; and the
+            sizes treated as zero, ``(n, num)``.
+        """
+        closed = f[0] > y[0]
+        force, length = self._least(stiffness, zero)
+        return (
+            np.where(closed, y[0], f[0])[None],
+            closed[None, None].astype(float),
+            (~closed)[None, None].astype(float),
+            np.where(closed, length, force[at])[None],
+        )
+
+    def watched_gaps(self, stiffness: float) -> Sparse:
+        """Gaps in terms of the unknowns of the equations."""
+        return self._watched(self.C, stiffness)
+
+    def _watched(self, matrix: Sparse, stiffness: float) -> Sparse:
+        """Rows over areas times √stiffness, of what isn't prescribed."""
+        a = matrix.i % len(self.g)
+        use = self.valid[a] & (self.unknowns[0] != -2)[matrix.j]
+        i, j, values = matrix.i[use], matrix.j[use], matrix.values[use]
+        return Sparse(i, j, np.sqrt(stiffness) * values / self.m[a[use]])
+
+    def watched_forces(self, stiffness: float) -> Sparse:
+        """Multipliers of the working set in terms of the unknowns of the equations."""
+        on = np.flatnonzero(self.is_in)
+        return Sparse(on, self._num_dofs + on, np.full(len(on), np.sqrt(stiffness)))
+
+    def loads(self, stiffness: float) -> Sparse:
+        """Right-hand sides of new unknowns: forces, or slack in rows of the working set."""
+        rows = self._watched(self._acting(), stiffness)
+        use = ~self.is_in[rows.i]
+        return joined(
+            Sparse(rows.i[use], rows.j[use], rows.values[use]), self.watched_forces(stiffness)
+        )
+
+    def _acting(self) -> Sparse:
+        """Rows of forces."""
+        return self.C
+
+    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """What a compliance adds to gaps, over multipliers."""
+        return np.divide(
+            stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
+        )
+
+    def penalty(self, price: float, state: NormalState) -> float:
+        """Price of overlaps, and friction's work at the pressures of a state."""
+        return price * float(np.maximum(-self.clearance, 0)[self.valid].sum())
+
+    def accept(self, y, f, changed, stiffness: float):
+        """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
+        now = self.state
+        now.active = self.valid & np.where(changed, f > y, now.active)
+        now.p = np.where(now.active, f, 0) * self._scale(stiffness) / np.sqrt(stiffness)
+
+    def _scale(self, stiffness: float) -> npt.NDArray[np.float64]:
         """Pressures over the matrix's units of them."""
         return np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
 
-    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
-        """What a compliance adds to a gap by a new multiplier."""
-        return (
-            np.divide(
-                stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
-            )
-            * ~self.state.active
-        )
-
-    def start_set(self):
+    def start_set(self, stiffness: float, zero: float):
         """Working set: those with a pressure, and those that are closed or overlap."""
         now = self.state
         now.active = self.valid & (now.active | (self.distance <= self.closed))

@@ -187,11 +187,12 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
-        return self._alternate() if self._frictional else self._iterate()
+        return self._alternate() if self._frictional and os.environ.get('OLDF') else self._iterate()
 
     def _iterate(self) -> int:
         """Newton's iteration without friction: each step solves its linearised contact problem."""
         self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
+        polished = False
         for step in range(STEPS + 1):
             for rows in self._rows:
                 rows.update_geometry()
@@ -200,13 +201,16 @@ class ContactSystem(NonlinearSystem):
             if step == 0:
                 self._assemble_what_moved()
             for rows in self._rows:
-                rows.start_set()
-            if self._balances() and step:
-                return step
-            if step == STEPS:
-                break
+                rows.start_set(self._stiffness(), self._zero_pressure())
             if self._num_free:
                 self._hold()
+            if self._balances() and (step or self._is_exact):
+                if polished or all(rows.is_exact for rows in self._rows):
+                    self._check_pushing()
+                    return step
+                polished = True
+            if step == STEPS:
+                break
             if step:
                 try:
                     self.assemble_matrix()
@@ -282,6 +286,8 @@ class ContactSystem(NonlinearSystem):
             if change <= ENOUGH * share * min(first - before, 0):
                 break
             share, last, overlap = share / 2, middle, between
+        else:
+            share = 1.0
         self._restore(start.towards(end, share))
         self._set_sets(end)
 
@@ -311,7 +317,7 @@ class ContactSystem(NonlinearSystem):
             negative = self._tangent.negative
             if DEBUG and (found.num or negative not in (None, expected) or not found.is_solved):
                 print(
-                    f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active {[int(a.sum()) for a in found.active]}"
+                    f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active "
                 )
             convex = negative is None or negative <= expected
             if found.is_solved:
@@ -332,11 +338,9 @@ class ContactSystem(NonlinearSystem):
         if not found.is_solved or self._rays == RAYS:
             self._tell_pull(found)
         start = self._state()
-        for rows, linear, values, active in zip(
-            self._rows, equations, found.unknowns, found.active, strict=True
-        ):
-            rows.state.active = active
-            rows.state.p = values * rows.scale_of(stiffness)
+        parts = zip(self._rows, found.y, found.f, found.changed, strict=True)
+        for rows, *solution in parts:
+            rows.accept(*solution, stiffness)
         for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
@@ -346,12 +350,9 @@ class ContactSystem(NonlinearSystem):
         """Raise that a body that only contact holds leaves."""
         if not self._num_free:
             raise SolveError("the linearised contact problem has no solution.")
-        pulls = [
-            rows.typical_area * values.min(initial=0)
-            for rows, values in zip(self._rows, found.base, strict=True)
-        ]
-        rows = self._rows[int(np.argmin(pulls))]
-        k = int(found.base[int(np.argmin(pulls))].argmin())
+        pulls = [values[: len(rows.g)] for rows, values in zip(self._rows, found.f, strict=True)]
+        c = int(np.argmin([part.min(initial=0) for part in pulls]))
+        rows, k = self._rows[c], int(pulls[c].argmin())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
         raise SolveError(
             f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
@@ -564,7 +565,8 @@ class ContactSystem(NonlinearSystem):
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
-        return bool(worst <= max(self._rtol * np.sqrt(size), ROUND_OFF_FORCES * self._largest))
+        self._is_exact = worst <= ROUND_OFF_FORCES * self._largest
+        return bool(worst <= self._rtol * np.sqrt(size) or self._is_exact)
 
     def _continues(self) -> bool:
         """True if the active sets are those that had pressures."""

@@ -59,6 +59,7 @@ class FrictionRows(ContactRows):
         self._fixed: Sparse | None = None
         self._carried, self._zero = False, 0.0
         self._elastic = np.zeros((across, num))  # elastic part of the slip
+        self._slope: Sparse | None = None
 
     def start_solve(self):
         """Start a solve: count its dissipation and its slip from zero."""
@@ -239,6 +240,157 @@ class FrictionRows(ContactRows):
         some, num_free = active_set.stuck(self.stuck, can, self._surplus, holds, across)
         self.state.sticks = np.where(self.state.active, some, self.state.sticks)
         return across[some].reshape(-1, holds.shape[1]), num_free
+
+    # The linearised contact problem
+
+    def start_set(self, stiffness: float, zero: float):
+        """Working set; in it new multipliers stick."""
+        last = self.state.active
+        super().start_set(stiffness, zero)
+        now = self.state
+        now.sticks |= ~last
+        now.q = np.where(now.active, now.q, 0)
+        self._c, self._zero = stiffness / self.typical_area, zero
+        self._slope = None
+        if self._carried:  # slip beyond a facet's size
+            size = np.linalg.norm(self.slip, axis=0)
+            slips = size > self.sides[1].reference.size.max()
+            now.sticks &= ~slips
+            now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
+            self._carried = False
+        elif self._soft:
+            size = np.linalg.norm(self._reach, axis=0)
+            now.sticks = size <= self._soft
+            now.way = -self._reach / np.where(size > 0, size, 1)
+        elif self._n > 2:
+            trial = now.q - self._c * self.slip
+            size = np.linalg.norm(trial, axis=0)
+            slips = now.active & ~now.sticks
+            now.way = np.where(slips, trial / np.where(size > 0, size, 1), now.way)
+        now.sticks &= self.mu > 0
+        self._surplus = np.zeros(len(now.p))
+
+    def _slopes_everywhere(self) -> Sparse:
+        """∂s/∂u of all multipliers."""
+        if self._slope is None:
+            opening = self.state.opening
+            if opening is None or not self._follows:
+                self._slope = self.T
+            else:
+                assert self._since is not None
+                on = self.spread(self.valid.astype(float)) > 0
+                self._slope = self._condensed(
+                    opening.slip_slopes(self.u, self._since, self.condensed_to, on)
+                )
+        return self._slope
+
+    def new_gaps(self, changes: Sequence[npt.NDArray], stiffness: float) -> npt.NDArray[np.float64]:
+        """Gaps and slips after a step, without what a compliance adds. Collective."""
+        gaps = super().new_gaps(changes, stiffness)[: len(self.g)]
+        slips = self.s - self._times(self._slopes_everywhere(), self.from_bodies(changes))
+        return np.append(gaps, self._over_areas(np.append(self.g, slips), stiffness)[len(self.g) :])
+
+    def _over_areas(self, values: npt.NDArray, stiffness: float) -> npt.NDArray[np.float64]:
+        if len(values) == len(self.g):
+            values = np.append(values, np.zeros((self._n - 1) * len(self.g)))
+        return super()._over_areas(values, stiffness)
+
+    def watched_gaps(self, stiffness: float) -> Sparse:
+        """Gaps and slips in terms of the unknowns of the equations."""
+        S = self._slopes_everywhere()
+        slips = Sparse(len(self.g) + S.i, S.j, S.values)
+        return self._watched(joined(self.C, slips), stiffness)
+
+    def _acting(self) -> Sparse:
+        return joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
+
+    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+        """What a compliance adds to gaps, over multipliers; nothing to slips."""
+        return np.append(super().give(stiffness), np.zeros((self._n - 1) * len(self.g)))
+
+    def wrong(self, y, f, stiffness: float, zero: float) -> npt.NDArray[np.bool_]:
+        """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``."""
+        every = np.arange(len(self.g))
+        y, f = (v.reshape(self._n, -1) for v in (y, f))
+        error, _, _, least = self.law(y, f, every, stiffness, zero)
+        now, (closed, sticks, way) = self.state, self._states(y, f, every, stiffness)
+        other = closed != now.active
+        other |= closed & (sticks != now.sticks)
+        other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
+        return np.tile(self.valid & other & (np.abs(error) > least).any(axis=0), self._n)
+
+    def _states(self, y, f, at, stiffness: float):
+        """What is closed, what sticks, and directions of slip; arguments as :meth:`law`."""
+        root = np.sqrt(stiffness)
+        closed = f[0] > y[0]
+        if self._soft:
+            reach = root * self._elastic[:, at] + y[1:]
+            size = np.linalg.norm(reach, axis=0)
+            return closed, size <= root * self._soft, -reach / np.where(size > 0, size, 1)
+        trial = f[1:] - y[1:]
+        size = np.linalg.norm(trial, axis=0)
+        bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at, stiffness)
+        least, _ = self._least(stiffness, self._zero)
+        none = np.maximum(EXCEEDS * bound, least[at])
+        sticks = (size <= bound + np.where(self.state.sticks[at], none, -none)) & (self.mu[at] > 0)
+        return closed, sticks, trial / np.where(size > 0, size, 1)
+
+    def _scaled_bounds(self, p, at, stiffness: float):
+        """Friction's bound in the units of :meth:`law`, and its derivative."""
+        bound = self.mu[at] * np.maximum(p, 0)
+        limit = self._limit * np.where(self.valid, self.m, 1)[at] / np.sqrt(stiffness)
+        return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
+
+    def law(self, y, f, at, stiffness: float, zero: float):
+        """What is wrong by the laws of contact and friction, as for a contact without friction."""
+        n, num, root = self._n, len(at), np.sqrt(stiffness)
+        error, by_y, by_f, least = np.zeros((n, num)), *np.zeros((2, n, n, num)), np.zeros((n, num))
+        error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at, stiffness, zero)
+        force, length = self._least(stiffness, zero)
+        one = np.eye(n - 1)[..., None]
+        closed, sticks, way = self._states(y, f, at, stiffness)
+        bound, slope = self._scaled_bounds(f[0], at, stiffness)
+        none = np.maximum(EXCEEDS * bound, force[at])
+        across = one - way[:, None] * way
+        if self._soft:
+            reach, soft = root * self._elastic[:, at] + y[1:], root * self._soft
+            size = np.maximum(np.linalg.norm(reach, axis=0), soft)
+            error[1:] = f[1:] + bound * reach / size
+            by_y[1:, 1:] = bound / size * np.where(sticks, one, across)
+            by_f[1:, 1:] = one
+            by_f[1:, 0] = slope * reach / size
+            least[1:] = none
+        else:
+            size = np.linalg.norm(f[1:] - y[1:], axis=0)
+            turn = np.minimum(bound / np.maximum(size, 1e-300), 1) * across
+            error[1:] = np.where(sticks, y[1:], f[1:] - bound * way)
+            by_y[1:, 1:] = np.where(sticks, one, turn)
+            by_f[1:, 1:] = np.where(sticks, 0, one - turn)
+            by_f[1:, 0] = np.where(sticks, 0, -slope * way)
+            least[1:] = np.where(sticks, length, none)
+        error[1:] = np.where(closed, error[1:], f[1:])
+        by_y[1:] = np.where(closed, by_y[1:], 0)
+        by_f[1:, 0] = np.where(closed, by_f[1:, 0], 0)
+        by_f[1:, 1:] = np.where(closed, by_f[1:, 1:], one)
+        least[1:] = np.where(closed, least[1:], force[at])
+        return error, by_y, by_f, least
+
+    def penalty(self, price: float, state: NormalState) -> float:
+        """Price of overlaps, and friction's work at the pressures of a state."""
+        bound, _ = self._bounds(state.p * state.active)
+        return super().penalty(price, state) + float(bound @ np.linalg.norm(self.s, axis=0))
+
+    def accept(self, y, f, changed, stiffness: float):
+        """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
+        num, now = len(self.g), self.state
+        every = np.arange(num)
+        flat = y[:num], f[:num], changed[:num]
+        y, f = (v.reshape(self._n, -1) for v in (y, f))
+        _, sticks, way = self._states(y, f, every, stiffness)
+        now.sticks = np.where(changed[:num], sticks, now.sticks)
+        now.way = np.where(changed[:num], way, now.way)
+        super().accept(*flat, stiffness)
+        now.q = np.where(now.active, f[1:], 0) * self._scale(stiffness) / np.sqrt(stiffness)
 
     # Rows
 

@@ -384,22 +384,23 @@ class Tangent:
             vector.destroy()
         return found.real
 
-    def watch(self, entries: Sequence[Sparse]) -> sparse.csr_array:
+    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> sparse.csr_array:
         """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.
 
         Args:
             entries: Rows of each contact, columns are its unknowns.
+            sizes: Numbers of rows of each contact.
         """
         retained = self._retained
         assert retained is not None
         rows, columns, values, before = [], [], [], 0
-        for numbers, part, own in zip(retained.numbers, entries, self._rows, strict=True):
+        for numbers, part, size in zip(retained.numbers, entries, sizes, strict=True):
             column = numbers[part.j]
             use = column >= 0
             rows.append(before + part.i[use])
             columns.append(column[use])
             values.append(part.values[use])
-            before += len(own.g)
+            before += size
         i, j, v = (np.concatenate(part) for part in (rows, columns, values))
         return sparse.csr_array((v, (i, j)), shape=(before, retained.vectors[0].getLocalSize()))
 

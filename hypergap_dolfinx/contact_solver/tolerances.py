@@ -179,3 +179,11 @@ Measured: later"""
 PROGRESS = 0.9
 """Residual, over the smallest so far, that is progress.
 Measured: later"""
+
+DENSE = 60
+"""Newton steps in a small problem with friction, before and with a line search.
+Measured: later"""
+
+SHORTEST = 1e-3
+"""Share of a step at which a line search in a small problem with friction ends.
+Measured: later"""
