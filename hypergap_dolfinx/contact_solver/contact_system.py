@@ -192,6 +192,7 @@ class ContactSystem(NonlinearSystem):
     def _iterate(self) -> int:
         """Newton's iteration without friction: each step solves its linearised contact problem."""
         self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
+        self._price = 0.0
         polished = False
         for step in range(STEPS + 1):
             for rows in self._rows:
@@ -261,6 +262,7 @@ class ContactSystem(NonlinearSystem):
         held = self._held
         moves = [np.where(h, 0, m) for h, m in zip(held, moves)]
         price = 2 * max(max(np.abs(s.p).max(initial=0) for s in state.contacts) for state in way)
+        price = self._price = max(price, self._price)
 
         def at(share):
             self._restore(start.towards(end, share))
