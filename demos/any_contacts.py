@@ -24,8 +24,8 @@
 # - each body is held on a good part of its boundary, by displacements or by a bed of springs in all
 #   of it, so that it needs no contact to stay where it is; springs are stiff enough, and tractions
 #   small enough, not to let it tip over a corner on which it stands;
-# - materials are convex in strain (linear) or polyconvex up to J = e (compressible neo-Hookean, with
-#   ln² J), and no cell is turned over at the start;
+# - materials are convex in strain (linear) or polyconvex up to J = e (neo-Hookean, with ln² J), and
+#   no cell is turned over at the start;
 # - in the plane no sharp corner starts on a sharp corner, off which bodies can slip to either side;
 # - what is prescribed squeezes bodies, taken as rigid, by no more than 30 % of the smaller one's
 #   height (of a beam or an arch: of the geometric mean of thickness and length), and brings no part
