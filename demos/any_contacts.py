@@ -16,15 +16,16 @@
 # - no body overlaps another one by more than a tenth of a facet but at sharp corners;
 # - each body is in equilibrium away from the contacts, and what contact does to them balances;
 # - no vertex has a pressure where the bodies are apart;
-# - pressures push, and shear stays in Coulomb's cone.
+# - pressures push, and shear stays in Coulomb's cone;
+# - no cell is turned over.
 #
 # A scene is well posed, by construction:
 #
 # - each body is held on a good part of its boundary, by displacements or by a bed of springs in all
 #   of it, so that it needs no contact to stay where it is; springs are stiff enough, and tractions
 #   small enough, not to let it tip over a corner on which it stands;
-# - materials are convex in strain (linear) or polyconvex (compressible neo-Hookean, with
-#   (J² − 1)/2 − ln J), and no cell is turned over at the start;
+# - materials are convex in strain (linear) or polyconvex up to J = e (neo-Hookean, with ln² J), and
+#   no cell is turned over at the start;
 # - in the plane no sharp corner starts on a sharp corner, off which bodies can slip to either side;
 # - what is prescribed squeezes bodies, taken as rigid, by no more than 30 % of the smaller one's
 #   height (of a beam or an arch: of the geometric mean of thickness and length), and brings no part
@@ -150,7 +151,7 @@ class Part:
             W = mu * ufl.inner(eps, eps) + lame / 2 * ufl.tr(eps) ** 2
         else:
             W = mu / 2 * (ufl.inner(G, G) - self.dim - 2 * ufl.ln(J))
-            W += lame / 2 * ((J**2 - 1) / 2 - ufl.ln(J))
+            W += lame / 2 * ufl.ln(J) ** 2  # its force is no number where a cell is turned over
         W += spring / 2 * ufl.inner(self.u, self.u)
         back = np.sort(self.boundary.facets[self.at_back])
         tags = dolfinx.mesh.meshtags(mesh, self.dim - 1, back, np.ones_like(back))
@@ -680,6 +681,8 @@ def wrong(row):
     for name, bound in bounds.items():
         if row[name] is not None and not row[name] <= bound:
             found.append(f"{name} {row[name]:.1e}")
+    if row["squeezed"] <= 0:
+        found.append(f"det F = {row['squeezed']:.2g}")
     if row["least"] < -1e-8:
         found.append(f"pull of {-row['least']:.1e}")
     if row["cone"] > 1e-6:

@@ -44,6 +44,12 @@ def one_node(scene, problem):
     )
 
 
+def folded(scene, problem):
+    """A node inside is off by two facets."""
+    for _ in range(2000):
+        one_node(scene, problem)
+
+
 def in_contact(scene, problem):
     """The same of a node in contact."""
     part = scene.parts[0]
@@ -74,6 +80,7 @@ def rubs(scene, problem):
         (deeper, ("overlap",)),
         (away, ("apart",)),
         (one_node, ("left",)),
+        (folded, ("det F",)),
         (in_contact, ("balance", "force")),
         (heavier, ("force",)),
         (pulls, ("pull",)),
@@ -86,7 +93,7 @@ def test_checks(spoil, said):
     if spoil is None:
         assert row["ok"], row["wrong"]
     else:
-        assert row["status"] in ("wrong", "failed") and row["wrong"]
+        assert row["status"] != "solved" and row["wrong"]  # the next load step starts spoiled
         first = " ".join(wrong(row["steps"][0]))
         assert all(word in first for word in said), first
 
@@ -112,7 +119,7 @@ def test_boxes():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dim", "scenes", "least"), ((2, 300, 235), (3, 30, 10)))
+@pytest.mark.parametrize(("dim", "scenes", "least"), ((2, 300, 220), (3, 30, 13)))
 def test_sweep(dim, scenes, least):
     """As many solved as when the demo was written, but for a few; none that ends a process."""
     rows = [any_contacts.run(seed, dim) for seed in range(scenes)]
