@@ -45,6 +45,8 @@ from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AHEAD,
+    OSCILLATES,
+    BACK,
     ENOUGH,
     PATIENCE,
     PROGRESS,
@@ -192,7 +194,7 @@ class ContactSystem(NonlinearSystem):
     def _iterate(self) -> int:
         """Newton's iteration without friction: each step solves its linearised contact problem."""
         self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
-        polished = False
+        polished, backwards, before, square = False, 0, [], 0.0
         for step in range(STEPS + 1):
             for rows in self._rows:
                 rows.update_geometry()
@@ -225,8 +227,19 @@ class ContactSystem(NonlinearSystem):
             best = min(best, natural)
             if DEBUG:
                 print(f"  residual {natural:.3e} since {since}")
-            way = self._step_exactly()
-            self._search(way, always=since >= PATIENCE and step > 0)
+            start, end, work = self._step_exactly()
+            if DEBUG:
+                print("   work", work)
+            moves = [b - a for a, b in zip(start.values[:len(self._u)], end.values)]
+            product = np.array([sum(map(np.dot, moves, other)) for other in (moves, before or moves)])
+            self._comm.Allreduce(MPI.IN_PLACE, product)
+            turned = before and product[1] < OSCILLATES * np.sqrt(product[0] * square)
+            before, square = moves, product[0]
+            if self._frictional and work < 0 and turned and backwards < BACK:
+                self._restore(start.towards(end, -1.0))
+                backwards += 1
+            else:
+                self._search((start, end), always=since >= PATIENCE and step > 0)
         raise SolveError(f"Newton's iteration did not end in {step} steps.")
 
     def _natural(self) -> float:
@@ -337,14 +350,17 @@ class ContactSystem(NonlinearSystem):
         self._rays = self._rays + 1 if near else 0
         if not found.is_solved or self._rays == RAYS:
             self._tell_pull(found)
-        start = self._state()
+        start, last = self._state(), [(rows.state.p, rows.clearance) for rows in self._rows]
+        work = self._comm.allreduce(sum(map(np.dot, found.changes, self._left)))
         parts = zip(self._rows, found.y, found.f, found.changed, strict=True)
         for rows, *solution in parts:
             rows.accept(*solution, stiffness)
         for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
-        return start, self._state()
+        for rows, (p, g) in zip(self._rows, last, strict=True):
+            work -= ((rows.state.p - p) * g)[rows.state.active].sum()
+        return start, self._state(), work
 
     def _tell_pull(self, found):
         """Raise that a body that only contact holds leaves."""
