@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Active set of a semi-smooth Newton iteration: its changes, and how it holds rigid bodies."""
+"""Working set of a Newton step: where new multipliers come from, and how it holds rigid bodies."""
 
 import numpy as np
 import numpy.typing as npt
@@ -25,39 +25,13 @@ def sources(new, lasting, active, facets) -> npt.NDArray[np.intp]:
     return result
 
 
-def beside(new, lasting, facets) -> npt.NDArray[np.bool_]:
-    """Mask of new multipliers, and of their lasting neighbours; arguments as :func:`sources`."""
-    result = new.copy()
-    i, j = _pairs(facets[new[facets].any(axis=1)])
-    result[j[new[i] & lasting[j]]] = True
-    return result
-
-
 def _pairs(facets) -> npt.NDArray[np.intp]:
     """Vertices of the same facets, both ways and also with themselves, ``(2, num_pairs)``."""
     k = facets.shape[1]
     return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))
 
 
-def pushing(p, g, m, valid, stiffness, active, zero: float) -> npt.NDArray[np.bool_]:
-    """Mask p − c g/m > 0: closed or overlapping, without a pull; at both limits nothing changes.
-
-    Args:
-        p: Pressures, ``(num,)``.
-        g: Weighted gaps, ``(num,)``.
-        m: Areas of the weights, ``(num,)``.
-        valid: Mask of the existing multipliers, ``(num,)``.
-        stiffness: c, of the size of a modulus over the size of a cell; a number or ``(num,)``.
-        active: The set so far, ``(num,)``.
-        zero: Pressure treated as zero.
-    """
-    gap = np.divide(g, m, out=np.zeros_like(g), where=valid)
-    return valid & (p - stiffness * gap > np.where(active, -zero, zero))
-
-
-def holding(
-    active, distance, valid, holds, across=()
-) -> tuple[npt.NDArray[np.bool_], int]:
+def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.bool_], int]:
     """An active set enlarged until it holds the bodies that nothing else holds.
 
     Multipliers that close soonest come first.

@@ -14,8 +14,8 @@ def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_
     """Solve the problem, by block pivoting or, where that meets a singular matrix, by Lemke's.
 
     Args:
-        M: ``(num, num)``, of numbers around 1; z is unique if each principal minor is positive (a P-matrix). If M is at
-            least positive semi-definite there is a solution unless w ≥ 0 for no z ≥ 0.
+        M: ``(num, num)``, of numbers around 1; z is unique if each principal minor is positive (a
+            P-matrix). If M is positive semi-definite there is a solution unless w ≥ 0 for no z ≥ 0.
         b: ``(num,)``.
         zero: Sizes treated as zero, of z and w alike, ``(num,)``.
 

@@ -225,41 +225,18 @@ class ContactRows:
     def _transfer(self):
         """Give new multipliers among active ones the state of a neighbour.
 
-        Their weights were part of the neighbours' before: so forces stay continuous, and for one
-        step the sets around them stay as they are.
+        Their weights were part of the neighbours' before: so forces stay continuous.
         """
         state = self.state
-        self._persistent = state.exists & self.valid
         facets = self.sides[1].reference.facets
         new = self.valid & ~state.exists
         if new.any():
-            source = active_set.sources(new, self._persistent, state.active, facets)
+            lasting = state.exists & self.valid
+            source = active_set.sources(new, lasting, state.active, facets)
             new = source >= 0
             for values in state.arrays.values():
                 values[..., new] = values[..., source[new]]
-            self._unsettled = active_set.beside(new, self._persistent, facets)
-        else:
-            self._unsettled = new
         state.exists = self.valid
-
-    def choose_active(self, stiffness: float, zero: float, last: npt.NDArray | None):
-        """Choose the active set.
-
-        Args:
-            stiffness: Stiffness of the bodies' nodes.
-            zero: Pressure treated as zero.
-            last: :attr:`sets` of the last Newton step; None in the first one.
-        """
-        state, c, g = self.state, stiffness / self.typical_area, self.clearance
-        if last is not None:  # what a step leaves of a closed gap is curvature's: p alone decides
-            g = np.where(state.active, np.minimum(g, 0), g)
-        active = active_set.pushing(
-            state.p, g, self.m, self.valid, self.in_series(c), state.active, zero
-        )
-        state.active = np.where(self._unsettled, state.active, active)
-        if last is None:
-            if not state.p.any():
-                state.active |= self.distance <= self.closed
 
     def activate(self, active: npt.NDArray[np.bool_]):
         """Set the active set, ``(num_multipliers,)``."""
@@ -274,21 +251,6 @@ class ContactRows:
     def restore(self, state: NormalState):
         """Go back to a state that was copied before."""
         self.state = state.copy()
-
-    def take(self, linear: Linear, solution: npt.NDArray[np.float64]):
-        """Take the multipliers from a solution.
-
-        Args:
-            linear: The equations that were solved.
-            solution: The unknowns, ``(num_multipliers,)``.
-        """
-        if self.state.active.any():
-            self._take(solution * linear.scale)
-        else:
-            self.forget()
-
-    def _take(self, values: npt.NDArray[np.float64]):
-        self.state.p = values
 
     def forget(self):
         """Set all pressures to zero."""
@@ -306,57 +268,52 @@ class ContactRows:
         """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
         return self._active_unknowns
 
-    def new_gaps(self, changes: Sequence[npt.NDArray], stiffness: float) -> npt.NDArray[np.float64]:
+    def new_gaps(self, changes: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
         """Gaps after a step, without what a compliance adds. Collective.
 
         Args:
             changes: What is subtracted from this rank's displacements of each body.
-            stiffness: Stiffness of the bodies' nodes.
         """
-        return self._over_areas(self.g - self.times(self.from_bodies(changes)), stiffness)
+        return self._over_areas(self.g - self.times(self.from_bodies(changes)))
 
-    def _over_areas(self, values: npt.NDArray, stiffness: float) -> npt.NDArray[np.float64]:
+    def _over_areas(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
         """Weighted lengths as lengths times √stiffness, 0 without a multiplier."""
         m, valid = (np.tile(part, self._per_vertex) for part in (self.m, self.valid))
-        return np.sqrt(stiffness) * np.divide(values, m, out=np.zeros_like(values), where=valid)
+        return self._root * np.divide(values, m, out=np.zeros_like(values), where=valid)
 
-    def least(self, stiffness: float, zero: float) -> npt.NDArray[np.float64]:
-        """Sizes treated as zero, of multipliers or gaps; ``zero`` is such a pressure."""
-        return np.where(self.state.active, *self._least(stiffness, zero))
+    def least(self) -> npt.NDArray[np.float64]:
+        """Sizes treated as zero, of multipliers in the working set or of gaps outside."""
+        return np.where(self.state.active, *self._least())
 
-    def _least(self, stiffness: float, zero: float) -> tuple[npt.NDArray[np.float64], float]:
+    def _least(self) -> tuple[npt.NDArray[np.float64], float]:
         """Sizes treated as zero, of multipliers and of gaps."""
-        size, root = float(self.sides[1].reference.size.max()), np.sqrt(stiffness)
-        force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * size)
-        return root * force, root * EXACT * size
+        size = float(self.sides[1].reference.size.max())
+        force = np.maximum(self._zero * self.m / self._stiffness, ROUND_OFF_FORCES * size)
+        return self._root * force, self._root * EXACT * size
 
-    def wrong(self, y, f, stiffness: float, zero: float) -> npt.NDArray[np.bool_]:
+    def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``.
 
         Args:
             y: Gaps, ``(num_unknowns,)``.
             f: Multipliers, ``(num_unknowns,)``.
-            stiffness: Stiffness of the bodies' nodes.
-            zero: Pressure treated as zero.
         """
-        return self.valid & (np.where(self.state.active, f, y) < -self.least(stiffness, zero))
+        return self.valid & (np.where(self.state.active, f, y) < -self.least())
 
-    def law(self, y, f, at, stiffness: float, zero: float):
+    def law(self, y, f, at):
         """What is wrong by the laws of contact and friction: zero where they hold.
 
         Args:
             y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
             f: Pressures and tractions, likewise.
             at: Numbers of the multipliers, ``(num,)``.
-            stiffness: Stiffness of the bodies' nodes.
-            zero: Pressure treated as zero.
 
         Returns:
             The errors, ``(n, num)``; their derivatives by y and f, ``(n, n, num)`` each; and the
             sizes treated as zero, ``(n, num)``.
         """
         closed = f[0] > y[0]
-        force, length = self._least(stiffness, zero)
+        force, length = self._least()
         return (
             np.where(closed, y[0], f[0])[None],
             closed[None, None].astype(float),
@@ -364,56 +321,61 @@ class ContactRows:
             np.where(closed, length, force[at])[None],
         )
 
-    def watched_gaps(self, stiffness: float) -> Sparse:
+    def watched_gaps(self) -> Sparse:
         """Gaps in terms of the unknowns of the equations."""
-        return self._watched(self.C, stiffness)
+        return self._watched(self.C)
 
-    def _watched(self, matrix: Sparse, stiffness: float) -> Sparse:
+    def _watched(self, matrix: Sparse) -> Sparse:
         """Rows over areas times √stiffness, of what isn't prescribed."""
         a = matrix.i % len(self.g)
         use = self.valid[a] & (self.unknowns[0] != -2)[matrix.j]
         i, j, values = matrix.i[use], matrix.j[use], matrix.values[use]
-        return Sparse(i, j, np.sqrt(stiffness) * values / self.m[a[use]])
+        return Sparse(i, j, self._root * values / self.m[a[use]])
 
-    def watched_forces(self, stiffness: float) -> Sparse:
+    def watched_forces(self) -> Sparse:
         """Multipliers of the working set in terms of the unknowns of the equations."""
         on = np.flatnonzero(self.is_in)
-        return Sparse(on, self._num_dofs + on, np.full(len(on), np.sqrt(stiffness)))
+        return Sparse(on, self._num_dofs + on, np.full(len(on), self._root))
 
-    def loads(self, stiffness: float) -> Sparse:
+    def loads(self) -> Sparse:
         """Right-hand sides of new unknowns: forces, or slack in rows of the working set."""
-        rows = self._watched(self._acting(), stiffness)
+        rows = self._watched(self._acting())
         use = ~self.is_in[rows.i]
-        return joined(
-            Sparse(rows.i[use], rows.j[use], rows.values[use]), self.watched_forces(stiffness)
-        )
+        return joined(Sparse(rows.i[use], rows.j[use], rows.values[use]), self.watched_forces())
 
     def _acting(self) -> Sparse:
         """Rows of forces."""
         return self.C
 
-    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+    def give(self) -> npt.NDArray[np.float64]:
         """What a compliance adds to gaps, over multipliers."""
         return np.divide(
-            stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
+            self._stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
         )
 
     def penalty(self, price: float, state: NormalState) -> float:
         """Price of overlaps, and friction's work at the pressures of a state."""
         return price * float(np.maximum(-self.clearance, 0)[self.valid].sum())
 
-    def accept(self, y, f, changed, stiffness: float):
+    def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         now = self.state
         now.active = self.valid & np.where(changed, f > y, now.active)
-        now.p = np.where(now.active, f, 0) * self._scale(stiffness) / np.sqrt(stiffness)
+        now.p = np.where(now.active, f, 0) * self._per_unit
 
-    def _scale(self, stiffness: float) -> npt.NDArray[np.float64]:
-        """Pressures over the matrix's units of them."""
-        return np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
+    @property
+    def _per_unit(self) -> npt.NDArray[np.float64]:
+        """Pressures over multipliers in these units."""
+        return np.divide(self._root, self.m, out=np.zeros_like(self.m), where=self.valid)
 
     def start_set(self, stiffness: float, zero: float):
-        """Working set: those with a pressure, and those that are closed or overlap."""
+        """Choose the working set: active multipliers, and those that are closed or overlap.
+
+        Args:
+            stiffness: Stiffness of the bodies' nodes, which makes forces of lengths.
+            zero: Pressure treated as zero.
+        """
+        self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         now = self.state
         now.active = self.valid & (now.active | (self.distance <= self.closed))
         now.p = np.where(now.active, now.p, 0)
@@ -492,10 +454,6 @@ class ContactRows:
     def distance(self) -> npt.NDArray[np.float64]:
         """Clearance over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
         return np.divide(self.clearance, self.m, np.full_like(self.g, np.inf), where=self.valid)
-
-    def in_series(self, stiffness: float) -> npt.NDArray[np.float64]:
-        """A stiffness in series with the compliance, ``(num_multipliers,)``."""
-        return stiffness / (1 + stiffness * self._compliance)
 
     @property
     def closed(self) -> float:
@@ -616,22 +574,19 @@ class ContactRows:
         """Entries at all dofs on which multipliers act."""
         return self.C
 
-    def equations(
-        self, stiffness: float, increments: Sequence[npt.NDArray] | None, *, exact: bool
-    ) -> Linear:
+    def equations(self, stiffness: float, increments: Sequence[npt.NDArray] | None) -> Linear:
         """Linearised equations; p = 0 without active multipliers. Collective.
 
         Args:
             stiffness: Stiffness of the bodies' nodes.
             increments: Increments that prescribed displacements of each body have to make, if any.
-            exact: True for the exact tangent, with the derivatives of the forces.
         """
         if self.state.active.any():
             moves = None if increments is None else self.from_bodies(increments)
             found = self.linearised(stiffness, moves)
         else:
             found = self.without_forces(stiffness)
-        return found.stiffened(self.curvature()) if exact else found
+        return found.stiffened(self.curvature())
 
     def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
         """Equations of gaps.
@@ -687,16 +642,6 @@ class ContactRows:
         every = self._num_dofs + np.arange(len(none))
         return Linear((Sparse(every, every, none + stiffness),), none, none, none)
 
-    @property
-    def sets(self) -> npt.NDArray:
-        """The active set; a tangent holds while it stays the same."""
-        return self.state.active.copy()
-
-    def as_before(self, last: npt.NDArray, sets: npt.NDArray) -> bool:
-        """True if sets differ from the last ones only by multipliers that came or went."""
-        changed = (last != sets).reshape(-1, len(self.g))
-        return not changed[:, self._persistent].any()
-
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """C applied to motions, over areas, ``(num_multipliers, num)``."""
         result = np.zeros((len(self.g), len(moves)))
@@ -707,6 +652,11 @@ class ContactRows:
     def contact_forces(self) -> list[npt.NDArray[np.float64]]:
         """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
         return self.forces(self.state.p * self.state.active)
+
+    def unsatisfied(self) -> npt.NDArray[np.float64]:
+        """What is left of gaps and pressures, lengths, ``(num_multipliers,)``."""
+        left = np.minimum(self.state.p * self.m / self._stiffness, self.distance)
+        return np.where(self.valid, left, 0)
 
     def is_closed(self) -> bool:
         """True if active gaps are closed, and no others overlap."""
@@ -780,7 +730,9 @@ class SystemState:
     """State of each contact."""
 
     def towards(self, other: "SystemState", share: float) -> "SystemState":
-        """A state on the way to another one or beyond, with this one's active sets.
+        """A state on the way to another one, with that one's multipliers and sets.
+
+        Before this one, at a negative share, multipliers go on backwards, and sets are this one's.
 
         Args:
             other: The other state.
@@ -789,6 +741,9 @@ class SystemState:
         values = [a + share * (b - a) for a, b in zip(self.values, other.values, strict=True)]
         contacts = []
         for one, two in zip(self.contacts, other.contacts, strict=True):
+            if share >= 0:
+                contacts.append(replace(two, opening=one.opening, exists=one.exists))
+                continue
             ends = {k: (a, two.arrays[k]) for k, a in one.arrays.items() if a.dtype != bool}
             contacts.append(replace(one, **{k: a + share * (b - a) for k, (a, b) in ends.items()}))
         return SystemState(values, contacts)

@@ -16,6 +16,7 @@ step if gaps aren't closed to round-off.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 from mpi4py import MPI
 
@@ -29,35 +30,21 @@ from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
-    Linear,
-    NormalState,
     SystemState,
     share_ends,
 )
-from hypergap_dolfinx.contact_solver.friction_rows import (
-    FrictionRows,
-    FrictionState,
-    hold_by_sticking,
-)
-from hypergap_dolfinx.contact_solver.exact_step import LinearisedContact
+from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
+from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, hold_by_sticking
+from hypergap_dolfinx.contact_solver.linearised import Found, LinearisedContact
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
-from hypergap_dolfinx.contact_solver.relaxation import Relaxation
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
-    AHEAD,
-    ENOUGH,
-    PATIENCE,
-    PROGRESS,
     RAYS,
-    TRIALS,
-    EXCEEDS,
-    RELAXED,
     REUSED,
     ROUND_OFF_FORCES,
-    SHIFT,
-    SHIFTS,
     SHORTENED,
     STEPS,
+    TRIALS,
     UNPRESSED,
 )
 from hypergap_dolfinx.core.collective import spot
@@ -66,11 +53,6 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface.moving import Displacements
-
-
-import os
-
-DEBUG = bool(os.environ.get("DEBUGC"))
 
 
 class ContactSystem(NonlinearSystem):
@@ -130,6 +112,7 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
+        self._price = 0.0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
 
@@ -163,13 +146,12 @@ class ContactSystem(NonlinearSystem):
         for rows, contact in zip(self._rows, state.contacts, strict=True):
             rows.restore(contact)
 
-    def _go(
-        self, start: SystemState, end: SystemState, share: float
-    ) -> tuple[SystemState, SystemState]:
-        """Take a share of the way between two states: the first one, and the state reached."""
-        end = start.towards(end, share)
-        self._restore(end)
-        return start, end
+    def _go(self, start: SystemState, end: SystemState, share: float):
+        """Go a share of the way between two states, with the pressures and sets of the last one.
+
+        Backwards, with a negative share, sets are those of the first one.
+        """
+        self._restore(start.towards(end, share))
 
     def _newton(self) -> int:
         """Newton's iteration for the present values of the load. Collective.
@@ -187,276 +169,172 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
-        return self._alternate() if self._frictional and os.environ.get('OLDF') else self._iterate()
-
-    def _iterate(self) -> int:
-        """Newton's iteration without friction: each step solves its linearised contact problem."""
-        self._largest, self._rays, best, since = 0.0, 0, np.inf, 0
-        self._price = 0.0
-        polished = False
-        for step in range(STEPS + 1):
+        continuation = Continuation(self._comm)
+        self._largest, self._price, self._num_rays, polished = 0.0, 0.0, 0, False
+        way: tuple[SystemState, SystemState] | None = None
+        share, step = 1.0, 0
+        while True:
             for rows in self._rows:
                 rows.update_geometry()
             self._evaluate(self._x, self._b)
+            if not self._is_finite():
+                share *= SHORTENED
+                if way is None or share < SHORTENED**TRIALS:
+                    raise SolveError(self._inverted())
+                self._go(*way, share)
+                continue
             jump = self._jump()
             if step == 0:
                 self._assemble_what_moved()
+            stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
-                rows.start_set(self._stiffness(), self._zero_pressure())
+                rows.start_set(stiffness, zero)
             if self._num_free:
                 self._hold()
             if self._balances() and (step or self._is_exact):
                 if polished or all(rows.is_exact for rows in self._rows):
-                    self._check_pushing()
+                    self._check_held()
                     return step
                 polished = True
-            if step == STEPS:
-                break
+            continuation.update(self._natural())
+            if step == STEPS or continuation.stalls:
+                raise SolveError(self._stalled(step))
             if step:
                 try:
                     self.assemble_matrix()
                 except ValueError as error:  # points of the residual needn't see cells inverted
-                    raise SolveError(f"Newton's iteration diverged: {error}") from error
-            self._iterations += 1
-            if step == 0 and self._slides(jump):
+                    raise SolveError(self._inverted()) from error
+            step, self._iterations = step + 1, self._iterations + 1
+            if step == 1 and self._slides(jump):
                 self._carry()
                 continue
-            natural = self._natural()
-            since = since + 1 if natural > PROGRESS * best else 0
-            best = min(best, natural)
-            if DEBUG:
-                print(f"  residual {natural:.3e} since {since}")
-            way = self._step_exactly()
-            self._search(way, always=since >= PATIENCE and step > 0)
-        raise SolveError(f"Newton's iteration did not end in {step} steps.")
+            way, work = self._step(jump, stiffness)
+            share = 1.0
+            moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
+            if continuation.goes_back(moves, work):
+                share = -1.0
+            elif continuation.searches:
+                share = searched(partial(self._slope, way, moves))
+            if share != 1:
+                self._go(*way, share)
+
+    def _is_finite(self) -> bool:
+        """True if the residual is one of numbers. Collective."""
+        norms = sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
+        return bool(np.isfinite(self._comm.allreduce(norms)))
+
+    def _slope(
+        self,
+        way: tuple[SystemState, SystemState],
+        moves: Sequence[npt.NDArray[np.float64]],
+        share: float,
+    ) -> tuple[float, float]:
+        """Slope of the bodies' energy along a step, and the penalty, at a share of it. Collective.
+
+        Args:
+            way: The states before and after the step.
+            moves: This rank's increments of each body's displacements.
+            share: The share; this state is taken.
+        """
+        self._go(*way, share)
+        for rows in self._rows:
+            rows.update_geometry()
+        self._evaluate(self._x, self._b)
+        parts = zip(self._held, moves, self._b.getNestSubVecs(), strict=False)
+        slope = sum(float(np.dot(move[~held], b.array_r[~held])) for held, move, b in parts)
+        most = max(np.abs(one.p).max(initial=0) for state in way for one in state.contacts)
+        self._price = max(self._price, 2 * most)  # one that falls could let steps cycle
+        penalties = [
+            rows.penalty(self._price, state)
+            for rows, state in zip(self._rows, way[1].contacts, strict=True)
+        ]
+        return self._comm.allreduce(slope), float(sum(penalties))
 
     def _natural(self) -> float:
         """Size of what is left of forces, gaps and pulls, as forces. Collective."""
-        c = self._stiffness()
-        left = [
-            np.minimum(rows.state.p * rows.m / c, rows.distance)[rows.valid] for rows in self._rows
-        ]
-        return float(np.hypot(self._unbalanced, c * np.linalg.norm(np.concatenate(left))))
+        stiffness = self._stiffness()
+        left = [rows.unsatisfied() for rows in self._rows]
+        return float(np.hypot(self._unbalanced, stiffness * np.linalg.norm(np.concatenate(left))))
 
-    def _search(self, way, *, always: bool):
-        """Shorten a step until its end is one of numbers, and of less penalty. Collective."""
-        start, end = way
-        owned = self._owned()
-        ends = self._x.getNestSubVecs()[: len(owned)]
-        if not always:
-            share = 1.0
-            for _ in range(TRIALS):
-                self._evaluate(self._x, self._b)
-                if np.isfinite(
-                    self._comm.allreduce(
-                        sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
-                    )
-                ):
-                    return
-                share /= 4
-                start.towards(end, share)
-                self._restore(start.towards(end, share))
-                self._set_sets(end)
-            raise SolveError("Newton's iteration diverged: the residual is no number.")
-        moves = [b - a for a, b in zip(start.values[: len(owned)], end.values)]
-        held = self._held
-        moves = [np.where(h, 0, m) for h, m in zip(held, moves)]
-        price = 2 * max(max(np.abs(s.p).max(initial=0) for s in state.contacts) for state in way)
-        price = self._price = max(price, self._price)
+    def _step(
+        self, jump: Sequence[npt.NDArray[np.float64]], stiffness: float
+    ) -> tuple[tuple[SystemState, SystemState], float]:
+        """Solve the linearised contact problem, and take its solution. Collective.
 
-        def at(share):
-            self._restore(start.towards(end, share))
-            for rows in self._rows:
-                rows.update_geometry()
-            self._evaluate(self._x, self._b)
-            parts = self._b.getNestSubVecs()
-            slope = self._comm.allreduce(
-                sum(float(np.dot(m, b.array_r)) for m, b in zip(moves, parts))
-            )
-            overlap = sum(
-                float(np.maximum(-rows.clearance, 0)[rows.valid].sum()) for rows in self._rows
-            )
-            return slope, price * overlap
+        Args:
+            jump: Increments that prescribed displacements have to make.
+            stiffness: Stiffness of the bodies' nodes, as the working sets were chosen with.
 
-        first, before = at(0.0)
-        share, (last, overlap) = 1.0, at(1.0)
-        for _ in range(TRIALS):
-            middle, between = at(share / 2)
-            change = share / 6 * (first + 4 * middle + last) + overlap - before
-            if DEBUG:
-                print("    search", share, change, first, before)
-            if change <= ENOUGH * share * min(first - before, 0):
-                break
-            share, last, overlap = share / 2, middle, between
-        else:
-            share = 1.0
-        self._restore(start.towards(end, share))
-        self._set_sets(end)
-
-    def _set_sets(self, end):
-        for rows, state in zip(self._rows, end.contacts, strict=True):
-            rows.state.active = state.active.copy()
-            rows.state.p = state.p.copy()
-
-    def _step_exactly(self):
-        """Solve the linearised contact problem, and take its solution. Collective."""
-        stiffness, right = self._stiffness(), self._right()
-        moves = self._jump()
-        increments = (
-            moves if self._comm.allreduce(any(part.any() for part in moves), MPI.LOR) else None
-        )
-        equations = [rows.equations(stiffness, increments, exact=True) for rows in self._rows]
-        problem = LinearisedContact(
-            self._tangent, self._rows, equations, stiffness, self._zero_pressure()
-        )
-        ties = self._x.getNestSubVecs()[len(self._x.getNestSubVecs()) - self._num_ties :]
-        expected = sum(part.getSize() for part in ties) + sum(
-            int(rows.state.active.sum()) for rows in self._rows
-        )
-        shift, near = (0.0, 0.0), 0.0
-        for _ in range(SHIFTS + 1):
-            found = problem.solve(right, shift)
-            negative = self._tangent.negative
-            if DEBUG and (found.num or negative not in (None, expected) or not found.is_solved):
-                print(
-                    f"   step: {found.num} rhs, inertia {negative} of {expected}, shift {shift}, solved {found.is_solved}, active "
-                )
-            convex = negative is None or negative <= expected
-            if found.is_solved:
-                if convex:
-                    break
-                free = [
-                    np.where(held, 0, dx)
-                    for held, dx in zip(self._held, found.changes, strict=False)
-                ]
-                if self._tangent.work(free) > 0:
-                    break
-            if convex and self._num_free:
-                near = 4 * near or self._nearness()
-            else:
-                shift = (4 * shift[0] or SHIFT, 0.0)
-            shift = (shift[0], near)
-        self._rays = self._rays + 1 if near else 0
-        if not found.is_solved or self._rays == RAYS:
-            self._tell_pull(found)
+        Returns:
+            The states before and after, and the work of the increments of forces on those of
+            displacements: Hill's second-order work, negative where an equilibrium isn't stable.
+        """
         start = self._state()
-        parts = zip(self._rows, found.y, found.f, found.changed, strict=True)
-        for rows, *solution in parts:
-            rows.accept(*solution, stiffness)
-        for x, dx in zip(self._x.getNestSubVecs(), found.changes, strict=True):
+        last = [(rows.state.p, rows.clearance) for rows in self._rows]
+        moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
+        equations = [rows.equations(stiffness, jump if moves else None) for rows in self._rows]
+        problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
+        parts = self._x.getNestSubVecs()
+        num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
+        found = problem.solve(
+            self._right(), num_tied, self._held, self._nearness if self._num_free else None
+        )
+        self._num_rays = self._num_rays + 1 if found.leaves else 0
+        if not found.is_solved or self._num_rays == RAYS:
+            raise SolveError(self._unsolved(found))
+        for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
+            rows.accept(*solution)
+        for x, dx in zip(parts, found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
-        return start, self._state()
-
-    def _tell_pull(self, found):
-        """Raise that a body that only contact holds leaves."""
-        if not self._num_free:
-            raise SolveError("the linearised contact problem has no solution.")
-        pulls = [values[: len(rows.g)] for rows, values in zip(self._rows, found.f, strict=True)]
-        c = int(np.argmin([part.min(initial=0) for part in pulls]))
-        rows, k = self._rows[c], int(pulls[c].argmin())
-        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
-        raise SolveError(
-            f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
-            "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
-        )
+        work = self._comm.allreduce(sum(map(np.dot, found.changes, self._left)))
+        for rows, (p, g) in zip(self._rows, last, strict=True):
+            work -= ((rows.state.p - p) * g)[rows.state.active].sum()
+        return (start, self._state()), work
 
     def _nearness(self) -> float:
         """Share of the bodies' diagonal with which free motions go a facet's size. Collective."""
+        assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         largest = self._comm.allreduce(max(float(np.abs(m).max(initial=0)) for m in modes), MPI.MAX)
         size = min(float(rows.sides[1].reference.size.max()) for rows in self._rows)
         return largest * float(np.abs(self._load(modes)).max()) / (self._stiffness() * size)
 
-    def _alternate(self) -> int:
-        """Newton's iteration with friction: sets are guessed by signs."""
-        before: list[npt.NDArray] = []
-        earlier: list[npt.NDArray] = []
-        polished, returned, self._largest, way = False, 0, 0.0, None
-        relaxation = Relaxation(self._comm)
-        for step in range(STEPS + RELAXED + 1):
-            for rows in self._rows:
-                rows.update_geometry()
-            self._evaluate(self._x, self._b)
-            jump = self._jump()
-            if step == 0:
-                self._assemble_what_moved()
-            last = [rows.state.copy() for rows in self._rows]
-            held = self._choose(before)
-            as_before, as_earlier = [
-                bool(sets) and all(map(np.array_equal, sets, held)) for sets in (before, earlier)
-            ]
-            returned = returned + 1 if as_earlier and not as_before else 0
-            retained = returned > 1 and self._retain(last)
-            if retained:
-                held = before
-            earlier, settled = before, as_before or retained
-            if self._balances() and step and settled and not retained:
-                if polished or all(rows.is_exact for rows in self._rows):
-                    self._check_pushing()
-                    return step
-                polished = True
-            if step >= STEPS and not relaxation.acts:
-                break
-            lasting = bool(before) and all(map(ContactRows.as_before, self._rows, before, held))
-            if way and relaxation.shortens(self._unbalanced):
-                way = self._go(*way, SHORTENED)
-                continue
-            if not np.isfinite(self._unbalanced):
-                raise SolveError("Newton's iteration diverged: the residual is no number.")
-            before = held
-            relaxation.update(self._unbalanced)
-            if relaxation.creeps:
-                break
-            if step:
-                try:
-                    self.assemble_matrix()
-                except ValueError as error:  # points of the residual needn't see cells inverted
-                    raise SolveError(f"Newton's iteration diverged: {error}") from error
-            if step == 0 and self._slides(jump):
-                self._carry()
-            else:
-                # The last load step's pressures are as good as those of sets that are settled
-                exact = settled or lasting or (step == 0 and self._continues())
-                way, increments, work = self._step(exact, jump, relaxation.share)
-                share = relaxation.takes(increments, work, exact=exact)
-                if share != 1:
-                    way = self._go(*way, share)
-            self._iterations += 1
-        raise SolveError(f"Newton's iteration did not end in {step} steps.")
+    # What a load step that fails says
 
-    def _assemble_what_moved(self):
-        """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
-        sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
-        self._slack = REUSED * float(min(sizes))
-        self.assemble_matrix()
-        self._slack = 0.0
+    def _inverted(self) -> str:
+        """Message about cells that are turned over. Collective."""
+        return "cells are inverted, or the residual is no number, however short Newton's step is."
 
-    def _retain(self, last: Sequence[NormalState]) -> bool:
-        """Retain the sticking sets, with the exact tangent, where they alternate.
+    def _stalled(self, step: int) -> str:
+        """Message about an iteration without progress. Collective."""
+        parts = [rows.unsatisfied() for rows in self._rows]
+        worst = [float(np.abs(part).max(initial=0)) for part in parts]
+        c = int(np.argmax(worst))
+        rows, part = self._rows[c], parts[c]
+        forces = np.bincount(rows.C.i, np.abs(rows.C.values * rows.state.p[rows.C.i]), len(rows.g))
+        k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
+        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
+        return (
+            f"no equilibrium is found: after {step} Newton steps forces are off by "
+            f"{self._unbalanced:.2g}, and contact {c} changes most at {at}."
+        )
 
-        The iterate that follows is checked anew. ``last`` are the states before sets were chosen.
-        """
-        if not all(
-            np.array_equal(rows.state.active, a.active) for rows, a in zip(self._rows, last)
-        ):
-            return False
-        for rows, state in zip(self._rows, last, strict=True):
-            if isinstance(rows, FrictionRows) and isinstance(state, FrictionState):
-                rows.retain(state)
-        return True
+    def _unsolved(self, found: Found) -> str:
+        """Message about a linearised problem without a solution: a body leaves. Collective."""
+        if not self._num_free or self._frictional:
+            return "the linearised contact problem has no solution."
+        pulls = [values[: len(rows.g)] for rows, values in zip(self._rows, found.base, strict=True)]
+        c = int(np.argmin([part.min(initial=0) for part in pulls]))
+        rows, k = self._rows[c], int(pulls[c].argmin())
+        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
+        return (
+            f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
+            "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
+        )
 
-    def _check_pushing(self):
-        """Raise if multipliers that are active only to hold a body would have to pull it."""
-        zero = self._zero_pressure()
-        for rows in self._rows:
-            p = rows.state.p * rows.state.active
-            if p.min(initial=0) < -max(EXCEEDS * np.abs(p).max(initial=0), zero):
-                at = spot(rows.sides[1].displaced(rows.u[1]).x[[p.argmin()]])
-                raise SolveError(
-                    f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
-                    "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
-                )
+    def _check_held(self):
+        """Raise if sticking multipliers hold a body with more than friction can."""
         for rows in self._frictional:
             if rows.holds_too_much:
                 raise SolveError(
@@ -464,6 +342,13 @@ class ContactSystem(NonlinearSystem):
                     "more than friction can hold; hold it by boundary conditions, or move it by "
                     "them."
                 )
+
+    def _assemble_what_moved(self):
+        """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
+        sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
+        self._slack = REUSED * float(min(sizes))
+        self.assemble_matrix()
+        self._slack = 0.0
 
     def _zero_pressure(self) -> float:
         """Pressure treated as zero beside the largest one."""
@@ -478,19 +363,6 @@ class ContactSystem(NonlinearSystem):
             np.where(held, wanted[: len(held)] - u.x.array[: len(held)], 0)
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
-
-    def _choose(self, before: Sequence[npt.NDArray[np.bool_]]) -> list[npt.NDArray[np.bool_]]:
-        """Choose the active sets, enlarged where they alone hold bodies. Collective.
-
-        Args:
-            before: The last sets; empty in the first step.
-        """
-        stiffness, zero = self._stiffness(), self._zero_pressure()
-        for c, rows in enumerate(self._rows):
-            rows.choose_active(stiffness, zero, before[c] if before else None)
-        if self._num_free:
-            self._hold()
-        return [rows.sets for rows in self._rows]
 
     def _hold(self):
         """Enlarge active sets until they hold; ``first`` if no pressure acts yet. Collective."""
@@ -570,10 +442,6 @@ class ContactSystem(NonlinearSystem):
         self._is_exact = worst <= ROUND_OFF_FORCES * self._largest
         return bool(worst <= self._rtol * np.sqrt(size) or self._is_exact)
 
-    def _continues(self) -> bool:
-        """True if the active sets are those that had pressures."""
-        return all(np.array_equal(rows.state.active, rows.state.p > 0) for rows in self._rows)
-
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""
         largest = max(float(abs(part).max(initial=0)) for part in jump)
@@ -621,53 +489,13 @@ class ContactSystem(NonlinearSystem):
 
         Gaps at a body's old place say nothing about its new one.
         """
-        stiffness = self._stiffness()
-        self._take(
-            self._forces_left()[0],
-            [rows.without_forces(stiffness) for rows in self._rows],
-            0.0,
-        )
+        equations = [rows.without_forces(self._stiffness()) for rows in self._rows]
+        solution, _ = self._tangent.solve(self._forces_left()[0], equations)
+        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
+            x.array[:] -= dx
+        self._assign(self._x)
         for rows in self._rows:
             rows.forget()
-
-    def _step(
-        self, settled: bool, jump: Sequence[npt.NDArray[np.float64]], viscous: float
-    ) -> tuple[tuple[SystemState, SystemState], list[npt.NDArray[np.float64]], float]:
-        """Solve for one Newton step, and take it. Collective.
-
-        Args:
-            settled: True if the sets are those of the last step: then the tangent is exact, as it
-                always is without friction for bodies that only contact holds.
-            jump: Increments that prescribed displacements have to make.
-            viscous: Share of the bodies' stiffness that is added.
-
-        Returns:
-            The states before and after, this rank's increments of each body's displacements, and
-            the work of the increments of forces on them: Hill's second-order work, negative where
-            an equilibrium isn't stable.
-        """
-        stiffness, right, start = self._stiffness(), self._right(), self._state()
-        rolls = self._num_free > 0  # then pressures may be all that keeps bodies in place
-        moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
-        prescribed = jump if moves else None
-        last = [(rows.state.p, rows.clearance) for rows in self._rows]
-        equations = [
-            rows.equations(
-                stiffness,
-                prescribed,
-                exact=settled or (rolls and not isinstance(rows, FrictionRows)),
-            )
-            for rows in self._rows
-        ]
-        changes, unknowns = self._take(right, equations, viscous)
-        for rows, linear, values in zip(self._rows, equations, unknowns, strict=True):
-            rows.take(linear, values)
-        now = [part.array_r.copy() for part in self._x.getNestSubVecs()]
-        end = SystemState(now, [rows.state.copy() for rows in self._rows])
-        work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
-        for rows, (p, g) in zip(self._rows, last, strict=True):
-            work -= ((rows.state.p - p) * g)[rows.state.active].sum()
-        return (start, end), changes, work
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body; lengths of matrix rows with it. Collective."""
@@ -676,17 +504,3 @@ class ContactSystem(NonlinearSystem):
             self._softest = min([mean_diagonal(K) for K in self._K])
             self._row_lengths = [row_length(K) for K in self._K]
         return self._softest
-
-    def _take(
-        self, right: Sequence[npt.NDArray], equations: Sequence[Linear], viscous: float
-    ) -> tuple[list[npt.NDArray], list[npt.NDArray]]:
-        """Solve, and subtract the solution; arguments as :meth:`Tangent.solve`. Collective.
-
-        Returns:
-            This rank's increments of each body's displacements, and the contacts' unknowns.
-        """
-        solution, unknowns = self._tangent.solve(right, equations, viscous)
-        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
-            x.array[:] -= dx
-        self._assign(self._x)
-        return solution[: len(self._u)], unknowns

@@ -164,60 +164,10 @@ class FrictionRows(ContactRows):
 
     # Sets
 
-    def choose_active(self, stiffness: float, zero: float, last: npt.NDArray | None):
-        """Choose the active set, and which of it sticks.
-
-        In the first step active multipliers go on as they were, and new ones stick.
-        """
-        super().choose_active(stiffness, zero, last)
-        now = self.state
-        c = stiffness / self.typical_area
-        stuck = self.stuck
-        self._surplus = np.where(stuck, -np.inf, 0)
-        if self._carried:  # slip beyond a facet's size
-            size = np.linalg.norm(self.slip, axis=0)
-            slips = size > self.sides[1].reference.size.max()
-            now.sticks &= ~slips
-            now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
-            self._carried = False
-        elif last is None:
-            pass
-        elif self._soft:
-            size = np.linalg.norm(self._reach, axis=0)
-            now.sticks = (size <= self._soft) & (self.mu > 0)
-            now.way = -self._reach / np.where(size > 0, size, 1)
-            self._surplus = np.where(stuck, -np.inf, size)
-        else:
-            trial = now.q - c * self.slip
-            size = np.linalg.norm(trial, axis=0)
-            gap = np.where(self.valid, self.distance, 0)
-            bound, _ = self._bounds(now.p - self.in_series(c) * gap)
-            none = max(EXCEEDS * bound[now.active].max(initial=0), zero)
-            # At both limits nothing changes
-            sticks = np.where(now.sticks, size <= bound + none, size < bound - none)
-            # Where slip reverses, stick first: else all could alternate
-            turned = ~now.sticks & (c * (self.slip * now.way).sum(axis=0) > none)
-            now.sticks = (sticks | turned) & (self.mu > 0)
-            now.way = trial / np.where(size > 0, size, 1)
-            self._surplus = np.where(stuck, -np.inf, size - bound)
-        self._zero, self._c = zero, c
-
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
         """Mask of active multipliers that stick."""
         return self.state.active & self.state.sticks
-
-    @property
-    def sets(self) -> npt.NDArray:
-        """Active set, sticking set and directions of slip; a tangent holds while they stay."""
-        now = self.state
-        slips = now.active & ~now.sticks
-        way = np.sign(now.way[0]) * slips if self._n == 2 else slips
-        return np.concatenate((now.active, self.stuck, way))
-
-    def retain(self, last: FrictionState):
-        """Go back to the sticking and slipping of a state before."""
-        self.state.sticks, self.state.way = last.sticks.copy(), last.way.copy()
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
@@ -250,7 +200,7 @@ class FrictionRows(ContactRows):
         now = self.state
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
-        self._c, self._zero = stiffness / self.typical_area, zero
+        self._c = stiffness / self.typical_area
         self._slope = None
         if self._carried:  # slip beyond a facet's size
             size = np.linalg.norm(self.slip, axis=0)
@@ -284,44 +234,44 @@ class FrictionRows(ContactRows):
                 )
         return self._slope
 
-    def new_gaps(self, changes: Sequence[npt.NDArray], stiffness: float) -> npt.NDArray[np.float64]:
+    def new_gaps(self, changes: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
         """Gaps and slips after a step, without what a compliance adds. Collective."""
-        gaps = super().new_gaps(changes, stiffness)[: len(self.g)]
+        gaps = super().new_gaps(changes)[: len(self.g)]
         slips = self.s - self._times(self._slopes_everywhere(), self.from_bodies(changes))
-        return np.append(gaps, self._over_areas(np.append(self.g, slips), stiffness)[len(self.g) :])
+        return np.append(gaps, self._over_areas(np.append(self.g, slips))[len(self.g) :])
 
-    def _over_areas(self, values: npt.NDArray, stiffness: float) -> npt.NDArray[np.float64]:
+    def _over_areas(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
         if len(values) == len(self.g):
             values = np.append(values, np.zeros((self._n - 1) * len(self.g)))
-        return super()._over_areas(values, stiffness)
+        return super()._over_areas(values)
 
-    def watched_gaps(self, stiffness: float) -> Sparse:
+    def watched_gaps(self) -> Sparse:
         """Gaps and slips in terms of the unknowns of the equations."""
         S = self._slopes_everywhere()
         slips = Sparse(len(self.g) + S.i, S.j, S.values)
-        return self._watched(joined(self.C, slips), stiffness)
+        return self._watched(joined(self.C, slips))
 
     def _acting(self) -> Sparse:
         return joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
 
-    def give(self, stiffness: float) -> npt.NDArray[np.float64]:
+    def give(self) -> npt.NDArray[np.float64]:
         """What a compliance adds to gaps, over multipliers; nothing to slips."""
-        return np.append(super().give(stiffness), np.zeros((self._n - 1) * len(self.g)))
+        return np.append(super().give(), np.zeros((self._n - 1) * len(self.g)))
 
-    def wrong(self, y, f, stiffness: float, zero: float) -> npt.NDArray[np.bool_]:
+    def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``."""
         every = np.arange(len(self.g))
         y, f = (v.reshape(self._n, -1) for v in (y, f))
-        error, _, _, least = self.law(y, f, every, stiffness, zero)
-        now, (closed, sticks, way) = self.state, self._states(y, f, every, stiffness)
+        error, _, _, least = self.law(y, f, every)
+        now, (closed, sticks, way) = self.state, self._states(y, f, every)
         other = closed != now.active
         other |= closed & (sticks != now.sticks)
         other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
         return np.tile(self.valid & other & (np.abs(error) > least).any(axis=0), self._n)
 
-    def _states(self, y, f, at, stiffness: float):
+    def _states(self, y, f, at):
         """What is closed, what sticks, and directions of slip; arguments as :meth:`law`."""
-        root = np.sqrt(stiffness)
+        root = self._root
         closed = f[0] > y[0]
         if self._soft:
             reach = root * self._elastic[:, at] + y[1:]
@@ -329,27 +279,28 @@ class FrictionRows(ContactRows):
             return closed, size <= root * self._soft, -reach / np.where(size > 0, size, 1)
         trial = f[1:] - y[1:]
         size = np.linalg.norm(trial, axis=0)
-        bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at, stiffness)
-        least, _ = self._least(stiffness, self._zero)
+        bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at)
+        least, _ = self._least()
         none = np.maximum(EXCEEDS * bound, least[at])
         sticks = (size <= bound + np.where(self.state.sticks[at], none, -none)) & (self.mu[at] > 0)
         return closed, sticks, trial / np.where(size > 0, size, 1)
 
-    def _scaled_bounds(self, p, at, stiffness: float):
+    def _scaled_bounds(self, p, at):
         """Friction's bound in the units of :meth:`law`, and its derivative."""
         bound = self.mu[at] * np.maximum(p, 0)
-        limit = self._limit * np.where(self.valid, self.m, 1)[at] / np.sqrt(stiffness)
+        limit = self._limit * np.where(self.valid, self.m, 1)[at] / self._root
         return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
 
-    def law(self, y, f, at, stiffness: float, zero: float):
+    def law(self, y, f, at):
         """What is wrong by the laws of contact and friction, as for a contact without friction."""
-        n, num, root = self._n, len(at), np.sqrt(stiffness)
-        error, by_y, by_f, least = np.zeros((n, num)), *np.zeros((2, n, n, num)), np.zeros((n, num))
-        error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at, stiffness, zero)
-        force, length = self._least(stiffness, zero)
+        n, num, root = self._n, len(at), self._root
+        error, least = np.zeros((2, n, num))
+        by_y, by_f = np.zeros((2, n, n, num))
+        error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at)
+        force, length = self._least()
         one = np.eye(n - 1)[..., None]
-        closed, sticks, way = self._states(y, f, at, stiffness)
-        bound, slope = self._scaled_bounds(f[0], at, stiffness)
+        closed, sticks, way = self._states(y, f, at)
+        bound, slope = self._scaled_bounds(f[0], at)
         none = np.maximum(EXCEEDS * bound, force[at])
         across = one - way[:, None] * way
         if self._soft:
@@ -380,17 +331,17 @@ class FrictionRows(ContactRows):
         bound, _ = self._bounds(state.p * state.active)
         return super().penalty(price, state) + float(bound @ np.linalg.norm(self.s, axis=0))
 
-    def accept(self, y, f, changed, stiffness: float):
+    def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         num, now = len(self.g), self.state
         every = np.arange(num)
         flat = y[:num], f[:num], changed[:num]
         y, f = (v.reshape(self._n, -1) for v in (y, f))
-        _, sticks, way = self._states(y, f, every, stiffness)
+        _, sticks, way = self._states(y, f, every)
         now.sticks = np.where(changed[:num], sticks, now.sticks)
         now.way = np.where(changed[:num], way, now.way)
-        super().accept(*flat, stiffness)
-        now.q = np.where(now.active, f[1:], 0) * self._scale(stiffness) / np.sqrt(stiffness)
+        super().accept(*flat)
+        now.q = np.where(now.active, f[1:], 0) * self._per_unit
 
     # Rows
 

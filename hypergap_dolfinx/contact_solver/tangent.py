@@ -246,7 +246,6 @@ class Tangent:
         self,
         right: Sequence[npt.NDArray],
         equations: Sequence[Linear],
-        viscous: float = 0.0,
         *,
         shift: tuple[float, float] = (0.0, 0.0),
         beside: npt.NDArray | None = None,
@@ -257,8 +256,7 @@ class Tangent:
         Args:
             right: This rank's right-hand side of bodies and ties.
             equations: Equations of each contact.
-            viscous: Share of the bodies' stiffness that is added.
-            shift: Share of their stiffness without stress that is added, and of its diagonal.
+            shift: Share of the bodies' stiffness without stress that is added, and of its diagonal.
             beside: What is subtracted from the right-hand side, in this rank's unknowns.
             anew: True for factors of this very matrix.
 
@@ -269,7 +267,7 @@ class Tangent:
         Raises:
             SolveError: The solver failed.
         """
-        base = self._base(viscous, shift)
+        base = self._base(shift)
         values = self._values(equations, len(base))
         fresh = values is None
         if values is None:
@@ -288,17 +286,14 @@ class Tangent:
             else:
                 self._ways = self._ways[number:]
                 return solution
-        return self.solve(right, equations, viscous, shift=shift, beside=beside, anew=anew)
+        return self.solve(right, equations, shift=shift, beside=beside, anew=anew)
 
-    def _base(self, viscous: float, shift: tuple[float, float]) -> npt.NDArray:
+    def _base(self, shift: tuple[float, float]) -> npt.NDArray:
         """This rank's entries of the nested matrix, the same array while they are the same."""
         blocks = list(self._blocks())
-        state = [viscous, *shift, *(block.stateGet() for *_, block in blocks)]
+        state = [*shift, *(block.stateGet() for *_, block in blocks)]
         if self._last_base is None or self._last_base[0] != state:
             values = [block.getValuesCSR()[2] for *_, block in blocks]
-            if viscous:
-                for (i, j, _), part in zip(blocks, values, strict=True):
-                    part *= 1 + viscous * (i == j < self._num_bodies)
             if any(shift):
                 for part, *added in zip(values, self._elastic, self._diagonals, strict=True):
                     part += shift[0] * added[0] + shift[1] * added[1]

@@ -11,11 +11,6 @@ HOLDS = 1e-6
 Measured: 0.1× to 10× change nothing in 147 tests of contact; derivatives by prescribed dofs are
 exact zeros."""
 
-REST = 2 / 3
-"""Exponent of the innermost balanced distance, beside the last set's, in the next set's distance.
-Measured: exact for spheres; Hertz in space, a/4 to a/12: 4 to 8 Newton steps; sets alone, up to
-a/8: at most 6, with 0.5 7, with 1 9."""
-
 NEAR_ENDS = 0.5
 """Distance of both sides' ends, in facet lengths, up to which they are one place.
 Measured: 0.1 to 0.9 change nothing in 147 tests of contact."""
@@ -43,10 +38,6 @@ STEPS = 25
 """Newton steps after which a load step is halved.
 Measured: Hertz up to 8, ironing up to 8."""
 
-AHEAD = 10
-"""Newton steps in which active sets lose more than what pulls.
-Measured: later ones could cycle."""
-
 ROTATION_ZERO = 1e-10
 """Norm of R − 1 treated as no rotation.
 Measured: translations: 1e-15."""
@@ -59,57 +50,14 @@ OSCILLATES = -0.5
 """Cosine between Newton steps below which they oscillate.
 Measured: flat die, μ = 0.5, Γ1 = die: -0.99 to -1.00 where they do."""
 
-SHRINKS = 0.5
-"""Length of an oscillating step, over the last one's, below which oscillation dies out by itself.
-Measured: force with a kink, of test_relaxation: 27 steps with 0.2 and 0.5, 37 with 0.8."""
-
-NOISE_RELAXATION = 1e-6
-"""Length of a step, over the load step's first one, treated as round-off.
-Measured: flat die, Γ1 = die, μ = 0.2, dragged by a cell at first: 0.02 and more."""
-
-SHARE = 0.3
-"""Initial damping: share of the bodies' stiffness added to the tangent.
-Measured: that die, at two snaps: 17 and 26 Newton steps; with 1: 17 and 42, without none ends."""
-
-GROWS = 4.0
-"""Factor by which damping grows when the iteration oscillates again, or steps become longer.
-Measured: force with a kink, of test_relaxation: 27 steps; with 2 25, 3 32, 8 60, 16 34."""
-
-FALLS = 0.1
-"""Least factor by which damping falls in a step, with the residual.
-Measured: the same force: 27 steps with 0.03 to 0.1, 29 with 0.3, 30 with 0.5."""
-
-LEAST = 1e-3
-"""Damping treated as none.
-Measured: the same force: 27 steps; 26 with 1e-2, 28 with 1e-4 and 1e-5."""
-
-MOST = 5.0
-"""Damping above which bodies only creep, and the load step is halved.
-Measured: beams 20 to 67 times as long as thick under a stiff round body, 44 load steps: 6317
-Newton steps without, 4131 with 5, 4133 with 1.3."""
-
 BACK = 3
 """Steps taken backwards, where the tangent's work is negative, before damping starts.
 Measured: flat die, μ = 0.5: one is enough, 7 and 8 Newton steps at a snap, 14 to 19 without."""
-
-GROWTH = 3.0
-"""Growth of the residual in a step, or of steps in a load step, above which one is too long.
-Measured: flat die, μ = 0.2: every third step 6 to 8 Newton steps, 8 to 10 without; 1.5: the
-same; of lengths, Γ1 = die dragged by a cell at first: 19 Newton steps, 27 without."""
-
-ATTEMPTS = 4
-"""Times in a row that a step is shortened, or refused as too long.
-Measured: flat die of degree 2: one halving with 2, three with 1, five without; dragged by two
-cells: a step that closes a gap of 0.01 stays as long at any damping."""
 
 SHORTENED = 0.25
 """Factor by which a step is shortened that is too long.
 Measured: flat die of degree 2 as Γ1, μ = 0.2, dragged by a cell at a time: 9.8 Newton steps, no
 halvings; with 0.5 10.7 and one, with 0.1 22 and one."""
-
-RELAXED = 50
-"""Newton steps granted in addition while damping acts.
-Measured: the die: up to 25 are used."""
 
 CLOSED_GAP = 1e-9
 """Relative gap treated as zero: in facet sizes, or over the largest gap.
@@ -184,6 +132,14 @@ DENSE = 60
 """Newton steps in a small problem with friction, before and with a line search.
 Measured: later"""
 
-SHORTEST = 1e-3
-"""Share of a step at which a line search in a small problem with friction ends.
+SHIFTED = 4.0
+"""Factor by which this share is increased.
+Measured: later"""
+
+STALLED = 12
+"""Newton steps without progress after which a load step is halved.
+Measured: later"""
+
+TRIALS_DENSE = 10
+"""Times that a step in a small problem with friction is halved.
 Measured: later"""

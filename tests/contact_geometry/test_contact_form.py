@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The weighted gap: its value, derivatives against finite differences, balance; active sets."""
 
-from functools import partial
-
 from mpi4py import MPI
 
 import numpy as np
@@ -206,94 +204,17 @@ def test_degree():
         PlaneSegments.between(sides, u)
 
 
-def test_what_is_at_both_limits_stays_in_the_set():
-    """Of a body that lies on another one without a weight, round-off is all there is."""
-    p, g = (np.array(values) for values in ([1e-15, -1e-15, 0, 0, 1.0, -1.0, 0], np.zeros(7)))
-    g[2:4], g[6] = (1e-16, -1e-16), -1.0
-    m, valid = np.ones(7), np.ones(7, dtype=bool)
-    for on in (valid, ~valid):
-        result = active_set.pushing(p, g, m, valid, 2.0, on, 1e-8)
-        assert result.tolist() == [*on[:4], True, False, True]
-
-
-def test_without_pull_on_surface():
-    """A ring that pulls takes with it what balances it, and no more; holes and new ones stay."""
-    n = 9
-    number = np.arange(n * n).reshape(n, n)
-    corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
-    facets = np.stack([part.ravel() for part in corners], axis=1)
-    ring = np.minimum.reduce((*np.indices((n, n)), *(n - 1 - np.indices((n, n))))).ravel()
-    force = np.array((0.0, -1.0, 0.5, 8.0, 5.0))[ring]
-    before, now = ring > 0, force > 0
-    now[0] = True
-    result = active_set.without_pull_on_surface(before, now, facets, force)
-    assert result[0] and not result[ring == 2].any() and result[ring > 2].all()
-    now[number[4, 4]] = False  # a hole
-    force[number[4, 4]] = -100
-    hole = active_set.without_pull_on_surface(before, now, facets, force)
-    assert (hole == (result & now)).all()
-    assert (active_set.without_pull_on_surface(before, before, facets, force) == before).all()
-
-
-def test_as_near():
-    """A sphere that touches where r < b instead of r < a, held by the same force."""
-    x = np.stack(np.meshgrid(*2 * [np.linspace(-2, 2, 81)]), axis=-1).reshape(-1, 2)
-    r, a, b = np.linalg.norm(x, axis=1), 0.61, 1.71
-    depth = np.sqrt(np.maximum(b**2 - r**2, 0))
-    before = depth > 0
-    force = np.where(before, depth - (b**3 - a**3) / (3 * b) / np.maximum(depth, 1e-3), 0)
-    scatter = np.random.default_rng(0).permutation(len(r)) % 7 == 0
-    now = before & (force > 0) & ~scatter
-    as_near = partial(active_set.as_near, plane=False)
-    result = as_near(before, now, r**2, force, 1e-9)
-    assert (result == before & (r <= r[result].max())).all()  # whole again
-    assert abs(r[result].max() / a - 1) <= 0.05
-    assert as_near(before, now, 1e-12 * r**2, force, 1e-9) is now  # all as near
-    assert as_near(before, now, r**2, np.maximum(force, 0), 1e-9) is now
-    assert as_near(before, now, r**2, -before.astype(float), 1e-9) is now
-    assert as_near(before, now, np.full(len(r), np.inf), force, 1e-9) is now
-
-
-def test_as_near_in_the_plane():
-    """The same of a cylinder, exact but for the mesh."""
-    x, a, b = np.linspace(-2, 2, 401), 0.61, 1.71
-    before = np.abs(x) < b
-    force = np.where(before, a**2 + b**2 - 2 * x**2, 0) / np.sqrt(np.maximum(b**2 - x**2, 1e-3))
-    result = active_set.as_near(before, force > 0, x**2, force, 1e-9, plane=True)
-    assert (result == (np.abs(x) < a)).sum() >= len(x) - 4
-    assert active_set.as_near(before, before, x**2, np.abs(force), 1e-9, plane=True) is before
-    # What pulls most of all is nearest
-    pulled, every = np.array((-5.0, 2, -1)), np.ones(3, dtype=bool)
-    result = active_set.as_near(every, pulled > 0, np.arange(3.0), pulled, 1e-9, plane=True)
-    assert result.tolist() == [True, True, False]
-
-
-def test_without_pull():
-    """An end that pulls takes with it what balances it, whatever scatters there."""
-    facets = np.column_stack((np.arange(8), np.arange(1, 9)))
-    force = np.array((5.0, 5, 4, 3, 2, -1, 2, -6, 0))
-    before, now = force != 0, force > 0
-    now[8] = True
-    result = active_set.without_pull(before, now, facets, force)
-    assert np.flatnonzero(result).tolist() == [0, 1, 2, 3, 8]
-    assert (active_set.without_pull(before, before, facets, force) == before).all()
-
-
-def test_seeded():
+def test_holding():
     """Vertices are added, the nearest first, until what is free is held."""
     x = np.linspace(-1, 1, 5)
     holds = np.column_stack((np.ones(5), x))
     distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
-    valid, none, area = np.ones(5, dtype=bool), np.zeros(5, dtype=bool), np.ones(5)
-    on, free = active_set.seeded(none, distance, area, valid, holds, np.zeros(2))
+    valid, none = np.ones(5, dtype=bool), np.zeros(5, dtype=bool)
+    on, free = active_set.holding(none, distance, valid, holds)
     assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
-    on, free = active_set.seeded(np.arange(5) == 4, distance, area, valid, holds, np.zeros(2))
+    on, free = active_set.holding(np.arange(5) == 4, distance, valid, holds)
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
-    on, free = active_set.seeded(
-        none, distance, area, valid, np.column_stack((x, x**2)), np.array((-1, 0))
-    )
-    assert np.flatnonzero(on).tolist() == [0, 1] and free == 0  # those that don't pull
-    on, free = active_set.seeded(none, distance, area, np.arange(5) == 3, holds, np.zeros(2))
+    on, free = active_set.holding(none, distance, valid, holds, [[1.0, 0.0]])
+    assert np.flatnonzero(on).tolist() == [1] and free == 0
+    on, free = active_set.holding(none, distance, np.arange(5) == 3, holds)
     assert np.flatnonzero(on).tolist() == [3] and free == 1
-    on, free = active_set.seeded(none, distance, area, valid, holds, np.array((1, 0.1)), first=True)
-    assert np.flatnonzero(on).tolist() == [2, 4] and free == 0  # on what it comes to rest

@@ -18,7 +18,7 @@ from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver import active_set
-from hypergap_dolfinx.contact_solver.relaxation import Relaxation
+from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
 
 comm = MPI.COMM_WORLD
 STEP = 1e-5  # of differences of the fourth order
@@ -146,10 +146,8 @@ def test_rotation(dim):
     far = 8 * np.pi / 40 + np.pi / (2, 4)[dim - 2]  # farther than facets are long
     for angle in (*np.arange(1, 9) * np.pi / 40, far):
         go(angle, *shift, -0.1)
-        assert problem.iterations == 1 and problem.halvings == 0
-        slips = np.linalg.norm(contact.slips(problem), axis=1)
-        assert slips[~contact.slipping].max() <= 1e-15  # others follow from forces
-        assert slips.max() <= 1e-11  # rtol
+        assert problem.iterations <= 1 and problem.halvings == 0  # none if it is in equilibrium
+        assert np.abs(contact.slips(problem)).max() <= 1e-13  # what the equilibrium before left
         close(rows.state.p, p, 1e-10)
         close(np.linalg.norm(rows.state.q, axis=0), q, 1e-10)
     below, above = (part.sum(axis=0) for part in rows.contact_forces())
@@ -163,7 +161,7 @@ def test_rotation_with_an_obstacle(swap):
     go(0, 0, -0.1)
     p = contact.rows.state.p.copy()
     go(np.pi / 2, 0, -0.1)
-    assert problem.iterations == 1 and np.abs(contact.slips(problem)).max() <= 1e-12
+    assert problem.iterations <= 1 and np.abs(contact.slips(problem)).max() <= 1e-12
     close(contact.rows.state.p, p, 1e-9)
 
 
@@ -208,53 +206,42 @@ def test_lent_directions():
     drawn.close()
 
 
-def test_relaxation():
-    """Where an equilibrium ends at a kink Newton's steps go to and fro, others flow on.
-
-    One step back, if the tangent's work tells of it, or viscous ones.
-    """
+def test_steps_backwards():
+    """Where an equilibrium ends at a kink Newton's steps go to and fro; back from it they don't."""
 
     def force(x):
         return (x - 0.05, 1.0) if x < 0 else (-0.05 - 0.5 * x, -0.5) if x < 1 else (x - 1.55, 1.0)
 
-    needed = {}
-    for use in ("none", "viscous", "back"):
-        x, relaxation, found = -0.1, Relaxation(MPI.COMM_SELF), []
+    for tells in (False, True):
+        x, continuation, found = -0.1, Continuation(MPI.COMM_SELF), []
         for _ in range(30):
             F, slope = force(x)
-            if use != "none":
-                relaxation.update(abs(F))
-            dx = F / (slope + relaxation.share)
-            work = slope * dx**2 if use == "back" else 1.0
-            x -= relaxation.takes([np.array([dx])], work, exact=True) * dx
+            dx = F / slope
+            back = continuation.goes_back([np.array([dx])], slope * dx**2 if tells else 1.0)
+            x += dx if back else -dx
             found.append(x)
-        near = np.abs(np.array(found) - 1.55) <= 1e-12
-        assert near[-1] == (use != "none")
-        assert relaxation.share == 0 or use == "none"
-        needed[use] = near.argmax()
-    assert needed["back"] < needed["viscous"]
-    for before in (True, False):  # what puts an inexact step right is no turn
-        relaxation = Relaxation(MPI.COMM_SELF)
-        for move, exact in ((1.0, before), (-0.9, True)):
-            relaxation.update(1.0)
-            assert relaxation.takes([np.array([move])], 1.0, exact=exact)
-        relaxation.update(1.0)
-        assert relaxation.acts == before
-    for k in range(9):
-        assert relaxation.creeps == (k > 3)  # the share grows as long as it helps nothing
-        relaxation.takes([np.array([(-1.0) ** k])], 1.0, exact=True)
-        relaxation.update(1.0)
+        assert (abs(found[-1] - 1.55) <= 1e-12) == tells
+    assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
 
 
-def test_shortened_steps():
-    """A step that leads to where residuals are much larger, or none, is shortened, not for ever."""
-    for residual, exact, times in ((2.9, True, 0), (3.1, True, 4), (3.1, False, 0), (np.nan, 0, 4)):
-        relaxation = Relaxation(MPI.COMM_SELF)
-        relaxation.update(9.0)
-        assert relaxation.takes([np.ones(1)], 1.0, exact=True) == 1
-        relaxation.update(1.0)
-        assert relaxation.takes([np.ones(1)], 1.0, exact=bool(exact)) == 1
-        assert [relaxation.shortens(residual) for _ in range(5)] == [k < times for k in range(5)]
+def test_progress():
+    """Steps are searched along after some without progress, and a load step given up after more."""
+    continuation = Continuation(MPI.COMM_SELF)
+    for k, residual in enumerate((1.0, 0.5, 2.0, *[0.49] * 12)):
+        continuation.update(residual)
+        assert continuation.searches == (k >= 5) and continuation.stalls == (k >= 13)
+    continuation.update(0.1)
+    assert not continuation.searches and not continuation.stalls
+
+
+@pytest.mark.parametrize(("width", "share"), [(1.5, 1.0), (0.7, 0.5), (0.1, 1 / 16), (1e-3, 1.0)])
+def test_search(width, share):
+    """A step is halved until the energy falls, or taken as it is where it never does."""
+
+    def at(x):
+        return 2 * x / width - 1, 0.0
+
+    assert searched(at) == share
 
 
 def test_what_comes():
@@ -265,8 +252,6 @@ def test_what_comes():
     np.testing.assert_array_equal(
         active_set.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
     )
-    split = active_set.beside(np.arange(6) == 0, lasting, facets)
-    np.testing.assert_array_equal(np.flatnonzero(split), [0, 1])
 
 
 def test_slides_off():

@@ -1,0 +1,246 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One linearised contact problem, solved exactly: factors, and a small problem of what changes.
+
+Without friction it is min ½ dᵀHd + rᵀd subject to g + Cd ≥ 0. With a working set A it is the
+linear system S = [H C_Aᵀ; C_A −c]. Where a pressure in A comes out negative, or a gap outside, such
+rows get another unknown: a slack z_a of a row of A, a pressure z_b outside. As all depends linearly
+on z, with right-hand sides of S alone, that is a linear complementarity problem of a few rows
+(:mod:`~hypergap_dolfinx.contact_solver.complementarity`): nothing is factorised again. Rows whose
+sign becomes wrong by that join, until there are none. The matrix is a principal pivot of C H⁻¹ Cᵀ,
+so the solution is unique if H is positive where the rows that push stay closed.
+
+With friction a multiplier has n equations, of the gap and of slip, which sticks or slips; those
+that change get n unknowns each. Then the small problem has Coulomb's law, and Newton's method with
+a line search solves it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.contact_solver import complementarity
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
+from hypergap_dolfinx.contact_solver.tangent import Tangent
+from hypergap_dolfinx.contact_solver.tolerances import (
+    DENSE,
+    ENOUGH,
+    SHIFT,
+    SHIFTED,
+    SHIFTS,
+    TRIALS_DENSE,
+)
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Solution of a linearised contact problem."""
+
+    changes: list[Array]
+    """What is subtracted from this rank's unknowns of bodies and ties."""
+    y: list[Array]
+    """Gaps and slips of each contact over areas times √stiffness, flat."""
+    f: list[Array]
+    """Pressures and tractions, times areas over √stiffness, likewise."""
+    changed: list[npt.NDArray[np.bool_]]
+    """Those that were unknowns of the small problem, likewise."""
+    is_solved: bool
+    """False if it has no solution: then it is that of the working set."""
+    leaves: bool
+    """True if there was one only with bodies held near their places."""
+    base: list[Array]
+    """Multipliers of the working set, in the same units and order."""
+
+
+class LinearisedContact:
+    """A linearised contact problem of several contacts. All is collective."""
+
+    def __init__(
+        self,
+        tangent: Tangent,
+        rows: Sequence[ContactRows],
+        equations: Sequence[Linear],
+        stiffness: float,
+    ):
+        """Store what it consists of.
+
+        Args:
+            tangent: The matrix.
+            rows: The contacts, with their working sets.
+            equations: Their equations with these.
+            stiffness: Stiffness of the bodies' nodes, by which rows are scaled.
+        """
+        self._tangent, self._rows, self._equations = tangent, rows, equations
+        self._root = float(np.sqrt(stiffness))
+        self._comm = rows[0].spaces[0].mesh.comm
+        self._on = np.concatenate([part.is_in for part in rows])
+        self._ends = np.cumsum([part.num_unknowns for part in rows])[:-1]
+
+    def solve(
+        self,
+        right: Sequence[npt.NDArray],
+        num_tied: int,
+        held: Sequence[npt.NDArray[np.bool_]],
+        nearness: Callable[[], float] | None,
+    ) -> Found:
+        """Solve it; where H isn't positive, with a share of the stiffness without stress added.
+
+        A matrix with more negative pivots than multipliers is accepted where there is a solution
+        on which H does positive work. Bodies that contact doesn't hold in the linearised problem
+        (a ray) get a share of the diagonal.
+
+        Args:
+            right: This rank's right-hand side of bodies and ties.
+            num_tied: Number of the ties' multipliers.
+            held: Mask of each body's prescribed owned dofs.
+            nearness: Gives the first share of the diagonal; None if no body is free.
+
+        Raises:
+            SolveError: The linear solver failed.
+        """
+        num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
+        stiff = near = 0.0
+        for _ in range(SHIFTS + 1):
+            found = self._solve(right, (stiff, near))
+            negative = self._tangent.negative
+            is_positive = negative is None or negative <= num
+            if found.is_solved:
+                free = [np.where(on, 0, dx) for on, dx in zip(held, found.changes, strict=False)]
+                if is_positive or self._tangent.work(free) > 0:
+                    break
+            if is_positive and nearness:
+                near = SHIFTED * near or nearness()
+            else:
+                stiff = SHIFTED * stiff or SHIFT
+        return replace(found, leaves=near > 0)
+
+    def _solve(self, right, shift: tuple[float, float]) -> Found:
+        """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
+        changes, y, f = self._base(right, shift)
+        more = self._wrong(y, f)
+        if not len(more):
+            return self._found(changes, y, f, more, f)
+        if self._tangent.has_old_factors:
+            changes, y, f = self._base(right, shift, anew=True)
+            more = self._wrong(y, f)
+        y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
+        gaps, forces, loads = self._watched()
+        A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
+        while len(more):
+            by_f, by_y = self._columns(gaps, forces, loads[more], more)
+            A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
+            z = np.append(z, np.zeros(len(more)))
+            small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
+            solution = small(y0, f0, A, B, of, z)
+            if solution is None:
+                return self._found(changes, y0, f0, of, f0, solved=False)
+            z = solution
+            y, f = y0 + B @ z, f0 + A @ z
+            more = self._wrong(y, f)
+            more = more[~np.isin(more, of)]
+        changes, _, now = self._base(right, shift, beside=loads[of].T @ z, anew=True)
+        return self._found(changes, y, np.where(self._on, now, f), of, f0)
+
+    def _watched(self):
+        """Gaps and multipliers by this rank's unknowns of the matrix, and right-hand sides."""
+        sizes = [part.num_unknowns for part in self._rows]
+        return [
+            self._tangent.watch([getattr(p, name)() for p in self._rows], sizes)
+            for name in ("watched_gaps", "watched_forces", "loads")
+        ]
+
+    def _columns(self, gaps, forces, loads, of) -> tuple[Array, Array]:
+        """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each."""
+        X = self._tangent.responses(loads)
+        both = np.stack((-(forces @ X), gaps @ X))
+        self._comm.Allreduce(MPI.IN_PLACE, both)
+        by_f, by_y = both
+        by_f[of, np.arange(len(of))] += ~self._on[of]
+        give = np.concatenate([part.give() for part in self._rows])
+        return by_f, by_y + give[:, None] * by_f
+
+    def _lcp(self, y0, f0, A, B, of, z) -> Array | None:
+        """The unknowns without friction: pressures outside of the working set, slacks in it."""
+        on = self._on[of]
+        least = np.concatenate([p.least() for p in self._rows])[of]
+        M, b = np.where(on[:, None], A[of], B[of]), np.where(on, f0[of], y0[of])
+        found = complementarity.solved(M, b, least)
+        return None if found is None else found[0]
+
+    def _law(self, y0, f0, A, B, of, z) -> Array | None:
+        """The unknowns with friction, by Newton's method with a line search."""
+        error, slope, is_zero = self._errors(y0 + B @ z, f0 + A @ z, of, A, B)
+        for _ in range(DENSE):
+            if is_zero:
+                return z
+            try:
+                way = np.linalg.solve(slope, -error)
+            except np.linalg.LinAlgError:
+                way = np.linalg.lstsq(slope, -error)[0]
+            size, share, start = np.linalg.norm(error), 1.0, z
+            for _ in range(TRIALS_DENSE):
+                z = start + share * way
+                error, slope, is_zero = self._errors(y0 + B @ z, f0 + A @ z, of, A, B)
+                if np.linalg.norm(error) < (1 - ENOUGH * share) * size or is_zero:
+                    break
+                share /= 2
+        return None
+
+    def _errors(self, y, f, of, A, B) -> tuple[Array, Array, bool]:
+        """Errors of the laws of some unknowns, their derivatives, and if they are zero."""
+        place = np.full(len(y), -1)
+        place[of] = np.arange(len(of))
+        slopes, error, is_zero, start = np.zeros((len(of),) * 2), np.zeros(len(of)), True, 0
+        for part, *at in zip(self._rows, self._split(y), self._split(f), strict=True):
+            num = len(part.g)
+            places = place[start : start + part.num_unknowns].reshape(-1, num)
+            start += part.num_unknowns
+            of_part = np.flatnonzero(places[0] >= 0)
+            if not len(of_part):
+                continue
+            rows = places[:, of_part]
+            of_y, of_f = (v.reshape(-1, num)[:, of_part] for v in at)
+            value, by_y, by_f, least = part.law(of_y, of_f, of_part)
+            error[rows] = value
+            is_zero &= bool((np.abs(value) <= least).all())
+            for k, other in np.ndindex(*by_y.shape[:2]):
+                slopes[rows[k]] += (
+                    by_y[k, other][:, None] * B[of[rows[other]]]
+                    + by_f[k, other][:, None] * A[of[rows[other]]]
+                )
+        return error, slopes, is_zero
+
+    def _base(self, right, shift, **options) -> tuple[list[Array], Array, Array]:
+        """Solution of the linear system: displacements, gaps and slips, pressures and tractions."""
+        changes, unknowns = self._tangent.solve(right, self._equations, shift=shift, **options)
+        root = self._root
+        f = [
+            root * np.where(part.is_in, values, 0)
+            for part, values in zip(self._rows, unknowns, strict=True)
+        ]
+        y = [
+            part.new_gaps(changes) + part.give() * force
+            for part, force in zip(self._rows, f, strict=True)
+        ]
+        return changes, np.concatenate(y), np.concatenate(f)
+
+    def _wrong(self, y: Array, f: Array) -> npt.NDArray[np.intp]:
+        """Numbers of the unknowns whose state is another one than in the working set."""
+        parts = zip(self._rows, self._split(y), self._split(f), strict=True)
+        return np.flatnonzero(np.concatenate([part.wrong(*of) for part, *of in parts]))
+
+    def _split(self, values: npt.NDArray) -> list[npt.NDArray]:
+        """Values by contact."""
+        return np.split(values, self._ends)
+
+    def _found(self, changes, y, f, of, base, *, solved: bool = True) -> Found:
+        changed = np.zeros(len(y), dtype=bool)
+        changed[of] = True
+        new, now, mask, before = (self._split(part) for part in (y, f, changed, base))
+        return Found(changes, new, now, mask, solved, leaves=False, base=before)
