@@ -41,6 +41,7 @@ class Blended:
 
     def __post_init__(self):
         """Find gaps and weights."""
+        self._last_slopes: tuple[Floats, Sparse] | None = None
         halves, self.covered, self._slopes, self._by_covered = self.rays.gaps()
         left = np.ones((self.num, 2))  # of what halves leave uncovered, by end of an edge
         for k, vertices in enumerate(self.facets.T):
@@ -117,10 +118,21 @@ class Blended:
         M -= (by_c[:, None] * ends[0]).T @ ends[1]
         return joined(H, _entries(M + M.T, columns, columns))
 
-    def slips(self, *, across: bool = False) -> Sparse:
-        """L T: slips of vertices are L T Δu; ``across`` as for :meth:`Rays.slips`."""
-        T = self._by_vertex(self.rays.slips(across=across))
+    @cached_property
+    def slips(self) -> Sparse:
+        """L T: slips of vertices are L T Δu."""
+        return joined(self._T, self._beside(self._T))
+
+    @cached_property
+    def parting(self) -> Sparse:
+        """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
+        T = self._by_vertex(self.rays.slips(across=True))
         return joined(T, self._beside(T))
+
+    @cached_property
+    def _T(self) -> Sparse:
+        """T of vertices."""
+        return self._by_vertex(self.rays.slips())
 
     def slip_slopes(self, moved: Floats) -> Sparse:
         """∂ŝ/∂u if Δu moves with u.
@@ -128,10 +140,16 @@ class Blended:
         Args:
             moved: Δu by both sides' dofs, all components.
         """
+        if self._last_slopes is not None and np.array_equal(self._last_slopes[0], moved):
+            return self._last_slopes[1]
+        self._last_slopes = moved, self._slip_slopes(moved)
+        return self._last_slopes[1]
+
+    def _slip_slopes(self, moved: Floats) -> Sparse:
         slopes = self.rays.slips(moved)
         if not len(self._hard):
             return self._by_vertex(slopes)
-        T = self._by_vertex(self.rays.slips())
+        T = self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
         S, K, columns = self._dense(slopes, self._by_c)
         a, b = self._pairs
@@ -152,7 +170,7 @@ class Blended:
         M = (by_a[:, None] * T[b]).T @ K[a] + (by_b[:, None] * T[b]).T @ K[b]
         return joined(H, _entries(M, columns, columns))
 
-    @property
+    @cached_property
     def _hard(self) -> npt.NDArray[np.intp]:
         """Vertices that are covered in part, sorted."""
         return np.unique(self._pairs[0])

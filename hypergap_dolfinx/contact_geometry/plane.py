@@ -113,7 +113,7 @@ class PlaneSegments(Segments[_Seen]):
     @override
     def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.slips(across=True)
+        return gaps.g, gaps.m, gaps.parting
 
     @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
@@ -121,7 +121,7 @@ class PlaneSegments(Segments[_Seen]):
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
-        return self._at(u).gaps.slips()
+        return self._at(u).gaps.slips
 
     @override
     def slip_slopes(

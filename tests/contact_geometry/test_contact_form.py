@@ -184,9 +184,8 @@ def test_corner():
 def test_cut_ends():
     """Where Γ0 ends, weights of vertices are what it covers; they and gaps come and go with it."""
     sides, u, _ = scene(0.05, 0.0, k=(1, 1), spans=((0.1, 2), (0, 2)))
-    opening, way = PlaneSegments.between(sides, u), skew(np.array([[1.0, 0.0]])) - skew(
-        np.zeros((1, 2))
-    )
+    opening = PlaneSegments.between(sides, u)
+    way = skew(np.array([[1.0, 0.0]])) - skew(np.zeros((1, 2)))
     found = []
     for along in np.linspace(0, 0.35, 71):
         g, m, _ = opening.gap((u[0] + along * way, u[1]))
