@@ -283,7 +283,7 @@ class ContactSystem(NonlinearSystem):
         start = self._state()
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
         moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
-        equations = [rows.equations(stiffness, jump if moves else None) for rows in self._rows]
+        equations = [rows.equations(jump if moves else None) for rows in self._rows]
         problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
