@@ -76,8 +76,6 @@ class Linear:
     """Additions to the bodies' matrix: forces, rows of gaps, and p = 0 of inactive multipliers."""
     right: npt.NDArray[np.float64]
     """``(num_multipliers,)``."""
-    scale: npt.NDArray[np.float64]
-    """Multipliers over unknowns."""
     start: npt.NDArray[np.float64]
     """Unknowns that stand for the present multipliers."""
 
@@ -274,7 +272,23 @@ class ContactRows:
         Args:
             changes: What is subtracted from this rank's displacements of each body.
         """
-        return self._over_areas(self.g - self.times(self.from_bodies(changes)))
+        return self._over_areas(self._lengths - self._product(self.from_bodies(changes)))
+
+    @property
+    def _lengths(self) -> npt.NDArray[np.float64]:
+        """Weighted gaps, ``(num_unknowns,)``."""
+        return self.g
+
+    @property
+    def _slopes(self) -> Sparse:
+        """Their derivatives by displacements."""
+        return self.C
+
+    def _product(self, values: Displacements) -> npt.NDArray[np.float64]:
+        """The derivatives times values at both sides' dofs, ``(num_unknowns,)``."""
+        flat, rows = np.concatenate([part.ravel() for part in values]), self._slopes
+        found = np.bincount(rows.i, rows.values * flat[rows.j], self.num_unknowns)
+        return found.astype(float)  # without entries: integers
 
     def _over_areas(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
         """Weighted lengths as lengths times √stiffness, 0 without a multiplier."""
@@ -300,19 +314,20 @@ class ContactRows:
         """
         return self.valid & (np.where(self.state.active, f, y) < -self.least())
 
-    def law(self, y, f, at):
+    def law(self, y, f, at, states=None):
         """What is wrong by the laws of contact and friction: zero where they hold.
 
         Args:
             y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
             f: Pressures and tractions, likewise.
             at: Numbers of the multipliers, ``(num,)``.
+            states: First of all what is closed, ``(num,)``; those of y and f if not given.
 
         Returns:
             The errors, ``(n, num)``; their derivatives by y and f, ``(n, n, num)`` each; and the
             sizes treated as zero, ``(n, num)``.
         """
-        closed = f[0] > y[0]
+        closed = f[0] > y[0] if states is None else states[0]
         force, length = self._least()
         return (
             np.where(closed, y[0], f[0])[None],
@@ -323,7 +338,7 @@ class ContactRows:
 
     def watched_gaps(self) -> Sparse:
         """Gaps in terms of the unknowns of the equations."""
-        return self._watched(self.C)
+        return self._watched(self._slopes)
 
     def _watched(self, matrix: Sparse) -> Sparse:
         """Rows over areas times √stiffness, of what isn't prescribed."""
@@ -574,73 +589,83 @@ class ContactRows:
         """Entries at all dofs on which multipliers act."""
         return self.C
 
-    def equations(self, stiffness: float, increments: Sequence[npt.NDArray] | None) -> Linear:
+    def equations(self, increments: Sequence[npt.NDArray] | None) -> Linear:
         """Linearised equations; p = 0 without active multipliers. Collective.
 
         Args:
-            stiffness: Stiffness of the bodies' nodes.
             increments: Increments that prescribed displacements of each body have to make, if any.
         """
         if self.state.active.any():
             moves = None if increments is None else self.from_bodies(increments)
-            found = self.linearised(stiffness, moves)
+            found = self._linearised(moves)
         else:
-            found = self.without_forces(stiffness)
+            found = self.without_forces(self._stiffness)
         return found.stiffened(self.curvature())
 
-    def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
-        """Equations of gaps.
+    def _linearised(self, moves: Displacements | None) -> Linear:
+        """Laws of the working set to first order, and p = 0 of other multipliers.
 
         Args:
-            stiffness: Stiffness of the bodies' nodes, by which rows are scaled.
             moves: Increments that prescribed displacements still have to make, if any.
         """
-        scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
-        rows = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
-        right = scale * (self.g if moves is None else self.g + self.times(moves))
-        give = self._compliance_block(stiffness * scale)
-        return self._linear(stiffness, rows, rows, give, right, scale)
-
-    def _compliance_block(self, scale: npt.NDArray[np.float64]) -> Sparse:
-        """Block −c of active multipliers, times a scale; empty without a compliance."""
-        on = np.flatnonzero(self.state.active)
-        return (
-            Sparse(on, on, -(scale * self._compliance)[on])
-            if self._compliance.any()
-            else Sparse.empty()
+        n, num, k = self._per_vertex, len(self.g), self._stiffness
+        here = self._over_areas(self._lengths)
+        f, give = self._forces, self.give().reshape(n, num)
+        error, by_y, by_f = self._first_order(here.reshape(n, num) + give * f, f)
+        # by_y (y_new − y) + by_f (f_new − f) = −error, y_new = y − G dx + give (f_new − f)
+        by_f = by_f + by_y * give
+        right = error - np.einsum("kla,la->ka", by_f, f)
+        if moves is not None:
+            right += np.einsum(
+                "kla,la->ka", by_y, self._over_areas(self._product(moves)).reshape(n, num)
+            )
+        rows, (on, start), there = (
+            self._slopes,
+            (self.is_in, self._num_dofs),
+            self.unknowns[0] != -2,
+        )
+        scale = np.tile(self._per_unit * self._root, n)
+        part, a = np.divmod(rows.i, num)
+        blocks = [
+            Sparse(num * i + a, rows.j, rows.values * scale[a] * by_y[i, part, a]) for i in range(n)
+        ]
+        normal = joined(*blocks)
+        use = on[normal.i] & there[normal.j]
+        found = [Sparse(start + normal.i[use], normal.j[use], normal.values[use])]
+        acting = self._acting()
+        use = on[acting.i] & there[acting.j]
+        values = acting.values[use] * scale[acting.i[use]]
+        found.append(Sparse(acting.j[use], start + acting.i[use], values))
+        for i, j in np.argwhere(by_f.any(axis=2)):
+            at = np.flatnonzero(self.state.active)
+            found.append(Sparse(start + num * i + at, start + num * j + at, -k * by_f[i, j, at]))
+        off = start + np.flatnonzero(~on)
+        found.append(Sparse(off, off, np.full(len(off), k)))
+        return Linear(
+            tuple(found), np.where(on, self._root * right.ravel(), 0), f.ravel() / self._root * on
         )
 
-    def _linear(
-        self, stiffness: float, rows: Sparse, forces: Sparse, corner: Sparse, right, scale
-    ) -> Linear:
-        """Equations of the active multipliers, and p = 0 of the others.
+    def _first_order(self, y, f):
+        """Errors of the laws in the states of the working set, their derivatives by y and f."""
+        one = np.ones((1, 1, len(self.g)))
+        return y, one, 0 * one
 
-        ``rows`` is the block by dofs, ``forces`` that of forces, transposed, and ``corner`` that by
-        multipliers.
-        """
-        on, start = self._active_unknowns, self._num_dofs
-        there = self.unknowns[0] != -2
-        parts = []
-        for by_row, matrix in ((True, rows), (False, forces)):
-            use = on[matrix.i] & there[matrix.j]
-            i, j = start + matrix.i[use], matrix.j[use]
-            parts.append(Sparse(*((i, j) if by_row else (j, i)), matrix.values[use]))
-        parts.append(Sparse(start + corner.i, start + corner.j, corner.values))
-        off = start + np.flatnonzero(~on)
-        parts.append(Sparse(off, off, np.full(len(off), stiffness)))
-        start = np.divide(self._values, scale, out=np.zeros(len(on)), where=on & (scale != 0))
-        return Linear(tuple(parts), np.where(on, right, 0), scale, start)
+    @property
+    def _forces(self) -> npt.NDArray[np.float64]:
+        """The multipliers in the units of the linearised problem, ``(n, num_multipliers)``."""
+        values = self._values.reshape(self._per_vertex, -1)
+        return np.where(self.valid, values * self.m, 0) / self._root
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
-        """The multipliers, as :meth:`_take` takes them."""
+        """The multipliers."""
         return self.state.p
 
     def without_forces(self, stiffness: float) -> Linear:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = self._num_dofs + np.arange(len(none))
-        return Linear((Sparse(every, every, none + stiffness),), none, none, none)
+        return Linear((Sparse(every, every, none + stiffness),), none, none)
 
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """C applied to motions, over areas, ``(num_multipliers, num)``."""

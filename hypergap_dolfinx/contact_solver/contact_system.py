@@ -1,19 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The semi-smooth Newton iteration for bodies in contact.
-
-:meth:`ContactSystem._newton` solves a load step. It stops (:meth:`ContactSystem._balances`) at an
-iterate, after at least one step, at which
-
-- the residual of bodies, ties and contact forces is at most rtol times the forces in the bodies,
-  or of the size of round-off in them (ROUND_OFF_FORCES),
-- active gaps are closed; with friction sticking vertices don't slip, and tractions are μ p
-  elsewhere (``ContactRows.is_closed``),
-- the active sets are those of the iterate before (checked in :meth:`ContactSystem._newton`).
-
-A SolveError is raised if an active multiplier has to pull there. With friction there is one more
-step if gaps aren't closed to round-off.
-"""
+"""Newton's iteration for bodies in contact: predictor, steps, continuation."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -35,7 +22,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 )
 from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, hold_by_sticking
-from hypergap_dolfinx.contact_solver.linearised import Found, LinearisedContact
+from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
@@ -56,7 +43,33 @@ from hypergap_dolfinx.surface.moving import Displacements
 
 
 class ContactSystem(NonlinearSystem):
-    """F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t, and the gaps of what is in contact."""
+    """F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t, and the gaps of what is in contact.
+
+    A load step (:meth:`_newton`) has three parts, which know nothing of each other:
+
+    1. *Predictor*, before the first step (:mod:`~hypergap_dolfinx.contact_solver.predictor`).
+       Bodies that are prescribed to move far or to turn together follow as rigid ones
+       (:meth:`_lead`). Those in contact that slide farther than their facets are long move under
+       their last forces, which are then forgotten: that is the first step (:meth:`_carry`).
+    2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The problem that
+       is linear in displacements, with its inequalities and the tangent at the last pressures, is
+       solved exactly: u ← u + d, p ← q, sets are its. The sets before, with what overlaps, are
+       only the start of that; they are enlarged where nothing else holds a body.
+    3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
+       ``ContactProblem.solve``)::
+
+           residual is no number ─────────────→ the step is shortened, up to TRIALS times
+           step turns back, with negative work ─→ it is taken backwards, up to BACK times
+           PATIENCE steps without progress ────→ steps are searched along, for less energy
+           STALLED steps without, or STEPS ─────→ the load step fails
+           no solution, RAYS times in a row ────→ it fails: a body leaves
+
+    It ends where the residual of bodies, ties and contact forces is at most rtol times the forces
+    in the bodies, or round-off (:meth:`_balances`), and no gap is open where a pressure acts, none
+    negative, nothing slips that sticks, and tractions are μ p elsewhere
+    (``ContactRows.is_closed``): after at least one step, if it isn't round-off at the start. With
+    friction there is one more step if gaps aren't closed to round-off.
+    """
 
     def __init__(
         self,
@@ -272,7 +285,7 @@ class ContactSystem(NonlinearSystem):
         start = self._state()
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
         moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
-        equations = [rows.equations(stiffness, jump if moves else None) for rows in self._rows]
+        equations = [rows.equations(jump if moves else None) for rows in self._rows]
         problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
@@ -320,7 +333,7 @@ class ContactSystem(NonlinearSystem):
             f"{self._unbalanced:.2g}, and contact {c} changes most at {at}."
         )
 
-    def _unsolved(self, found: Found) -> str:
+    def _unsolved(self, found: Solution) -> str:
         """Message about a linearised problem without a solution: a body leaves. Collective."""
         if not self._num_free or self._frictional:
             return "the linearised contact problem has no solution."
@@ -439,8 +452,9 @@ class ContactSystem(NonlinearSystem):
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
-        self._is_exact = worst <= ROUND_OFF_FORCES * self._largest
-        return bool(worst <= self._rtol * np.sqrt(size) or self._is_exact)
+        none = worst <= ROUND_OFF_FORCES * self._largest
+        self._is_exact = bool(none) and not self._tied  # ties have gaps, too
+        return bool(none or worst <= self._rtol * np.sqrt(size))
 
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import (
     BACK,
-    ENOUGH,
+    DECREASE,
     OSCILLATES,
     PATIENCE,
     PROGRESS,
@@ -89,7 +89,7 @@ def searched(at: Callable[[float], tuple[float, float]]) -> float:
     for _ in range(TRIALS):
         middle, between = at(share / 2)
         change = share / 6 * (start + 4 * middle + last) + after - before
-        if change <= ENOUGH * share * min(start - before, 0):
+        if change <= DECREASE * share * min(start - before, 0):
             return share
         share, last, after = share / 2, middle, between
     return 1.0

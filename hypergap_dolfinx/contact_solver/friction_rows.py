@@ -13,7 +13,6 @@ from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
-    Linear,
     NormalState,
     joined,
 )
@@ -59,7 +58,7 @@ class FrictionRows(ContactRows):
         self._fixed: Sparse | None = None
         self._carried, self._zero = False, 0.0
         self._elastic = np.zeros((across, num))  # elastic part of the slip
-        self._slope: Sparse | None = None
+        self._all_slopes: Sparse | None = None
 
     def start_solve(self):
         """Start a solve: count its dissipation and its slip from zero."""
@@ -97,15 +96,6 @@ class FrictionRows(ContactRows):
         self.T = self._condensed(self.T)
         moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
         self.s = self._times(self.T, moves)
-
-    def _slopes(self) -> Sparse:
-        """∂s/∂u of active multipliers."""
-        opening = self.state.opening
-        if opening is None or not self._follows:
-            return self.T
-        assert self._since is not None
-        on = self.spread(self.state.active.astype(float)) > 0
-        return self._condensed(opening.slip_slopes(self.u, self._since, self.condensed_to, on))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -194,62 +184,42 @@ class FrictionRows(ContactRows):
     # The linearised contact problem
 
     def start_set(self, stiffness: float, zero: float):
-        """Working set; in it new multipliers stick."""
+        """Choose the working set; in it new multipliers stick."""
         last = self.state.active
         super().start_set(stiffness, zero)
-        now = self.state
+        now, self._all_slopes = self.state, None
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
-        self._c = stiffness / self.typical_area
-        self._slope = None
         if self._carried:  # slip beyond a facet's size
             size = np.linalg.norm(self.slip, axis=0)
             slips = size > self.sides[1].reference.size.max()
             now.sticks &= ~slips
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
-        elif self._soft:
-            size = np.linalg.norm(self._reach, axis=0)
-            now.sticks = size <= self._soft
-            now.way = -self._reach / np.where(size > 0, size, 1)
-        elif self._n > 2:
-            trial = now.q - self._c * self.slip
-            size = np.linalg.norm(trial, axis=0)
-            slips = now.active & ~now.sticks
-            now.way = np.where(slips, trial / np.where(size > 0, size, 1), now.way)
+        elif self._soft or self._n > 2:
+            y = self._over_areas(self._lengths).reshape(self._n, -1)
+            _, sticks, way = self._states(y, self._forces, np.arange(len(self.g)))
+            now.sticks = sticks if self._soft else now.sticks
+            now.way = np.where(now.active & ~now.sticks, way, now.way)
         now.sticks &= self.mu > 0
         self._surplus = np.zeros(len(now.p))
 
-    def _slopes_everywhere(self) -> Sparse:
-        """∂s/∂u of all multipliers."""
-        if self._slope is None:
-            opening = self.state.opening
-            if opening is None or not self._follows:
-                self._slope = self.T
-            else:
+    @property
+    def _lengths(self) -> npt.NDArray[np.float64]:
+        """Weighted gaps and slips, ``(num_unknowns,)``."""
+        return np.append(self.g, self.s)
+
+    @property
+    def _slopes(self) -> Sparse:
+        """Their derivatives by displacements."""
+        if self._all_slopes is None:
+            opening, S = self.state.opening, self.T
+            if opening is not None and self._follows:
                 assert self._since is not None
                 on = self.spread(self.valid.astype(float)) > 0
-                self._slope = self._condensed(
-                    opening.slip_slopes(self.u, self._since, self.condensed_to, on)
-                )
-        return self._slope
-
-    def new_gaps(self, changes: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
-        """Gaps and slips after a step, without what a compliance adds. Collective."""
-        gaps = super().new_gaps(changes)[: len(self.g)]
-        slips = self.s - self._times(self._slopes_everywhere(), self.from_bodies(changes))
-        return np.append(gaps, self._over_areas(np.append(self.g, slips))[len(self.g) :])
-
-    def _over_areas(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
-        if len(values) == len(self.g):
-            values = np.append(values, np.zeros((self._n - 1) * len(self.g)))
-        return super()._over_areas(values)
-
-    def watched_gaps(self) -> Sparse:
-        """Gaps and slips in terms of the unknowns of the equations."""
-        S = self._slopes_everywhere()
-        slips = Sparse(len(self.g) + S.i, S.j, S.values)
-        return self._watched(joined(self.C, slips))
+                S = self._condensed(opening.slip_slopes(self.u, self._since, self.condensed_to, on))
+            self._all_slopes = joined(self.C, Sparse(len(self.g) + S.i, S.j, S.values))
+        return self._all_slopes
 
     def _acting(self) -> Sparse:
         return joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
@@ -291,15 +261,36 @@ class FrictionRows(ContactRows):
         limit = self._limit * np.where(self.valid, self.m, 1)[at] / self._root
         return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
 
-    def law(self, y, f, at):
-        """What is wrong by the laws of contact and friction, as for a contact without friction."""
+    def _first_order(self, y, f):
+        """Errors of the laws in the states of the working set, their derivatives by y and f.
+
+        Increments of sticking tractions have a weight, in case they are told twice.
+        """
+        now = self.state
+        states = now.active, now.sticks, now.way
+        error, by_y, by_f, _ = self.law(y, f, np.arange(len(self.g)), states)
+        sticks = now.sticks
+        if self._soft:  # without pressure before it sticks at first, else it could hold nothing
+            sticks = sticks & (self._scaled_bounds(f[0], np.arange(len(self.g)))[0] == 0)
+            error[1:] = np.where(sticks, y[1:], error[1:])
+            by_y[1:, 1:] = np.where(sticks, np.eye(self._n - 1)[..., None], by_y[1:, 1:])
+            by_f[1:] = np.where(sticks, 0, by_f[1:])
+        for k in range(1, self._n):
+            by_f[k, k] += UNTOLD * sticks
+        return error, by_y, by_f
+
+    def law(self, y, f, at, states=None):
+        """What is wrong by the laws of contact and friction, as for a contact without friction.
+
+        ``states`` are those of :meth:`_states`, if they are given.
+        """
         n, num, root = self._n, len(at), self._root
         error, least = np.zeros((2, n, num))
         by_y, by_f = np.zeros((2, n, n, num))
-        error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at)
+        closed, sticks, way = self._states(y, f, at) if states is None else states
+        error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at, (closed,))
         force, length = self._least()
         one = np.eye(n - 1)[..., None]
-        closed, sticks, way = self._states(y, f, at)
         bound, slope = self._scaled_bounds(f[0], at)
         none = np.maximum(EXCEEDS * bound, force[at])
         across = one - way[:, None] * way
@@ -361,78 +352,9 @@ class FrictionRows(ContactRows):
     def _support(self) -> Sparse:
         return joined(self.C, self.T)
 
-    def linearised(self, stiffness: float, moves: Displacements | None) -> Linear:
-        """Equations of gaps and slips."""
-        num, across, on = len(self.g), self._n - 1, np.flatnonzero(self.state.active)
-        scale = np.divide(stiffness, self.m, out=np.zeros_like(self.m), where=self.valid)
-        by_slip, by_q, by_p, start, rest = self._law(scale)
-        S, gaps, slips = self._slopes(), self.g, start
-        if moves is not None:
-            gaps, slips = gaps + self.times(moves), slips + self._times(S, moves)
-        law = np.einsum("kla,la->ka", by_slip, slips) + self.m * rest
-        right = np.concatenate((scale * gaps, law.ravel()))
-        normal = Sparse(self.C.i, self.C.j, self.C.values * scale[self.C.i])
-        # Row k of q is Σ_l by_slip[k, l] S_l
-        part, a = np.divmod(S.i, num)
-        along = [
-            Sparse(num * (k + 1) + a, S.j, S.values * by_slip[k, part, a]) for k in range(across)
-        ]
-        forces = Sparse(num + self.T.i, self.T.j, self.T.values * scale[self.T.i % num])
-        corner = []
-        for k in range(across):
-            row = num * (k + 1) + on
-            corner.append(Sparse(row, on, stiffness * by_p[k, on]))
-            corner += [
-                Sparse(row, num * (other + 1) + on, stiffness * by_q[k, other, on])
-                for other in range(across)
-            ]
-        return self._linear(
-            stiffness,
-            joined(normal, *along),
-            joined(normal, forces),
-            joined(*corner, self._compliance_block(stiffness * scale)),
-            right,
-            np.tile(scale, self._n),
-        )
-
-    def _law(self, scale):
-        """The law of friction as m (by_q q + by_p p) = by_slip s + m rest to first order.
-
-        Args:
-            scale: Factor of the rows of closed gaps, ``(num_multipliers,)``.
-
-        Returns:
-            by_slip and by_q, ``(n - 1, n - 1, num_multipliers)``; by_p, slips at the start and
-            rest, ``(n - 1, num_multipliers)``.
-        """
-        now, one = self.state, np.eye(self._n - 1)[..., None]
-        across = one - now.way[:, None] * now.way  # projection across slip
-        force, by_p = self._bounds(now.p)
-        limit = np.where((by_p == 0) & (force > 0), force, 0)
-        if self._soft:
-            # q = −μ p e / l: l is the elastic slip or, beyond it, |e|
-            size = np.maximum(np.linalg.norm(self._reach, axis=0), self._soft)
-            # Without pressure before: sticks at first, else friction could hold nothing
-            soft = now.active & ((force > 0) | ~now.sticks)
-            turn = np.where(now.sticks, one, across)
-            by_slip = np.where(soft, -force / size * turn, scale * one)
-            way = np.where(soft, self._reach / size, 0)
-            return by_slip, soft * one, by_p * way, np.where(soft, 0, self.s), -limit * way
-        trial = np.linalg.norm(now.q - self._c * self.slip, axis=0)
-        share = np.minimum(force / np.maximum(trial, 1e-300), 1)
-        turn = np.where(now.sticks, 0, share * across)
-        by_slip = np.where(now.sticks, scale * one, -self._c * turn)
-        by_q = np.where(now.sticks, -UNTOLD * one, one - turn)
-        rest = np.where(now.sticks, -UNTOLD * now.q, limit * now.way)
-        return by_slip, by_q, np.where(now.sticks, 0, -by_p * now.way), self.s, rest
-
     @property
     def _values(self) -> npt.NDArray[np.float64]:
         return np.concatenate((self.state.p, self.state.q.ravel()))
-
-    def _take(self, values: npt.NDArray[np.float64]):
-        p, *q = values.reshape(-1, len(self.g))
-        self.state.p, self.state.q = p, np.array(q)
 
     def forget(self):
         """Set all pressures and tractions to zero."""

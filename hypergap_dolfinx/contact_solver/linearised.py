@@ -27,11 +27,11 @@ from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.contact_solver.tolerances import (
+    ADDED,
+    ADDED_FACTOR,
+    ADDED_TIMES,
+    DECREASE,
     DENSE,
-    ENOUGH,
-    SHIFT,
-    SHIFTED,
-    SHIFTS,
     TRIALS_DENSE,
 )
 
@@ -39,7 +39,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Found:
+class Solution:
     """Solution of a linearised contact problem."""
 
     changes: list[Array]
@@ -88,7 +88,7 @@ class LinearisedContact:
         num_tied: int,
         held: Sequence[npt.NDArray[np.bool_]],
         nearness: Callable[[], float] | None,
-    ) -> Found:
+    ) -> Solution:
         """Solve it; where H isn't positive, with a share of the stiffness without stress added.
 
         A matrix with more negative pivots than multipliers is accepted where there is a solution
@@ -106,7 +106,7 @@ class LinearisedContact:
         """
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
-        for _ in range(SHIFTS + 1):
+        for _ in range(ADDED_TIMES + 1):
             found = self._solve(right, (stiff, near))
             negative = self._tangent.negative
             is_positive = negative is None or negative <= num
@@ -115,12 +115,12 @@ class LinearisedContact:
                 if is_positive or self._tangent.work(free) > 0:
                     break
             if is_positive and nearness:
-                near = SHIFTED * near or nearness()
+                near = ADDED_FACTOR * near or nearness()
             else:
-                stiff = SHIFTED * stiff or SHIFT
+                stiff = ADDED_FACTOR * stiff or ADDED
         return replace(found, leaves=near > 0)
 
-    def _solve(self, right, shift: tuple[float, float]) -> Found:
+    def _solve(self, right, shift: tuple[float, float]) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
         changes, y, f = self._base(right, shift)
         more = self._wrong(y, f)
@@ -187,7 +187,7 @@ class LinearisedContact:
             for _ in range(TRIALS_DENSE):
                 z = start + share * way
                 error, slope, is_zero = self._errors(y0 + B @ z, f0 + A @ z, of, A, B)
-                if np.linalg.norm(error) < (1 - ENOUGH * share) * size or is_zero:
+                if np.linalg.norm(error) < (1 - DECREASE * share) * size or is_zero:
                     break
                 share /= 2
         return None
@@ -239,8 +239,8 @@ class LinearisedContact:
         """Values by contact."""
         return np.split(values, self._ends)
 
-    def _found(self, changes, y, f, of, base, *, solved: bool = True) -> Found:
+    def _found(self, changes, y, f, of, base, *, solved: bool = True) -> Solution:
         changed = np.zeros(len(y), dtype=bool)
         changed[of] = True
         new, now, mask, before = (self._split(part) for part in (y, f, changed, base))
-        return Found(changes, new, now, mask, solved, leaves=False, base=before)
+        return Solution(changes, new, now, mask, solved, leaves=False, base=before)

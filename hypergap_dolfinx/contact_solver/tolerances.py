@@ -100,11 +100,11 @@ PIVOT = 1e-10
 """Pivot treated as zero, in a matrix of numbers around 1.
 Measured: later"""
 
-SHIFT = 0.05
+ADDED = 0.05
 """First share of the elastic stiffness that is added where a tangent has too many negative pivots.
 Measured: later"""
 
-SHIFTS = 6
+ADDED_TIMES = 6
 """Times that this share is increased.
 Measured: later"""
 
@@ -116,7 +116,7 @@ RAYS = 3
 """Newton steps in a row with a linearised problem that has no solution after which a body leaves.
 Measured: later"""
 
-ENOUGH = 1e-4
+DECREASE = 1e-4
 """Part of the expected decrease of the penalty that is enough for a step.
 Measured: later"""
 
@@ -132,11 +132,11 @@ DENSE = 60
 """Newton steps in a small problem with friction, before and with a line search.
 Measured: later"""
 
-SHIFTED = 4.0
+ADDED_FACTOR = 4.0
 """Factor by which this share is increased.
 Measured: later"""
 
-STALLED = 12
+STALLED = 16
 """Newton steps without progress after which a load step is halved.
 Measured: later"""
 

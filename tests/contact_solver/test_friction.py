@@ -19,6 +19,7 @@ from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
+from hypergap_dolfinx.contact_solver.tolerances import PATIENCE, STALLED
 
 comm = MPI.COMM_WORLD
 STEP = 1e-5  # of differences of the fourth order
@@ -227,9 +228,9 @@ def test_steps_backwards():
 def test_progress():
     """Steps are searched along after some without progress, and a load step given up after more."""
     continuation = Continuation(MPI.COMM_SELF)
-    for k, residual in enumerate((1.0, 0.5, 2.0, *[0.49] * 12)):
+    for k, residual in enumerate((1.0, 0.5, 2.0, *[0.49] * STALLED)):
         continuation.update(residual)
-        assert continuation.searches == (k >= 5) and continuation.stalls == (k >= 13)
+        assert continuation.searches == (k > PATIENCE) and continuation.stalls == (k > STALLED)
     continuation.update(0.1)
     assert not continuation.searches and not continuation.stalls
 

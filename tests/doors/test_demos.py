@@ -77,7 +77,7 @@ DEMOS = {
     ),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
-        {"contact.*.l2_pressure": 4.45e-2, "contact.0.steps": 4, "contact.1.steps": 5},
+        {"contact.*.l2_pressure": 4.45e-2, "contact.0.steps": 1, "contact.1.steps": 2},
         {"contact.*.p0": 2e-3, "contact.*.force": 5e-4},
         accuracy=2e-3,
         pictures=("contact",),
@@ -126,7 +126,7 @@ DEMOS = {
     ),
     "hertz": Demo(
         "--levels 1",
-        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 4},
+        {"rows.0.l2_pressure": 2.180e-2, "rows.0.steps": 2},
         {"rows.0.force": 1e-8, "rows.0.p0": 1e-3, "rows.0.half_width": 0.1001},
         pictures=("hertz",),
         needs=("matplotlib",),
@@ -183,14 +183,14 @@ DEMOS = {
     "ironing_snaps": Demo(
         "--flat --swap --friction 0.5 --steps 8",
         {"rows.11.along_surfaces": 0.5},
-        {"rows.*.iterations": 10, "rows.*.halvings": 0},
+        {"rows.*.iterations": 8, "rows.*.halvings": 0},
         accuracy=1e-9,
         script="ironing",
     ),
     "ironing_far": Demo(
         "--friction 0.5 --step 5 --steps 1 --back 1",
         {"rows.4.along_surfaces": 0.5},
-        {"rows.*.iterations": 9, "rows.*.halvings": 0},
+        {"rows.*.iterations": 6, "rows.*.halvings": 0},
         accuracy=1e-9,
         script="ironing",
     ),
