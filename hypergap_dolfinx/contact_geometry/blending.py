@@ -4,14 +4,13 @@ r"""Weighted gaps of Γ1's vertices in the plane from those of its edges' halves
 
 A vertex a has the halves e of its edges, and is covered by :math:`c_a = 1 - \prod_e (1 - c_e)`, 1
 where one of them lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
-the weight of its row: a row that hard to satisfy by little forces. So the row is
+the weight of its row: a row that is hard to satisfy by little forces. So the row is
 
-.. math:: \hat g_a = g_a + q(c_a) S_a, \qquad S_a = \sum_b c_b g_b, \qquad
-   q(c) = \theta (1 - c)^2 \frac{c}{c + \varepsilon},
+.. math:: \hat g_a = t(c_a)\,\bigl(g_a + \theta (1 - c_a)^2 S_a\bigr), \qquad S_a = \sum_b c_b g_b,
 
-with the vertices b beside a: the less is covered, the more it says what its neighbours' rows say
-already, until it goes without a jump. With the matrix L of these sums, ĝ = L g, multipliers p have
-the pressures Lᵀp. The same holds for slips.
+with the vertices b beside a, and a smooth step t from 0 at c = 0 to 1 at :data:`HARD`: the less is
+covered, the more it says what its neighbours' rows say already, until it goes without a jump. With
+the matrix L of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass
@@ -52,12 +51,13 @@ class Blended:
         self.areas = self.covered * self.lengths[:, None] / 2
         """Areas of halves, ``(num_edges1, 2)``."""
         c, rest = self._c, 1 - self._c
-        part = c / (c + HARD)
-        slope = HARD / (c + HARD) ** 2
-        bend = -2 * HARD / (c + HARD) ** 3
-        self._q = BLENDS * rest**2 * part
-        self._dq = BLENDS * (rest**2 * slope - 2 * rest * part)
-        self._ddq = BLENDS * (rest**2 * bend - 4 * rest * slope + 2 * part)
+        x = np.clip(c / HARD, 0, 1)
+        self._t, dt, ddt = x**2 * (3 - 2 * x), 6 * x * (1 - x) / HARD, (6 - 12 * x) / HARD**2
+        ddt[(x <= 0) | (x >= 1)] = 0
+        self._dt, self._ddt = dt, ddt
+        self._q = BLENDS * self._t * rest**2
+        self._dq = BLENDS * (dt * rest**2 - 2 * self._t * rest)
+        self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self._t)
         hard = (c > 0) & (c < 1)
         both = np.concatenate((self.facets, self.facets[:, ::-1]))
         self._pairs = both[hard[both[:, 0]]].T
@@ -69,8 +69,8 @@ class Blended:
 
     @cached_property
     def m(self) -> Floats:
-        """L of the areas of vertices, ``(num,)``."""
-        return self.blended(self.sizes)
+        """L of the areas of vertices, 0 below :data:`HARD`, ``(num,)``."""
+        return np.where(self._c < HARD, 0, self.blended(self.sizes))
 
     @cached_property
     def sizes(self) -> Floats:
@@ -81,26 +81,43 @@ class Blended:
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
         G, K, columns = self._dense(self._slopes, self._by_c)
-        extra, S = self._q[:, None] * self._sums_beside(G, K), self._sums_of(self._g)
-        hard = self._hard
-        rows = extra[hard] + (self._dq * S)[hard, None] * K[hard]
-        return joined(self._by_vertex(self._slopes), _entries(rows, hard, columns))
+        extra, hard = self._q[:, None] * self._sums_beside(G, K), self._hard
+        rows = extra[hard] + self._by_own_c[hard, None] * K[hard]
+        return joined(self._own(self._by_vertex(self._slopes)), _entries(rows, hard, columns))
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
         a, b = self._pairs
-        result = p.copy()
+        result = (self._t * p.T).T
         np.add.at(result, b, ((self._q[a] * self._c[b]) * p[a].T).T)
+        return result
+
+    def given_over(self, values: npt.NDArray, gone: npt.NDArray[np.bool_]) -> npt.NDArray:
+        """Values without those of vertices that are hardly covered, which others have instead.
+
+        Args:
+            values: ``(..., num)``, or masks of such.
+            gone: Mask of those vertices, ``(num,)``.
+        """
+        a, b = self._pairs
+        on = gone[a]
+        a, b = a[on], b[on]
+        result = np.where(gone, np.zeros_like(values), values)
+        share = BLENDS * (1 - self._c[a]) ** 2 * self._c[b]
+        if values.dtype == bool:
+            result[..., b] |= values[..., a] & (share > 0)
+        else:
+            np.add.at(result.T, b, (share * values[..., a]).T)
         return result
 
     def blended(self, values: Floats) -> Floats:
         """L of values at vertices, ``(num,)``."""
-        return values + self._q * self._sums_of(values)
+        return self._t * values + self._q * self._sums_of(values)
 
     def curvature(self, p: Floats) -> Sparse:
         """Σ_a p_a ∂²ĝ_a/∂u²."""
         a, b = self._pairs
-        by_c = p * self._dq * self._sums_of(self._g) * (self._c < 1)
+        by_c = p * self._by_own_c
         np.add.at(by_c, b, p[a] * self._q[a] * self._g[b])
         by_half = by_c[self.facets] * self._others
         H = self.rays.curvature(self.pressures(p)[self.facets], by_half)
@@ -110,10 +127,11 @@ class Blended:
         weights = np.zeros(self.num)
         np.add.at(weights, b, p[a] * self._q[a])
         hard = self._hard
+        weights += p * self._dt
         dS = self._sums_beside(G, K)
         M = (weights[:, None] * K).T @ G + ((p * self._dq)[hard, None] * K[hard]).T @ dS[hard]
-        second = 0.5 * (p * self._ddq * self._sums_of(self._g))[hard, None] * K[hard]
-        M += second.T @ K[hard]
+        bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
+        M += (0.5 * (p * bends)[hard, None] * K[hard]).T @ K[hard]
         ends = [self._dense_halves(k, columns) for k in range(2)]
         M -= (by_c[:, None] * ends[0]).T @ ends[1]
         return joined(H, _entries(M + M.T, columns, columns))
@@ -121,13 +139,13 @@ class Blended:
     @cached_property
     def slips(self) -> Sparse:
         """L T: slips of vertices are L T Δu."""
-        return joined(self._T, self._beside(self._T))
+        return joined(self._own(self._T), self._beside(self._T))
 
     @cached_property
     def parting(self) -> Sparse:
         """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
         T = self._by_vertex(self.rays.slips(across=True))
-        return joined(T, self._beside(T))
+        return joined(self._own(T), self._beside(T))
 
     @cached_property
     def _T(self) -> Sparse:
@@ -155,9 +173,10 @@ class Blended:
         a, b = self._pairs
         rows = np.zeros_like(S)
         np.add.at(rows, a, self._q[a, None] * (self._c[b, None] * S[b] + s[b, None] * K[b]))
-        rows += (self._dq * self._sums_of(s))[:, None] * K
+        rows += (self._dt * s + self._dq * self._sums_of(s))[:, None] * K
         hard = self._hard
-        return joined(self._by_vertex(slopes), _entries(rows[hard], hard, columns))
+        slopes = self._own(self._by_vertex(slopes))
+        return joined(slopes, _entries(rows[hard], hard, columns))
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
@@ -168,12 +187,22 @@ class Blended:
         T, K, columns = self._dense(self.rays.slips(), self._by_c)
         by_a, by_b = q[a] * self._dq[a] * self._c[b], q[a] * self._q[a]
         M = (by_a[:, None] * T[b]).T @ K[a] + (by_b[:, None] * T[b]).T @ K[b]
+        M += ((q * self._dt)[:, None] * T).T @ K
         return joined(H, _entries(M, columns, columns))
 
     @cached_property
     def _hard(self) -> npt.NDArray[np.intp]:
         """Vertices that are covered in part, sorted."""
         return np.unique(self._pairs[0])
+
+    @cached_property
+    def _by_own_c(self) -> Floats:
+        """∂ĝ/∂c by a vertex' own c."""
+        return self._dt * self._g + self._dq * self._sums_of(self._g)
+
+    def _own(self, T: Sparse) -> Sparse:
+        """Rows times t."""
+        return Sparse(T.i, T.j, T.values * self._t[T.i])
 
     def _sums(self, halves: Floats) -> Floats:
         """Sums at vertices."""

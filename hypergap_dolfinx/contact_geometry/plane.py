@@ -141,6 +141,12 @@ class PlaneSegments(Segments[_Seen]):
         return self._at(u).gaps.slip_curvature(q[0])
 
     @override
+    def given_over(
+        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
+    ) -> npt.NDArray:
+        return self._at(u).gaps.given_over(values, gone)
+
+    @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         # Each edge has a cell of Σ on itself, half as large as what is covered of both its halves,
         # with the mean pressure of its vertices; what else stands on a half has its vertex'

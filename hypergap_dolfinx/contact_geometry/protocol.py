@@ -146,6 +146,18 @@ class Segments[State: Found](ABC):
             target: As for :meth:`slip`.
         """
 
+    def given_over(
+        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
+    ) -> npt.NDArray:
+        """Values of multipliers of which some don't exist any more, of the same forces.
+
+        Args:
+            u: Displacements.
+            values: ``(..., num_multipliers)``; of masks, who takes over is in them too.
+            gone: Mask of those, ``(num_multipliers,)``.
+        """
+        return np.where(gone, np.zeros_like(values), values)
+
     @abstractmethod
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures to look at, which have the force of p and less of its scatter between nodes.

@@ -55,8 +55,8 @@ BLENDS = 0.5
 """Largest share of the neighbours' rows in that of a vertex that is covered in part.
 Measured: TODO"""
 
-HARD = 0.05
-"""Covered part of a vertex below which its row goes over to its neighbours'.
+HARD = 0.01
+"""Covered part of a vertex from which its row has its full weight.
 Measured: TODO"""
 
 SHARED = 0.5

@@ -221,11 +221,19 @@ class ContactRows:
         self._transfer()
 
     def _transfer(self):
-        """Give new multipliers among active ones the state of a neighbour.
+        """Keep forces continuous where multipliers come and go.
 
-        Their weights were part of the neighbours' before: so forces stay continuous.
+        In the plane new ones are zero, and those that go are given to others. In space new ones
+        among active ones have the state of a neighbour: their weights were part of the neighbours'.
         """
         state = self.state
+        if self._n == 2:
+            gone = state.exists & ~self.valid
+            if state.opening is not None and gone.any():
+                for values in state.arrays.values():
+                    values[...] = state.opening.given_over(self.u, values, gone)
+            state.exists = self.valid
+            return
         facets = self.sides[1].reference.facets
         new = self.valid & ~state.exists
         if new.any():
