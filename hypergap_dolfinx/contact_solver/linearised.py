@@ -58,6 +58,25 @@ class Solution:
     """Multipliers of the working set, in the same units and order."""
 
 
+@dataclass
+class _Laws:
+    """Laws of contact and friction, not satisfied yet."""
+
+    error: Array
+    are_satisfied: bool
+    parts: list[tuple[npt.NDArray[np.intp], Array, Array]]
+    """By contact the places of its unknowns, and derivatives by gaps and by multipliers."""
+
+    def slope(self, A: Array, B: Array) -> Array:
+        """Derivative by unknowns, of which A and B are those of multipliers and gaps."""
+        found = np.zeros_like(A)
+        for rows, *parts in self.parts:
+            for by, matrix in zip(parts, (B, A), strict=True):
+                for i, j in np.argwhere(by.any(axis=2)):
+                    found[rows[i]] += by[i, j][:, None] * matrix[rows[j]]
+        return found
+
+
 class LinearisedContact:
     """A linearised contact problem of several contacts. All is collective."""
 
@@ -175,46 +194,40 @@ class LinearisedContact:
 
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction, by Newton's method with a line search."""
-        error, slope, is_zero = self._errors(y0 + B @ z, f0 + A @ z, of, A, B)
+        y0, f0, A, B = y0[of], f0[of], A[of], B[of]
+        laws = self._laws(y0 + B @ z, f0 + A @ z, of)
         for _ in range(DENSE):
-            if is_zero:
+            if laws.are_satisfied:
                 return z
+            slope = laws.slope(A, B)
             try:
-                way = np.linalg.solve(slope, -error)
+                way = np.linalg.solve(slope, -laws.error)
             except np.linalg.LinAlgError:
-                way = np.linalg.lstsq(slope, -error)[0]
-            size, share, start = np.linalg.norm(error), 1.0, z
+                way = np.linalg.lstsq(slope, -laws.error)[0]
+            size, share, start = np.linalg.norm(laws.error), 1.0, z
             for _ in range(TRIALS_DENSE):
                 z = start + share * way
-                error, slope, is_zero = self._errors(y0 + B @ z, f0 + A @ z, of, A, B)
-                if np.linalg.norm(error) < (1 - DECREASE * share) * size or is_zero:
+                laws = self._laws(y0 + B @ z, f0 + A @ z, of)
+                if np.linalg.norm(laws.error) < (1 - DECREASE * share) * size:
                     break
                 share /= 2
         return None
 
-    def _errors(self, y, f, of, A, B) -> tuple[Array, Array, bool]:
-        """Errors of the laws of some unknowns, their derivatives, and if they are zero."""
-        place = np.full(len(y), -1)
+    def _laws(self, y, f, of) -> "_Laws":
+        """Laws of some unknowns at their gaps and multipliers, ``(len(of),)`` each."""
+        found, start = _Laws(np.zeros(len(of)), True, []), 0
+        place = np.full(self._on.shape, -1)
         place[of] = np.arange(len(of))
-        slopes, error, is_zero, start = np.zeros((len(of),) * 2), np.zeros(len(of)), True, 0
-        for part, *at in zip(self._rows, self._split(y), self._split(f), strict=True):
-            num = len(part.g)
-            places = place[start : start + part.num_unknowns].reshape(-1, num)
+        for part in self._rows:
+            places = place[start : start + part.num_unknowns].reshape(-1, len(part.g))
             start += part.num_unknowns
-            of_part = np.flatnonzero(places[0] >= 0)
-            if not len(of_part):
-                continue
-            rows = places[:, of_part]
-            of_y, of_f = (v.reshape(-1, num)[:, of_part] for v in at)
-            value, by_y, by_f, least = part.law(of_y, of_f, of_part)
-            error[rows] = value
-            is_zero &= bool((np.abs(value) <= least).all())
-            for k, other in np.ndindex(*by_y.shape[:2]):
-                slopes[rows[k]] += (
-                    by_y[k, other][:, None] * B[of[rows[other]]]
-                    + by_f[k, other][:, None] * A[of[rows[other]]]
-                )
-        return error, slopes, is_zero
+            at = np.flatnonzero(places[0] >= 0)
+            rows = places[:, at]
+            error, by_y, by_f, least = part.law(y[rows], f[rows], at)
+            found.error[rows] = error
+            found.are_satisfied &= bool((np.abs(error) <= least).all())
+            found.parts.append((rows, by_y, by_f))
+        return found
 
     def _base(self, right, shift, **options) -> tuple[list[Array], Array, Array]:
         """Solution of the linear system: displacements, gaps and slips, pressures and tractions."""
