@@ -96,7 +96,8 @@ class PlaneSegments(Segments[_Seen]):
         goes_on = [wall.end for wall in self._walls if wall.is_between(surfaces)]
         found = rays.cast(self._in_c, surfaces, goes_on)
         if not len(found.points):
-            mesh_strip(*surfaces)  # raises an error that says why
+            if self._last is None:
+                mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
         return _Seen(u, Blended(found, *self._edges(surfaces[1])))
 

@@ -25,6 +25,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
     COVERED_AREA,
     EXACT,
+    EXCEEDS,
     HOLDS,
     ROUND_OFF_FORCES,
 )
@@ -412,7 +413,9 @@ class ContactRows:
             if state.opening is None:
                 state.opening = self._contact.gaps(self.u, self._held)
             self.g, self.m, self.C = state.opening.gap(self.u)
-        except NotFacingError:
+        except InterfaceError as error:
+            if not isinstance(error, NotFacingError) and self._accepted is None:
+                raise
             none = np.zeros(len(self._area))
             state.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
 
@@ -692,7 +695,10 @@ class ContactRows:
         return np.where(self.valid, left, 0)
 
     def is_closed(self) -> bool:
-        """True if active gaps are closed, and no others overlap."""
+        """True if active gaps are closed and none pulls, and no others overlap."""
+        p = self.state.p[self.state.active]
+        if p.min(initial=0) < -EXCEEDS * np.abs(p).max(initial=0):
+            return False
         apart = self.distance[self.valid & ~self.state.active]
         return self._largest_gap() <= self.closed and bool((apart >= -self.closed).all())
 
