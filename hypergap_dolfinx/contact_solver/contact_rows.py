@@ -377,10 +377,6 @@ class ContactRows:
             self._stiffness * self._compliance, self.m, out=np.zeros_like(self.m), where=self.valid
         )
 
-    def penalty(self, price: float, state: NormalState) -> float:
-        """Price of overlaps, and friction's work at the pressures of a state."""
-        return price * float(np.maximum(-self.clearance, 0)[self.valid].sum())
-
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         now = self.state

@@ -3,7 +3,6 @@
 """Newton's iteration for bodies in contact: predictor, steps, continuation."""
 
 from collections.abc import Sequence
-from functools import partial
 
 from mpi4py import MPI
 
@@ -20,7 +19,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     SystemState,
     share_ends,
 )
-from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
+from hypergap_dolfinx.contact_solver.continuation import Continuation
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, hold_by_sticking
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
@@ -58,10 +57,9 @@ class ContactSystem(NonlinearSystem):
     3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
        ``ContactProblem.solve``)::
 
-           residual is no number ─────────────→ the step is shortened, up to TRIALS times
+           residual is no number ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to BACK times
-           PATIENCE steps without progress ────→ steps are searched along, for less energy
-           STALLED steps without, or STEPS ─────→ the load step fails
+           STEPS steps ─────────────────────────→ the load step fails
            no solution, RAYS times in a row ────→ it fails: a body leaves
 
     It ends where the residual of bodies, ties and contact forces is at most rtol times the forces
@@ -125,7 +123,6 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
-        self._price = 0.0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
 
@@ -183,7 +180,7 @@ class ContactSystem(NonlinearSystem):
         self._goal = self._lifted()
         self._lead()
         continuation = Continuation(self._comm)
-        self._largest, self._price, self._num_rays, polished = 0.0, 0.0, 0, False
+        self._largest, self._num_rays, polished = 0.0, 0, False
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
         while True:
@@ -209,8 +206,7 @@ class ContactSystem(NonlinearSystem):
                     self._check_held()
                     return step
                 polished = True
-            continuation.update(self._natural())
-            if step == STEPS or continuation.stalls:
+            if step == STEPS:
                 raise SolveError(self._stalled(step))
             if step:
                 try:
@@ -225,49 +221,12 @@ class ContactSystem(NonlinearSystem):
             share = 1.0
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             if continuation.goes_back(moves, work):
-                share = -1.0
-            elif continuation.searches:
-                share = searched(partial(self._slope, way, moves))
-            if share != 1:
-                self._go(*way, share)
+                self._go(*way, -1.0)
 
     def _is_finite(self) -> bool:
         """True if the residual is one of numbers. Collective."""
         norms = sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
         return bool(np.isfinite(self._comm.allreduce(norms)))
-
-    def _slope(
-        self,
-        way: tuple[SystemState, SystemState],
-        moves: Sequence[npt.NDArray[np.float64]],
-        share: float,
-    ) -> tuple[float, float]:
-        """Slope of the bodies' energy along a step, and the penalty, at a share of it. Collective.
-
-        Args:
-            way: The states before and after the step.
-            moves: This rank's increments of each body's displacements.
-            share: The share; this state is taken.
-        """
-        self._go(*way, share)
-        for rows in self._rows:
-            rows.update_geometry()
-        self._evaluate(self._x, self._b)
-        parts = zip(self._held, moves, self._b.getNestSubVecs(), strict=False)
-        slope = sum(float(np.dot(move[~held], b.array_r[~held])) for held, move, b in parts)
-        most = max(np.abs(one.p).max(initial=0) for state in way for one in state.contacts)
-        self._price = max(self._price, 2 * most)  # one that falls could let steps cycle
-        penalties = [
-            rows.penalty(self._price, state)
-            for rows, state in zip(self._rows, way[1].contacts, strict=True)
-        ]
-        return self._comm.allreduce(slope), float(sum(penalties))
-
-    def _natural(self) -> float:
-        """Size of what is left of forces, gaps and pulls, as forces. Collective."""
-        stiffness = self._stiffness()
-        left = [rows.unsatisfied() for rows in self._rows]
-        return float(np.hypot(self._unbalanced, stiffness * np.linalg.norm(np.concatenate(left))))
 
     def _step(
         self, jump: Sequence[npt.NDArray[np.float64]], stiffness: float

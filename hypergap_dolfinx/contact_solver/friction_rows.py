@@ -317,11 +317,6 @@ class FrictionRows(ContactRows):
         least[1:] = np.where(closed, least[1:], force[at])
         return error, by_y, by_f, least
 
-    def penalty(self, price: float, state: NormalState) -> float:
-        """Price of overlaps, and friction's work at the pressures of a state."""
-        bound, _ = self._bounds(state.p * state.active)
-        return super().penalty(price, state) + float(bound @ np.linalg.norm(self.s, axis=0))
-
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         num, now = len(self.g), self.state

@@ -26,14 +26,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import (
-    ADDED,
-    ADDED_FACTOR,
-    ADDED_TIMES,
-    DECREASE,
-    DENSE,
-    TRIALS_DENSE,
-)
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -125,7 +118,7 @@ class LinearisedContact:
         """
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
-        for _ in range(ADDED_TIMES + 1):
+        for _ in range(TRIALS + 1):
             found = self._solve(right, (stiff, near))
             negative = self._tangent.negative
             is_positive = negative is None or negative <= num
@@ -134,9 +127,9 @@ class LinearisedContact:
                 if is_positive or self._tangent.work(free) > 0:
                     break
             if is_positive and nearness:
-                near = ADDED_FACTOR * near or nearness()
+                near = near / SHORTENED or nearness()
             else:
-                stiff = ADDED_FACTOR * stiff or ADDED
+                stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
 
     def _solve(self, right, shift: tuple[float, float]) -> Solution:
@@ -205,10 +198,10 @@ class LinearisedContact:
             except np.linalg.LinAlgError:
                 way = np.linalg.lstsq(slope, -laws.error)[0]
             size, share, start = np.linalg.norm(laws.error), 1.0, z
-            for _ in range(TRIALS_DENSE):
+            for _ in range(TRIALS):
                 z = start + share * way
                 laws = self._laws(y0 + B @ z, f0 + A @ z, of)
-                if np.linalg.norm(laws.error) < (1 - DECREASE * share) * size:
+                if np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
         return None

@@ -18,8 +18,7 @@ from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver import active_set
-from hypergap_dolfinx.contact_solver.continuation import Continuation, searched
-from hypergap_dolfinx.contact_solver.tolerances import PATIENCE, STALLED
+from hypergap_dolfinx.contact_solver.continuation import Continuation
 
 comm = MPI.COMM_WORLD
 STEP = 1e-5  # of differences of the fourth order
@@ -223,26 +222,6 @@ def test_steps_backwards():
             found.append(x)
         assert (abs(found[-1] - 1.55) <= 1e-12) == tells
     assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
-
-
-def test_progress():
-    """Steps are searched along after some without progress, and a load step given up after more."""
-    continuation = Continuation(MPI.COMM_SELF)
-    for k, residual in enumerate((1.0, 0.5, 2.0, *[0.49] * STALLED)):
-        continuation.update(residual)
-        assert continuation.searches == (k > PATIENCE) and continuation.stalls == (k > STALLED)
-    continuation.update(0.1)
-    assert not continuation.searches and not continuation.stalls
-
-
-@pytest.mark.parametrize(("width", "share"), [(1.5, 1.0), (0.7, 0.5), (0.1, 1 / 16), (1e-3, 1.0)])
-def test_search(width, share):
-    """A step is halved until the energy falls, or taken as it is where it never does."""
-
-    def at(x):
-        return 2 * x / width - 1, 0.0
-
-    assert searched(at) == share
 
 
 def test_what_comes():
