@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "balls.h"
 #include "heights.h"
 #include "space.h"
 #include "vectors.h"
@@ -214,37 +215,6 @@ static void look_at(const Look *look, int start, int end, const Ball *ball)
   }
 }
 
-// Make the balls around runs of facets.
-static void put_balls(const Facets *side, const int *order, int start, int end, Ball *ball)
-{
-  double e[3];
-  int half = (start + end) / 2, num = side->num_corners;
-  *ball = (Ball){{0}, 0};
-  if (half == start)
-  {
-    const int *v = side->vertices + num * order[start];
-    for (int k = 0; k < num; ++k)
-      for (int i = 0; i < 3; ++i)
-        ball->middle[i] += side->x[3 * v[k] + i] / num;
-    for (int k = 0; k < num; ++k)
-    {
-      minus(side->x + 3 * v[k], ball->middle, e);
-      ball->radius = larger(ball->radius, sqrt(dot(e, e)));
-    }
-    return;
-  }
-  Ball *halves[2] = {ball + 1, ball + 2 * (half - start)};
-  put_balls(side, order, start, half, halves[0]);
-  put_balls(side, order, half, end, halves[1]);
-  for (int i = 0; i < 3; ++i)
-    ball->middle[i] = (halves[0]->middle[i] + halves[1]->middle[i]) / 2;
-  for (int k = 0; k < 2; ++k)
-  {
-    minus(halves[k]->middle, ball->middle, e);
-    ball->radius = larger(ball->radius, sqrt(dot(e, e)) + halves[k]->radius);
-  }
-}
-
 // Find the pieces.
 //
 // order     Γ0's facets along a curve that fills space
@@ -266,7 +236,7 @@ int find_pieces(const Facets *sides, const int *order, const double *normals, co
   Ball *balls = malloc((2 * (size_t)below->num_facets + 1) * sizeof(Ball));
   if (!balls)
     return NO_MEMORY;
-  put_balls(below, order, 0, below->num_facets, balls);
+  put_balls(below->num_corners, below->vertices, below->x, order, 0, below->num_facets, balls);
   Look look = {.below = below,
                .above = above,
                .order = order,

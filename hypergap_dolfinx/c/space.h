@@ -50,6 +50,8 @@ typedef struct {
 int find_pieces(const Facets *sides, const int *order, const double *normals, const double *planes,
                 const double *reach, const double *parts, double leans, double sliver, double last,
                 Pieces *pieces);
+int find_depths(int num_triangles, const double *x, const int *order, int num,
+                const double *points, double *depths);
 void cast_columns(const Facets *sides, const double *tangents, int steps, double last,
                   const int *f0, const int *f1, const double *X, Rays *rays);
 void polygon_rule(int num, int num_corners, const double *X, int num_points, const double *points,

@@ -32,7 +32,6 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     ROUND_OFF_FACET,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct, structs
-from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.search import along_curve
 from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface, around, lengths, tabulate
@@ -211,7 +210,7 @@ def find_pieces(frames: Frames) -> FacetPieces:
     pieces = FacetPieces((f0, f1), above.polygons[f1, part].astype(np.intp), X, count, label)
     if max(surface.geometry.degree for surface in frames.surfaces) > 1:
         pieces = _bent(frames, pieces, parts, part, y, edge)
-    return _nearest_sheet(frames, pieces)
+    return pieces
 
 
 def _cut(frames: Frames, parts):
@@ -310,32 +309,6 @@ def _in_curved(frames: Frames, facet, y) -> npt.NDArray[np.float64]:
         if np.abs(step).max(initial=0) < LAST:
             break
     return X
-
-
-def _nearest_sheet(frames: Frames, pieces: FacetPieces) -> FacetPieces:
-    """The nearest connected part of Γ0 where several lie one behind the other."""
-    below, above = frames.surfaces
-    (f0, f1), num = pieces.facets, below.facets.shape[1]
-    keys = (f1[:, None] * len(below.x) + below.facets[f0]).ravel()
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    piece = order // num
-    sheet = components(len(f0), piece[same], piece[same + 1])
-    if sheet.max(initial=-1) + 1 == len(np.unique(f1)):
-        return pieces
-    apart = below.x[below.facets[f0]].mean(axis=1) - frames.middle[f1]
-    normal, other = frames.normal[f1], below.normals[f0]
-    height = np.einsum("pi,pi->p", other, apart) / np.einsum("pi,pi->p", other, normal)
-    area = pieces.area
-    mean = np.bincount(sheet, np.abs(height) * area) / np.bincount(sheet, area)
-    facet = np.zeros(len(mean), dtype=np.intp)
-    facet[sheet] = f1
-    best = np.full(len(above.facets), np.inf)
-    np.minimum.at(best, facet, mean)
-    first = np.full(len(above.facets), len(mean))
-    nearest = np.flatnonzero(mean <= best[facet])
-    np.minimum.at(first, facet[nearest], nearest)
-    return pieces.some(first[f1] == sheet)
 
 
 def stand_ins(surface: Surface, pieces: FacetPieces) -> npt.NDArray[np.intp]:

@@ -30,10 +30,10 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
     Label,
-    find_pieces,
     stand_ins,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
+from hypergap_dolfinx.contact_geometry.sheets import find_met
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
@@ -45,6 +45,8 @@ class _Columns(Found):
 
     frames: Frames
     pieces: FacetPieces
+    at_end: npt.NDArray[np.bool_]
+    """Mask of the pieces' edges beyond which Γ0 isn't met, ``(num_pieces, num)``."""
     vertex: npt.NDArray[np.intp]
     """Vertex of Γ1 that has each piece, ``(num_pieces,)``."""
     rays: Rays
@@ -93,7 +95,7 @@ class SpaceSegments(Segments[_Columns]):
     def _find(self, u: Displacements) -> _Columns:
         below, above = surfaces = displaced(self.sides, u)
         frames = Frames.of(surfaces)
-        pieces = find_pieces(frames)
+        pieces, at_end = find_met(frames)
         if not len(pieces.num):
             raise NotFacingError(
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
@@ -101,7 +103,7 @@ class SpaceSegments(Segments[_Columns]):
             )
         vertex = stand_ins(above, pieces)[pieces.vertex]
         rays, piece, weights = _cast(frames, pieces)
-        return _Columns(u, frames, pieces, vertex, rays, piece, weights)
+        return _Columns(u, frames, pieces, at_end, vertex, rays, piece, weights)
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
@@ -236,7 +238,7 @@ class SpaceSegments(Segments[_Columns]):
         """
         pieces = state.pieces
         there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-        at_end = self.sides[0].reference.is_outline[pieces.facets[0][:, None], pieces.label]
+        at_end = state.at_end
         there &= np.broadcast_to(which, len(there))[:, None]
         if outline:
             there &= at_end

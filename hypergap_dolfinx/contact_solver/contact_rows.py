@@ -121,7 +121,7 @@ class ContactRows:
         """Number among the contact's rows of all problems, the same on every rank."""
         self.start: Displacements | None = None
         """Displacements at the start of the load step; None before the first geometry."""
-        self._accepted: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]] | None = None
+        self._checked = False  # that the bodies don't start behind each other
         self._n = self.sides[0].reference.gdim
         num = len(self.sides[1].reference.x)
         self.state = NormalState(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
@@ -211,14 +211,14 @@ class ContactRows:
             self.state.opening, start, self.m, self.C = self._first
             self.g = start + self.times(self.u)
         self._condense()
-        self._find_behind()
+        self._refuse_behind()
         held = np.concatenate([part.ravel() for part in self._held])
         every, free = (
             np.bincount(self.C.i, weights * self.C.values**2, len(self.g))
             for weights in (1.0, ~held[self.C.j])
         )
         covered = self.m > COVERED_AREA * self._area
-        self.valid = covered & (free > HOLDS**2 * every) & ~self._behind
+        self.valid = covered & (free > HOLDS**2 * every)
         self._transfer()
 
     def _transfer(self):
@@ -252,8 +252,6 @@ class ContactRows:
     def commit(self):
         """Accept the state: the next load step starts from it."""
         self.start = self.u
-        if self.state.opening is not None:
-            self._accepted = self._behind, self.m > 0
 
     def restore(self, state: NormalState):
         """Go back to a state that was copied before."""
@@ -444,28 +442,21 @@ class ContactRows:
         u0, u1 = self.u
         return (u0, u1) if self._follows else (np.zeros_like(u0), np.zeros_like(u1))
 
-    def _find_behind(self):
-        """Find the vertices that lie behind Γ0's body, seen from its surface.
-
-        Those that came there in the present load step overlap, and are pushed out.
+    def _refuse_behind(self):
+        """Refuse bodies that start behind each other.
 
         Raises:
-            InterfaceError: All of them do at the start.
+            InterfaceError: All of Γ1 that sees Γ0 does so from behind.
         """
-        opposite = self.m > 0
-        deep = np.divide(self.g, self.m, np.zeros_like(self.g), where=opposite) < -self._depth
-        if self._accepted is None:
-            if opposite.any() and deep[opposite].all():
-                raise InterfaceError(
-                    f"Γ1 is {(-self.g[opposite] / self.m[opposite]).min():.3g} and more behind Γ0: "
-                    "the bodies are on the wrong sides of each other, or the facets on those of "
-                    "the bodies."
-                )
-            self._accepted = deep, opposite
-        before, there = self._accepted
-        self._behind = (before & (self.g < 0)) | (deep & ~there)
-        if self._n == 2:  # gaps know it
-            self._behind = np.zeros_like(deep)
+        if self._checked:
+            return
+        self._checked, opposite = True, self.m > 0
+        height = self.g[opposite] / self.m[opposite]
+        if opposite.any() and (height < -self._depth).all():
+            raise InterfaceError(
+                f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "
+                "of each other, or the facets on those of the bodies."
+            )
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

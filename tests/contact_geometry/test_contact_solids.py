@@ -17,7 +17,8 @@ from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
 from hypergap_dolfinx.contact_geometry import moments
-from hypergap_dolfinx.contact_geometry.opposite import Frames, find_pieces
+from hypergap_dolfinx.contact_geometry.opposite import Frames
+from hypergap_dolfinx.contact_geometry.sheets import find_met
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
@@ -286,7 +287,7 @@ def test_nearest_sheet():
         nodes=np.concatenate((second[below.facets], below.nodes)),
     )
     frames = Frames.of((both, above))
-    alone, found = find_pieces(Frames.of((below, above))), find_pieces(frames)
+    alone, found = find_met(Frames.of((below, above)))[0], find_met(frames)[0]
     assert abs((found.area * frames_area(frames, found)).sum() - 0.69**2) <= 1e-12
     assert len(alone.num) == len(found.num) and found.facets[0].min() >= len(below.facets)
 
