@@ -408,7 +408,7 @@ class ContactRows:
                 state.opening = self._contact.gaps(self.u, self._held)
             self.g, self.m, self.C = state.opening.gap(self.u)
         except InterfaceError as error:
-            if not isinstance(error, NotFacingError) and self._accepted is None:
+            if not (isinstance(error, NotFacingError) or self._checked):
                 raise
             none = np.zeros(len(self._area))
             state.opening, self.g, self.m, self.C = None, none, none, Sparse.empty()
