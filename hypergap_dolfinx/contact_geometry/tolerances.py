@@ -60,7 +60,7 @@ HARD = 0.01
 """Covered part of a vertex from which its row has its full weight.
 Measured: TODO"""
 
-SHARED = 0.68
+SHARED = 0.7
 """Part of an edge of Γ1 around its middle over which weights go over from one vertex to the other.
 Measured: TODO"""
 

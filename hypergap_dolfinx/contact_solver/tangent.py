@@ -8,14 +8,13 @@ has an equation, p = 0 if it is inactive, and there is room for entries that may
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
@@ -30,6 +29,9 @@ from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
 from hypergap_dolfinx.surface.moving import Sparse
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 ROOM = {"mat_mumps_icntl_14": 30}
 """LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
@@ -379,13 +381,15 @@ class Tangent:
             vector.destroy()
         return found.real
 
-    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> sparse.csr_array:
+    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> "sparse.csr_array":
         """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.
 
         Args:
             entries: Rows of each contact, columns are its unknowns.
             sizes: Numbers of rows of each contact.
         """
+        from scipy import sparse  # takes .15 s
+
         retained = self._retained
         assert retained is not None
         rows, columns, values, before = [], [], [], 0
@@ -399,7 +403,7 @@ class Tangent:
         i, j, v = (np.concatenate(part) for part in (rows, columns, values))
         return sparse.csr_array((v, (i, j)), shape=(before, retained.vectors[0].getLocalSize()))
 
-    def responses(self, loads: sparse.csr_array) -> npt.NDArray:
+    def responses(self, loads: "sparse.csr_array") -> npt.NDArray:
         """Solutions for several right-hand sides, with the last factors. Collective.
 
         Args:

@@ -127,7 +127,7 @@ def test_flat_punch(cut, wide):
     assert (rows.state.p[on] <= bound * mean).all() and problem.iterations <= 5
     inside = np.abs(x) < 0.25
     if wide and 0.2 < cut < 0.8:
-        np.testing.assert_allclose(p[inside], 2 / np.pi / np.sqrt(1 - 4 * x[inside] ** 2), 0.022)
+        np.testing.assert_allclose(p[inside], 2 / np.pi / np.sqrt(1 - 4 * x[inside] ** 2), 0.023)
 
 
 def test_force_of_flat_punch():

@@ -69,17 +69,19 @@ def test_refused_structs():
         struct("Curves", powers=np.zeros((1, 2), dtype=np.int64))
     with raises(TypeError, "Facets's x isn't C-contiguous"):
         compiled.structs("Facets", [{"x": POINTS}, {"x": POINTS.T}])
-    crossings = np.empty(1, dtype=[("edges", np.int32, 2)])
-    with raises(TypeError, "Sigma's crossings is of .*edges.*; it must be of .*unknown"):
-        struct("Sigma", crossings=crossings)
+    sheets = np.empty(1, dtype=[("edge", np.int32)])
+    with raises(TypeError, "Sigma's sheets is of .*edge.*; it must be of .*fades"):
+        struct("Sigma", sheets=sheets)
 
 
 def test_structs_keep_arrays():
     """What a struct points to lives as long as the struct does."""
-    sigma = struct("Sigma", cells=np.full(1000, 7, dtype("Cell")), motions=np.full(1000, 5.0))
-    others = [np.zeros(1000, dtype("Cell")) for _ in range(10)]
-    assert sigma.cells[999].side == 7 and sigma.motions[999] == 5
-    assert not any(other["side"].any() for other in others)
+    sheets = np.full(1000, 7, dtype("Sheet"))
+    sigma = struct("Sigma", sheets=sheets, rule_at=np.full(1000, 5.0))
+    del sheets
+    others = [np.zeros(1000, dtype("Sheet")) for _ in range(10)]
+    assert sigma.sheets[999].edge == 7 and sigma.rule_at[999] == 5
+    assert not any(other["edge"].any() for other in others)
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)

@@ -77,8 +77,8 @@ DEMOS = {
     ),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
-        {"contact.*.l2_pressure": 4.45e-2, "contact.0.steps": 1, "contact.1.steps": 2},
-        {"contact.*.p0": 2e-3, "contact.*.force": 5e-4},
+        {"contact.*.l2_pressure": 4.384e-2, "contact.0.steps": 1, "contact.1.steps": 2},
+        {"contact.*.p0": 2.6e-3, "contact.*.force": 5e-4},
         accuracy=2e-3,
         pictures=("contact",),
         needs=("matplotlib",),
@@ -86,8 +86,8 @@ DEMOS = {
     ),
     "bouncing": Demo(
         "--height 0.1 --time 1.4 --step 0.02",
-        {"bounces.*.leaves": 1.28, "bounces.*.drift": -1.0915e-3},
-        {"rows.*.iterations": 5, "bounces.*.gained": 0},
+        {"bounces.*.leaves": 1.28, "bounces.*.drift": 2.31e-4},
+        {"rows.*.iterations": 5, "bounces.*.gained": 3e-4},
         accuracy=1e-2,
         pictures=("bouncing",),
         needs=("matplotlib",),
@@ -175,7 +175,7 @@ DEMOS = {
     ),
     "ironing": Demo(
         "--flat --steps 4",
-        {"rows.7.fy": -0.29492, "rows.7.halvings": 0},
+        {"rows.7.fy": -0.29572, "rows.7.halvings": 0},
         {"rows.*.energy_error": 1e-6},
         pictures=("ironing",),
         needs=("matplotlib",),
@@ -196,8 +196,8 @@ DEMOS = {
     ),
     "ironing_quadratic": Demo(
         "--flat --degree 2 --friction 0.2 --steps 8",
-        {"rows.11.fy": -0.29311},
-        {"rows.*.halvings": 0, "rows.*.iterations": 14},
+        {"rows.11.fy": -0.29369},
+        {"rows.*.halvings": 0, "rows.*.iterations": 16},
         slow=True,
         script="ironing",
     ),
@@ -290,7 +290,7 @@ DEMOS = {
     "press_fit": Demo(
         "--fine 1",
         {"pressure": 1.02348, "friction": 0.200727},
-        {"each.*": 13, "halvings": 1},
+        {"each.*": 10, "halvings": 0},
         pictures=("press_fit",),
         needs=("matplotlib",),
     ),
@@ -303,11 +303,9 @@ DEMOS = {
         needs=("matplotlib",),
     ),
     "slender_contact": Demo(
-        "--scene hertz saw squeezed",
-        {"rows.0.forces.0.1": 4.3477e-2, "rows.1.forces.0.1": -0.22732}
-        | {"rows.2.forces.0.1": 2.4486e-4},
-        {"rows.0.newton_steps": 15, "rows.1.newton_steps": 26, "rows.2.newton_steps": 70}
-        | {"rows.*.halvings": 0},
+        "--scene hertz rollers hairpin squeezed slot",
+        {"rows.0.forces.0.1": 4.3500e-2, "rows.3.forces.0.1": 2.4489e-4},
+        {"rows.*.newton_steps": 33, "rows.*.halvings": 0},
         pictures=("slender_contact",),
         needs=("matplotlib",),
     ),
@@ -320,7 +318,7 @@ DEMOS = {
     ),
     "contact_conductance": Demo(
         "--cells 12",
-        {"crowned.2.heat": 0.26242, "crowned.2.rough": 0.042901, "crowned.7.heat": 0.33344},
+        {"crowned.2.heat": 0.26242, "crowned.2.rough": 0.042683, "crowned.7.heat": 0.33344},
         {"even.*.error": 1e-11, "crowned.*.newton": 6},
         accuracy=1e-3,
         pictures=("contact_conductance",),
