@@ -41,28 +41,33 @@ times the area; without it 1500 and 6900, or no numbers."""
 
 COSINES = 0.1, 0.4
 """Cosines between normals from which on edges or facets face each other, and do so fully.
-Measured: TODO"""
+Measured: 60 random scenes of the plane: 57 solved, 1163 Newton steps; (.05, .2) 58, 1110;
+(.2, .6) 56, 1060."""
 
 NEAREST = 0.25, 0.75
 """Depth by the nearest edge or facet over that by a sheet, from which on it counts, and does so
 fully.
-Measured: TODO"""
+Measured: the same scenes: (.1, .5) 56 solved, (.5, .9) 58; without it 16 of 60."""
 
 SLACK = 0.1
 """Length that is added to the depth by the nearest edge or facet, in edges of Γ1.
-Measured: TODO"""
+Measured: the same scenes: .02 57 solved, 1457 Newton steps, .5 56, 1048."""
 
 BLENDS = 0.5
 """Largest share of the neighbours' rows in that of a vertex that is covered in part.
-Measured: TODO"""
+Measured: force on a flat punch as its corners pass between nodes: changes by 1.3 %, with .2
+.2 %, without 2.9 %; the same scenes: 58 solved, 1269 Newton steps with .2, 1284 without."""
 
 HARD = 0.01
 """Covered part of a vertex from which its row has its full weight.
-Measured: TODO"""
+Measured: flat die drawn along by .3 cells: at most 10 Newton steps, and more without an
+equilibrium from .05 on; the same scenes: .001 1103 Newton steps, .1 1299."""
 
 SHARED = 0.7
 """Part of an edge of Γ1 around its middle over which weights go over from one vertex to the other.
-Measured: TODO"""
+Measured: force on a flat punch: changes by 1.3 %, with .02 2.4 %, with .95 .9 %; peak of
+Hertz's pressure .25 % off, with .5 .18 %; flat die drawn along in two ways: both converge, with .5,
+.6 and .65 one of them doesn't; least eigenvalue of C K⁻¹ Cᵀ .69 of that with .02."""
 
 END = 1e-7
 """Distance of ends that are at one wall, in edge lengths.

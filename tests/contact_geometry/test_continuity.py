@@ -140,7 +140,7 @@ KINKS = {  # jumps of forces that are left, over those of a facet at the largest
 
 @pytest.mark.parametrize(("name", "degree"), CASES)
 def test_forces_are_continuous(name, degree):
-    """Nor do forces, but where an end of Γ0 passes a corner of Γ1 that overlaps: gaps have kinks."""
+    """Nor do forces, but for kinks of gaps where an end of Γ0 passes a corner of Γ1 deep inside."""
     change = changes_in_the_plane(name, degree)[1]
     assert change[-1] <= KINKS.get((name, degree), 1e-4), change
 
