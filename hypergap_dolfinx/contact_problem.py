@@ -24,7 +24,7 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import ALIKE, HALVINGS, STIFF
+from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -170,6 +170,7 @@ class ContactProblem(ContactSystem):
         arrays += [part.array for part in told]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)
         self._halvings = self._num_steps = 0
+        self._told_far: set[int] = set()
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
         """The body on one side of a contact."""
@@ -281,6 +282,7 @@ class ContactProblem(ContactSystem):
         progress.show(comm, self._summary(), keep=True)
         if self._num_steps == 1:
             self._warn_of_reach(comm)
+        self._warn_of_distance(comm)
         return self._every
 
     def _summary(self) -> str:
@@ -310,6 +312,19 @@ class ContactProblem(ContactSystem):
                     ", with facets that are no longer; pressures will scatter: swap its sides "
                     "(Contact.between with stiffness does)."
                 )
+
+    def _warn_of_distance(self, comm):
+        """Say once for each contact where a pressure acts on surfaces that are far apart."""
+        for c, rows in enumerate(self._rows):
+            far, at = (0.0, None) if c in self._told_far else rows.far_pressure()
+            if far > FAR_PRESSURE:
+                self._told_far.add(c)
+                if comm.rank == 0:
+                    LOG.warning(
+                        f"contact {c}: at {spot(at[None])} a pressure acts on surfaces up to "
+                        f"{far:.1f} facets apart, as gaps are means over the facets at a vertex: "
+                        "too coarse for the corner or the step that touches there."
+                    )
 
     def _warn_of_reach(self, comm):
         """Say which surfaces have nothing opposite."""

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_geometry.rays import EdgeRays
+from hypergap_dolfinx.contact_geometry.rays import PlaneRays
 from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
@@ -30,7 +30,7 @@ Floats = npt.NDArray[np.float64]
 class Blended:
     """Gaps and slips of vertices; derivatives are by both sides' dofs, Γ1's behind Γ0's."""
 
-    rays: EdgeRays
+    rays: PlaneRays
     facets: npt.NDArray[np.int32]
     """Vertices of Γ1's edges, ``(num_edges1, 2)``."""
     lengths: Floats

@@ -148,6 +148,14 @@ class PlaneSegments(Segments[_Seen]):
         return self._at(u).gaps.given_over(values, gone)
 
     @override
+    def reaches(self, u: Displacements) -> npt.NDArray[np.float64]:
+        gaps, result = self._at(u).gaps, np.zeros(self.num_multipliers)
+        x, halves = gaps.rays.columns()
+        far = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
+        np.maximum.at(result, gaps.facets.ravel()[halves], far)
+        return result
+
+    @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         # Each edge has a cell of Σ on itself, half as large as what is covered of both its halves,
         # with the mean pressure of its vertices; what else stands on a half has its vertex'

@@ -158,6 +158,13 @@ class Segments[State: Found](ABC):
         """
         return np.where(gone, np.zeros_like(values), values)
 
+    def reaches(self, u: Displacements) -> npt.NDArray[np.float64]:
+        """Largest distance of the sides in the part of Σ that a vertex has, ``(num_multipliers,)``.
+
+        0 where it isn't known.
+        """
+        return np.zeros(self.num_multipliers)
+
     @abstractmethod
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures to look at, which have the force of p and less of its scatter between nodes.

@@ -55,7 +55,7 @@ WRONG = "no memory for the gap domain"
 
 
 @dataclass(frozen=True)
-class EdgeRays:
+class PlaneRays:
     """Rays from Γ1's edges; values of its halves are ``(num_edges1, 2)``."""
 
     sigma: Any
@@ -175,7 +175,7 @@ def cast(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
     goes_on: Sequence[tuple[int, int]] = (),
-) -> EdgeRays:
+) -> PlaneRays:
     """Find the rays between two surfaces where they are.
 
     Args:
@@ -193,7 +193,7 @@ def cast(
             raise MemoryError(WRONG)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:
-            return EdgeRays(sigma, points[: sigma.num_points])
+            return PlaneRays(sigma, points[: sigma.num_points])
         room = most
 
 

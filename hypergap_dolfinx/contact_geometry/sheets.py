@@ -86,10 +86,9 @@ def _lattice(cell_type: basix.CellType, degree: int) -> tuple[npt.NDArray, npt.N
         ``(num_points, 2)`` and ``(num_triangles, 3)``, counterclockwise.
     """
     quad = cell_type == basix.CellType.quadrilateral
-    number = {
-        (i, j): None for i in range(degree + 1) for j in range(degree + 1 - (0 if quad else i))
-    }
-    number = {at: n for n, at in enumerate(number)}
+    rows = range(degree + 1)
+    places = [(i, j) for i in rows for j in range(degree + 1 - (0 if quad else i))]
+    number = {at: n for n, at in enumerate(places)}
     triangles = []
     for i, j in number:
         ring = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]

@@ -231,8 +231,10 @@ class ContactRows:
         if self._n == 2:
             gone = state.exists & ~self.valid
             if state.opening is not None and gone.any():
-                for values in state.arrays.values():
-                    values[...] = state.opening.given_over(self.u, values, gone)
+                for name in ("p", "q", "active"):
+                    if name in state.arrays:
+                        values = state.arrays[name]
+                        values[...] = state.opening.given_over(self.u, values, gone)
             state.exists = self.valid
             return
         facets = self.sides[1].reference.facets
@@ -457,6 +459,21 @@ class ContactRows:
                 f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "
                 "of each other, or the facets on those of the bodies."
             )
+
+    def far_pressure(self) -> tuple[float, npt.NDArray[np.float64]]:
+        """Largest distance over which a pressure acts, in facet sizes of Γ1, and where.
+
+        A gap is a mean: a corner may touch within what a vertex has, and the rest be far away.
+        """
+        at = self.sides[1].displaced(self.u[1]).x
+        if self.state.opening is None or not self._follows:
+            return 0.0, at[0]
+        acts = self.spread(np.where(self.state.active, self.state.p, 0)) > 0
+        far = np.where(acts, self.state.opening.reaches(self.u), 0)
+        facets, size = self.sides[1].reference.facets, np.zeros(len(at))
+        np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
+        far = far / np.where(size > 0, size, 1)
+        return float(far.max(initial=0)), at[int(far.argmax())]
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

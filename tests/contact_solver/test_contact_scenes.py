@@ -136,6 +136,29 @@ def test_force_of_flat_punch():
     assert abs(between / matching - 1) <= 0.012
 
 
+def test_pressure_far_away(caplog):
+    """A facet that touches a step's edge while the rest of it is far above the ground is told."""
+
+    def stepped(x):
+        return np.column_stack((2 * x[:, 0], x[:, 1] * np.where(x[:, 0] < 0.26, 1, 0.2) - 1))
+
+    u, F, bcs, sides = [], [], [], []
+    places = stepped, lambda x: np.array([0.3, 0.01]) + x * np.array([0.6, 0.5])
+    for i, (n, place) in enumerate(zip(((20, 4), (1, 1)), places, strict=True)):
+        mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs += [held(V, 0, away), held(V, 1, away, -0.3 * i)]
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+        contact, _ = solve(F, u, bcs, sides, False)
+    told = [record.message for record in caplog.records if "facets apart" in record.message]
+    assert contact.active.any() and (told or comm.rank > 0)
+
+
 def test_slender_body():
     """A beam forty times as long as thick, bent far by a stiff round one: one or two nodes touch.
 
