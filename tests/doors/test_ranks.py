@@ -45,7 +45,7 @@ def test_cylinder(degree):
         pressurised_cylinder.run(c, 2, degree, "quadrilateral", False)[1].u
         for c in (comm, MPI.COMM_SELF)
     )
-    assert difference(us, references) <= 1e-12
+    assert difference(us, references) <= 3e-11  # ε × condition; up to 1.1e-12 seen
 
 
 def by_height(downwards):

@@ -209,7 +209,8 @@ def test_nonlinear_and_nothing_conducts():
         )
     below = fem.locate_dofs_topological(bodies[0].V, 1, bodies[0].facets(BOTTOM))
     bc = fem.dirichletbc(default_scalar_type((0, 0)), below, bodies[0].V)
-    with raises(SolveError, "singular: a body is free that would be held by a conductance"):
+    # It depends on round-off whether the factorisation notices
+    with raises(SolveError, "singular: (a body is free that would be held|is every body held)"):
         NonlinearTiedProblem(F, us, bcs=[bc], ties=[t]).solve()
 
 
