@@ -322,8 +322,8 @@ class ContactProblem(ContactSystem):
                 if comm.rank == 0:
                     LOG.warning(
                         f"contact {c}: at {spot(at[None])} a pressure acts on surfaces up to "
-                        f"{far:.1f} facets apart, as gaps are means over the facets at a vertex: "
-                        "too coarse for the corner or the step that touches there."
+                        f"{far:.1f} facets apart: a gap is the mean over the facets of Γ1 at a "
+                        "vertex, and these are too coarse for a corner or step there; refine them."
                     )
 
     def _warn_of_reach(self, comm):

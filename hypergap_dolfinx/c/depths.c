@@ -4,7 +4,7 @@
 //
 // SPDX-License-Identifier:    LGPL-3.0-or-later
 
-// Depths of points in a body by what of its surface is nearest (contact_geometry/depths.py).
+// Depths of points in a body by what of its surface is nearest (contact_geometry/sheets.py).
 
 #include <math.h>
 #include <stdlib.h>

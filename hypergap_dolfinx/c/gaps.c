@@ -15,7 +15,7 @@
 #include "vectors.h"
 
 #define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 2) + 2)
-#define JETS_OF_POINT 70 // more than a point takes, and each of its sheets
+#define JETS_OF_POINT 90 // more than a point takes, and each of its sheets
 #define JETS_OF_SHEET 60
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
@@ -203,7 +203,10 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
   }
   if (point->nodes[0] == point->nodes[1])
   {
-    Jet far = root(tape, dotted(tape, d, d));
+    Jet square = dotted(tape, d, d);
+    if (square[0] == 0)
+      return constant(tape, 0); // at the node
+    Jet far = root(tape, square);
     return combined(tape, point->sign, far, 0, far);
   }
   return quotient(tape, wedge(tape, c, d), root(tape, dotted(tape, c, c)));

@@ -28,7 +28,7 @@ typedef struct {
 // A point of an edge of Γ1 from which a ray goes along the normal of the edge's chord. Its place ξ
 // along the chord, from 0 to 1, lies between those of both ends of a piece of the edge.
 typedef struct {
-  int edge, part;   // of Γ1; that of its start (0), of its end (1), or what they share (2)
+  int edge, part;   // of Γ1; that of its start (0), of its end (1), or the middle, shared by both (2)
   int ends[2];      // vertices of Γ0 opposite of the piece's ends, or numbers of fixed places
   double at, width; // where on the piece, from 0 to 1, and the weight of the quadrature there
   double s;         // reference coordinate
@@ -41,7 +41,7 @@ typedef struct {
 
 // An edge of Γ0 that a ray meets, and where.
 typedef struct {
-  int edge, fades;  // whether it does as others are nearer
+  int edge, fades;  // whether its weight is below 1 as another edge is nearer
   double r;         // reference coordinate
 } Sheet;
 

@@ -196,7 +196,9 @@ static void add_parts(Cast *cast, int g)
     double at = along(frame, node(side, g, k));
     low = smaller(low, at), high = larger(high, at);
   }
-  double more = side->num_nodes > 2 ? 0.25 * (high - low) : 0; // a parabola's beyond its nodes
+  // A parabola's beyond its nodes, and what goes on beyond a wall
+  double more = (side->num_nodes > 2 ? 0.25 : 0) + (goes_on[0] || goes_on[1] ? 1 : 0);
+  more *= high - low;
   if (low - more >= 1 || high + more <= 0)
     return;
   for (int k = 0; k < 2; ++k)
@@ -441,7 +443,7 @@ int cast_rays(Sigma *sigma)
     {
       const Break *next = cast.breaks + k;
       if (next->vertex != last->vertex)
-        add_piece(&cast, sigma, last, next); // derivatives aren't zero where it is as short as that
+        add_piece(&cast, sigma, last, next); // of length 0 too: derivatives aren't zero
       last = next;
     }
   }
@@ -471,7 +473,7 @@ void find_columns(const Sigma *sigma, double *x, int *shown)
       for (int it = 0; it < 4; ++it)
       {
         other = place(&frame, sides, sheet->edge, r, &slope);
-        r = smaller(larger(r - (other - xi) / slope, 0), 1);
+        r = slope != 0 ? smaller(larger(r - (other - xi) / slope, 0), 1) : r;
       }
       Curve x1 = curve_at(sides + 1, point->edge, s, (double[]){0, 0});
       Curve x0 = curve_at(sides, sheet->edge, r, (double[]){0, 0});

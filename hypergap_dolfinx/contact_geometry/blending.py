@@ -9,8 +9,9 @@ the weight of its row: a row that is hard to satisfy by little forces. So the ro
 .. math:: \hat g_a = t(c_a)\,\bigl(g_a + \theta (1 - c_a)^2 S_a\bigr), \qquad S_a = \sum_b c_b g_b,
 
 with the vertices b beside a, and a smooth step t from 0 at c = 0 to 1 at :data:`HARD`: the less is
-covered, the more it says what its neighbours' rows say already, until it goes without a jump. With
-the matrix L of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds for slips.
+covered, the more it says what its neighbours' rows say already. Below HARD it has no multiplier;
+its neighbours get the pressure, and forces jump by no more than about HARD of it. With the matrix L
+of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass

@@ -152,7 +152,7 @@ class PlaneSegments(Segments[_Seen]):
         gaps, result = self._at(u).gaps, np.zeros(self.num_multipliers)
         x, halves = gaps.rays.columns()
         far = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
-        np.maximum.at(result, gaps.facets.ravel()[halves], far)
+        np.fmax.at(result, gaps.facets.ravel()[halves], far)
         return result
 
     @override

@@ -44,6 +44,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import COSINES, NEAREST, SHARED, SLACK
+from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
@@ -135,6 +136,13 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
             f"{surface.name} has degree {max(num_nodes, element.dim) - 1}: contact in the plane "
             f"takes degrees up to {most - 1}."
         )
+    for ends in surface.facets.T:
+        count = np.bincount(ends, minlength=len(surface.x))
+        if (count > 1).any():
+            raise InterfaceError(
+                f"{surface.name} branches at {spot(surface.x[count.argmax()])}: its facets must "
+                "form chains (make one contact for each branch)."
+            )
     beside = np.full((len(surface.x), 2), -1)
     beside[surface.facets[:, 1], 0] = beside[surface.facets[:, 0], 1] = np.arange(num)
     return {
@@ -202,7 +210,7 @@ class _Entries:
 
     def __init__(self, num_rows: int):
         self.num_rows, self.room = num_rows, entries_a_row * num_rows
-        self.made = self.struct()
+        self.made: Any = None
 
     def struct(self):
         """An empty matrix with room."""

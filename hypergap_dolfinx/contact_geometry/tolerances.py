@@ -59,7 +59,7 @@ Measured: force on a flat punch as its corners pass between nodes: changes by 1.
 .2 %, without 2.9 %; the same scenes: 58 solved, 1269 Newton steps with .2, 1284 without."""
 
 HARD = 0.01
-"""Covered part of a vertex from which its row has its full weight.
+"""Covered part of a vertex from which it has a multiplier.
 Measured: flat die drawn along by .3 cells: converges with .001 and .01, not with .05;
 the same scenes: 1103 Newton steps with .001, 1299 with .1."""
 

@@ -224,8 +224,9 @@ class ContactRows:
     def _transfer(self):
         """Keep forces continuous where multipliers come and go.
 
-        In the plane new ones are zero, and those that go are given to others. In space new ones
-        among active ones have the state of a neighbour: their weights were part of the neighbours'.
+        In the plane new ones are zero, and those that go are given to others, for Newton's start.
+        In space new ones among active ones have the state of a neighbour: their weights were part
+        of the neighbours'.
         """
         state = self.state
         if self._n == 2:
@@ -489,13 +490,6 @@ class ContactRows:
     def closed(self) -> float:
         """Length of gaps treated as closed."""
         return CLOSED_GAP * float(self.sides[1].reference.size.max())
-
-    @property
-    def typical_area(self) -> float:
-        """Median of the areas of multipliers."""
-        areas = np.sort(self.m[self.valid])  # np.median takes ten times as long
-        num = len(areas)
-        return float(areas[(num - 1) // 2] + areas[num // 2]) / 2 if num else 1.0
 
     def times(self, values: Displacements) -> npt.NDArray[np.float64]:
         """C applied to values at both sides' dofs, ``(num_multipliers,)``."""

@@ -337,7 +337,7 @@ class ContactSystem(NonlinearSystem):
         ]
 
     def _hold(self):
-        """Enlarge active sets until they hold; ``first`` if no pressure acts yet. Collective."""
+        """Enlarge active sets until they hold. Collective."""
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         moves = [self._free_moves(rows, modes) for rows in self._rows]

@@ -441,6 +441,8 @@ class Tangent:
         found[:] = X.getDenseArray().real
         for matrix in (B, X):
             matrix.destroy()
+        if not b.comm.tompi4py().allreduce(bool(np.isfinite(found).all()), MPI.LAND):
+            raise SolveError("the linear solve gave no numbers.")
         return found
 
     def _renew(self, equations: Sequence[Linear]) -> list[npt.NDArray[np.float64]]:

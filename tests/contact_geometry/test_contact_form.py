@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The weighted gap: its value, derivatives against finite differences, balance; active sets."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -196,6 +198,17 @@ def test_cut_ends():
     sizes = np.array(found)
     assert np.abs(np.diff(sizes.sum(axis=1))).max() <= 0.006
     assert np.abs(np.diff(sizes, axis=0)).max() <= 0.006 and sizes.min() == 0
+
+
+def test_branches():
+    """Two facets that start at one vertex are no chain."""
+    sides, u, _ = scene(n=(3, 2))
+    surface = sides[1].reference
+    facets = surface.facets.copy()
+    facets[-1, 0] = facets[0, 0]
+    wrong = sides[0], MovingSurface(replace(surface, facets=facets))
+    with raises(InterfaceError, "Γ1 branches at .* one contact for each branch"):
+        PlaneSegments.between(wrong, u)
 
 
 def test_degree():
