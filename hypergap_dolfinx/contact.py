@@ -140,8 +140,9 @@ class Contact:
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
-        pairs = list(zip(self._spaces, self._surfaces, strict=True))
-        self._depth = BEHIND_BODY * min(_thickness(*pair) for pair in pairs)
+        self._depth = BEHIND_BODY * min(
+            _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
+        )
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
         self._compliance = (
             None

@@ -86,9 +86,8 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
     int v = point->ends[e];
     if (v < 0)
       continue;
-    const int *beside = below->beside + 2 * v;
-    int at_end = beside[0] >= 0, edge = at_end ? beside[0] : beside[1];
-    local->of_end[e] = number_of(local, below->dofs[edge * below->num_dofs + at_end]);
+    int end, edge = edge_at(below, v, &end);
+    local->of_end[e] = number_of(local, below->dofs[edge * below->num_dofs + end]);
   }
 }
 
@@ -207,7 +206,7 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
     if (square[0] == 0)
       return constant(tape, 0); // at the node
     Jet far = root(tape, square);
-    return combined(tape, point->sign, far, 0, far);
+    return scaled(tape, point->sign, far);
   }
   return quotient(tape, wedge(tape, c, d), root(tape, dotted(tape, c, c)));
 }
@@ -230,7 +229,7 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
   for (int i = 0; i < 2; ++i)
     t[i] = on_curve(tape, curve, sigma->sides[0].num_dofs, numbers, ray->r[k], 1, i);
   Jet both = root(tape, product(tape, dotted(tape, t, t), ray->square));
-  Jet turned = quotient(tape, combined(tape, -1, dotted(tape, t, ray->c), 0, both), both);
+  Jet turned = quotient(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
   if (cos < from + width)
     result = step_of(tape, turned, from, width);
   if (fades)
@@ -384,7 +383,7 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entrie
       Jet volume = shared(&tape, &ray, ray.volume, e), part = shared(&tape, &ray, ray.covered, e);
       g[row] += volume[0], covered[row] += 2 * part[0];
       add_row(&local, row, volume, C);
-      add_row(&local, row, combined(&tape, 2, part, 0, part), by_covered);
+      add_row(&local, row, scaled(&tape, 2, part), by_covered);
     }
   }
   free(tape.memory);

@@ -52,38 +52,38 @@ static inline Jet combined(Tape *tape, double alpha, const double *a, double bet
   return jet;
 }
 
+static inline Jet scaled(Tape *tape, double alpha, const double *a)
+{
+  Jet jet = new_jet(tape);
+  for (size_t k = 0; k < tape->size; ++k)
+    jet[k] = alpha * a[k];
+  return jet;
+}
+
+// Add factor (∂a ⊗ ∂b + ∂b ⊗ ∂a) to second derivatives.
+static inline void add_outer(const Tape *tape, double factor, const double *a, const double *b,
+                             Jet jet)
+{
+  double *second = jet + 1 + tape->n;
+  for (int i = 1; tape->order > 1 && i <= tape->n; ++i)
+    for (int j = 1; j <= i; ++j)
+      *second++ += factor * (a[i] * b[j] + b[i] * a[j]);
+}
+
 static inline Jet product(Tape *tape, const double *a, const double *b)
 {
-  int n = tape->n;
-  Jet jet = new_jet(tape);
-  for (size_t k = 1; k < tape->size; ++k)
-    jet[k] = a[0] * b[k] + b[0] * a[k];
+  Jet jet = combined(tape, a[0], b, b[0], a);
   jet[0] = a[0] * b[0];
-  if (tape->order > 1)
-  {
-    double *second = jet + 1 + n;
-    for (int i = 1; i <= n; ++i)
-      for (int j = 1; j <= i; ++j)
-        *second++ += a[i] * b[j] + b[i] * a[j];
-  }
+  add_outer(tape, 1, a, b, jet);
   return jet;
 }
 
 // f(a), from the value of f and its two derivatives
 static inline Jet composed(Tape *tape, const double *a, const double *f)
 {
-  int n = tape->n;
-  Jet jet = new_jet(tape);
-  for (size_t k = 1; k < tape->size; ++k)
-    jet[k] = f[1] * a[k];
+  Jet jet = scaled(tape, f[1], a);
   jet[0] = f[0];
-  if (tape->order > 1)
-  {
-    double *second = jet + 1 + n;
-    for (int i = 1; i <= n; ++i)
-      for (int j = 1; j <= i; ++j)
-        *second++ += f[2] * a[i] * a[j];
-  }
+  add_outer(tape, 0.5 * f[2], a, a, jet);
   return jet;
 }
 

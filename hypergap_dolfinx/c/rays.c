@@ -93,8 +93,8 @@ Curve curve_at(const Side *side, int edge, double s, const double *origin)
 
 const double *position(const Side *side, int vertex)
 {
-  const int *beside = side->beside + 2 * vertex;
-  return beside[0] >= 0 ? node(side, beside[0], 1) : node(side, beside[1], 0);
+  int end, edge = edge_at(side, vertex, &end);
+  return node(side, edge, end);
 }
 
 static Frame frame_of(const Side *side, int edge)
@@ -372,38 +372,43 @@ static void emit(Sigma *sigma, Point point, const Hit *hits, int num)
       sigma->sheets[sigma->num_sheets] = hits[k].sheet;
 }
 
+// Add a point of a piece if its ray sees something; the number of sheets.
+static int add_point(const Cast *cast, Sigma *sigma, Point *point, double xi, Hit *hits)
+{
+  point->s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
+  point->foot = -1;
+  int num = see(cast, xi, point, hits);
+  if (num)
+  {
+    emit(sigma, *point, hits, num);
+    point->is_first = 0;
+  }
+  return num;
+}
+
 // Points of one piece of an edge: one point, if it is exact.
 static void add_piece(const Cast *cast, Sigma *sigma, const Break *from, const Break *to)
 {
   Hit hits[MOST_SHEETS];
-  int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2, seen = 0;
+  int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2;
   int part = to->xi <= sigma->fixed[1] ? 0 : from->xi >= sigma->fixed[2] ? 1 : 2;
-  int one = straight && part < 2, sheet = -1, is_first = 1;
+  int one = straight && part < 2, sheet = -1;
+  int num_points = sigma->num_points, num_sheets = sigma->num_sheets;
   double width = to->xi - from->xi;
-  Point point = {.edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex}};
-  for (int again = 0; again < 2; ++again)
-    for (int k = 0; k < (again && one ? 1 : sigma->num_rule); ++k)
-    {
-      point.at = again && one ? 0.5 : sigma->rule_at[k];
-      point.width = again && one ? 1 : sigma->rule_weights[k];
-      double xi = from->xi + width * point.at;
-      point.s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
-      point.foot = -1;
-      int num = see(cast, xi, &point, hits);
-      if (!again)
-      {
-        seen += num;
-        one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
-        sheet = num ? hits[0].sheet.edge : -1;
-      }
-      else if (num)
-      {
-        point.is_first = is_first, is_first = 0;
-        emit(sigma, point, hits, num);
-      }
-      if (!again && !straight && k + 1 == sigma->num_rule && !seen)
-        return;
-    }
+  Point point = {
+      .edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex}, .is_first = 1};
+  for (int k = 0; k < sigma->num_rule; ++k)
+  {
+    point.at = sigma->rule_at[k], point.width = sigma->rule_weights[k];
+    int num = add_point(cast, sigma, &point, from->xi + width * point.at, hits);
+    one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
+    sheet = num ? hits[0].sheet.edge : -1;
+  }
+  if (!one)
+    return;
+  sigma->num_points = num_points, sigma->num_sheets = num_sheets;
+  point.at = 0.5, point.width = 1, point.is_first = 1;
+  add_point(cast, sigma, &point, from->xi + width * point.at, hits);
 }
 
 static int start(Cast *cast, const Sigma *sigma)

@@ -43,6 +43,14 @@ static inline void smooth_step(double t, double *f)
   f[2] = within ? 6 - 12 * t : 0;
 }
 
+// An edge at a vertex, and the number of its end there.
+static inline int edge_at(const Side *side, int vertex, int *end)
+{
+  const int *beside = side->beside + 2 * vertex;
+  *end = beside[0] >= 0;
+  return *end ? beside[0] : beside[1];
+}
+
 Curve curve_at(const Side *side, int edge, double s, const double *origin);
 const double *position(const Side *side, int vertex);
 

@@ -41,8 +41,8 @@ class Blended:
 
     def __post_init__(self):
         """Find gaps and weights."""
-        self._last_slopes: tuple[Floats, Sparse] | None = None
-        halves, self.covered, self._slopes, self._by_covered = self.rays.gaps()
+        halves, self.covered, slopes, self._by_covered = self.rays.gaps()
+        self._slopes = self._by_vertex(slopes)
         left = np.ones((self.num, 2))  # of what halves leave uncovered, by end of an edge
         for k, vertices in enumerate(self.facets.T):
             left[vertices, k] = 1 - self.covered[:, k]
@@ -81,10 +81,13 @@ class Blended:
     @cached_property
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
+        own = self._own(self._slopes)
+        if not len(self._hard):
+            return own
         G, K, columns = self._dense(self._slopes, self._by_c)
         extra, hard = self._q[:, None] * self._sums_beside(G, K), self._hard
         rows = extra[hard] + self._by_own_c[hard, None] * K[hard]
-        return joined(self._own(self._by_vertex(self._slopes)), _entries(rows, hard, columns))
+        return joined(own, _entries(rows, hard, columns))
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
@@ -159,15 +162,9 @@ class Blended:
         Args:
             moved: Δu by both sides' dofs, all components.
         """
-        if self._last_slopes is not None and np.array_equal(self._last_slopes[0], moved):
-            return self._last_slopes[1]
-        self._last_slopes = moved, self._slip_slopes(moved)
-        return self._last_slopes[1]
-
-    def _slip_slopes(self, moved: Floats) -> Sparse:
-        slopes = self.rays.slips(moved)
+        slopes = self._by_vertex(self.rays.slips(moved))
         if not len(self._hard):
-            return self._by_vertex(slopes)
+            return self._own(slopes)
         T = self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
         S, K, columns = self._dense(slopes, self._by_c)
@@ -176,8 +173,7 @@ class Blended:
         np.add.at(rows, a, self._q[a, None] * (self._c[b, None] * S[b] + s[b, None] * K[b]))
         rows += (self._dt * s + self._dq * self._sums_of(s))[:, None] * K
         hard = self._hard
-        slopes = self._own(self._by_vertex(slopes))
-        return joined(slopes, _entries(rows[hard], hard, columns))
+        return joined(self._own(slopes), _entries(rows[hard], hard, columns))
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
@@ -185,7 +181,7 @@ class Blended:
         a, b = self._pairs
         if not len(a) or not q[a].any():
             return H
-        T, K, columns = self._dense(self.rays.slips(), self._by_c)
+        T, K, columns = self._dense(self._T, self._by_c)
         by_a, by_b = q[a] * self._dq[a] * self._c[b], q[a] * self._q[a]
         M = (by_a[:, None] * T[b]).T @ K[a] + (by_b[:, None] * T[b]).T @ K[b]
         M += ((q * self._dt)[:, None] * T).T @ K
@@ -237,23 +233,27 @@ class Blended:
 
     @cached_property
     def _by_c(self) -> Sparse:
-        """∂c_e/∂u of halves, times what the vertex' other half leaves uncovered."""
+        """∂c/∂u of vertices."""
         K = self._by_covered
-        return Sparse(K.i, K.j, K.values * self._others.ravel()[K.i])
+        return self._by_vertex(Sparse(K.i, K.j, K.values * self._others.ravel()[K.i]))
 
-    def _dense(self, *halves: Sparse):
+    @cached_property
+    def _near(self) -> npt.NDArray[np.bool_]:
+        """Mask of vertices that are covered in part and of those beside them, ``(num,)``."""
+        near = np.zeros(self.num, dtype=bool)
+        near[self._pairs] = True
+        return near
+
+    def _dense(self, *parts: Sparse):
         """Rows of vertices that are covered in part and of those beside them.
 
         Args:
-            halves: Rows of halves.
+            parts: Rows of vertices.
 
         Returns:
             For each of them ``(num, num_columns)``; then the columns.
         """
-        near = np.zeros(self.num, dtype=bool)
-        near[self._pairs] = True
-        parts = [self._by_vertex(part) for part in halves]
-        on = [near[part.i] for part in parts]
+        on = [self._near[part.i] for part in parts]
         columns = np.unique(np.concatenate([part.j[use] for part, use in zip(parts, on)]))
         found = []
         for part, use in zip(parts, on, strict=True):
@@ -265,10 +265,8 @@ class Blended:
     def _dense_halves(self, k: int, columns: npt.NDArray) -> Floats:
         """∂c_e/∂u of the halves at one end of edges, by vertex, ``(num, num_columns)``."""
         K = self._by_covered
-        near = np.zeros(self.num, dtype=bool)
-        near[self._pairs] = True
         vertex = self.facets.ravel()[K.i]
-        on = (K.i % 2 == k) & near[vertex]
+        on = (K.i % 2 == k) & self._near[vertex]
         rows = np.zeros((self.num, len(columns)))
         np.add.at(rows, (vertex[on], np.searchsorted(columns, K.j[on])), K.values[on])
         return rows

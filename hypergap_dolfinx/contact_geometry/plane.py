@@ -99,12 +99,9 @@ class PlaneSegments(Segments[_Seen]):
             if self._last is None:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        return _Seen(u, Blended(found, *self._edges(surfaces[1])))
-
-    def _edges(self, above: Surface) -> tuple[npt.NDArray, npt.NDArray, int]:
-        """Vertices and lengths of Γ1's edges where it is, and the number of vertices."""
+        above = surfaces[1]
         chords = above.x[above.facets[:, 1]] - above.x[above.facets[:, 0]]
-        return above.facets, lengths(chords), self.num_multipliers
+        return _Seen(u, Blended(found, above.facets, lengths(chords), self.num_multipliers))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

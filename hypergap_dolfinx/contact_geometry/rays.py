@@ -37,6 +37,7 @@ round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,9 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import COSINES, NEAREST, SHARED, SLACK
-from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.gap_mesh.strip import check_chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -136,13 +137,7 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
             f"{surface.name} has degree {max(num_nodes, element.dim) - 1}: contact in the plane "
             f"takes degrees up to {most - 1}."
         )
-    for ends in surface.facets.T:
-        count = np.bincount(ends, minlength=len(surface.x))
-        if (count > 1).any():
-            raise InterfaceError(
-                f"{surface.name} branches at {spot(surface.x[count.argmax()])}: its facets must "
-                "form chains (make one contact for each branch)."
-            )
+    check_chains(surface, "contact")
     beside = np.full((len(surface.x), 2), -1)
     beside[surface.facets[:, 1], 0] = beside[surface.facets[:, 0], 1] = np.arange(num)
     return {
@@ -158,10 +153,17 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
     }
 
 
+@cache
+def _rule(num_nodes: int) -> dict[str, Any]:
+    """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here."""
+    points, weights = basix.make_quadrature(basix.CellType.interval, 3 * num_nodes - 1)
+    return {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
+
+
 def _placed(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
-    goes_on: Sequence[tuple[int, int]] = (),
+    goes_on: Sequence[tuple[int, int]],
 ) -> dict[str, Any]:
     """Fields of ``Sigma`` that are given."""
     on = np.zeros((sides[0]["num_edges"], 2), np.int32)
@@ -171,9 +173,7 @@ def _placed(
         {**side, "nodes": doubles(surface.nodes)}
         for side, surface in zip(sides, surfaces, strict=True)
     ]
-    num_nodes = max(side["num_nodes"] for side in sides)
-    points, weights = basix.make_quadrature(basix.CellType.interval, 3 * num_nodes - 1)
-    rule = {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
+    rule = _rule(max(side["num_nodes"] for side in sides))
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
     return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}

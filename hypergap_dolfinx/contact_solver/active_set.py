@@ -62,13 +62,12 @@ def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.b
     return result, num - len(held)
 
 
-def stuck(sticks, can, surplus, holds, across) -> tuple[npt.NDArray[np.bool_], int]:
+def stuck(sticks, can, holds, across) -> tuple[npt.NDArray[np.bool_], int]:
     """A sticking set enlarged until it holds the bodies that nothing else holds.
 
     Args:
         sticks: The set, ``(num,)``.
         can: Mask of multipliers that could stick, ``(num,)``.
-        surplus: Traction beyond friction's bound, ``(num,)``.
         holds: Rows of the closed gaps on free motions, ``(num_active, num_free)``.
         across: Rows of the slips on them, ``(num, n - 1, num_free)``.
 
@@ -77,7 +76,7 @@ def stuck(sticks, can, surplus, holds, across) -> tuple[npt.NDArray[np.bool_], i
     """
     num = across.shape[2]
     basis, _ = _extended(np.empty((0, num)), _unit(holds))
-    result, order = sticks.copy(), np.lexsort((surplus, ~sticks))
+    result, order = sticks.copy(), np.argsort(~sticks, kind="stable")
     for a in order[can[order]].tolist():
         if len(basis) == num:
             break

@@ -269,12 +269,12 @@ class ContactRows:
     @property
     def num_unknowns(self) -> int:
         """Number of multipliers' unknowns."""
-        return len(self._active_unknowns)
+        return len(self.is_in)
 
     @property
     def is_in(self) -> npt.NDArray[np.bool_]:
         """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
-        return self._active_unknowns
+        return self.state.active
 
     def new_gaps(self, changes: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
         """Gaps after a step, without what a compliance adds. Collective.
@@ -296,9 +296,7 @@ class ContactRows:
 
     def _product(self, values: Displacements) -> npt.NDArray[np.float64]:
         """The derivatives times values at both sides' dofs, ``(num_unknowns,)``."""
-        flat, rows = np.concatenate([part.ravel() for part in values]), self._slopes
-        found = np.bincount(rows.i, rows.values * flat[rows.j], self.num_unknowns)
-        return found.astype(float)  # without entries: integers
+        return self._slopes.times(values, self.num_unknowns)
 
     def _over_areas(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
         """Weighted lengths as lengths times √stiffness, 0 without a multiplier."""
@@ -493,11 +491,7 @@ class ContactRows:
 
     def times(self, values: Displacements) -> npt.NDArray[np.float64]:
         """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
-        flat = np.concatenate([part.ravel() for part in values])
-        products = self.C.values * flat[self.C.j]
-        return np.bincount(self.C.i, products, len(self.m)).astype(
-            float
-        )  # without entries: integers
+        return self.C.times(values, len(self.m))
 
     def forces(self, p: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """Cᵀp at both sides' dofs, ``(num_dofs_i, n)`` each."""
@@ -529,11 +523,6 @@ class ContactRows:
             found.append((mine, dofs.ravel()))
         return found
 
-    @property
-    def _active_unknowns(self) -> npt.NDArray[np.bool_]:
-        """Mask of the active unknowns."""
-        return self.state.active
-
     @cached_property
     def _order(self) -> npt.NDArray[np.intp]:
         """Multipliers in the order of their ranks."""
@@ -541,7 +530,7 @@ class ContactRows:
 
     @property
     def _per_vertex(self) -> int:
-        return len(self._active_unknowns) // len(self._rank)
+        return self.num_unknowns // len(self._rank)
 
     @cached_property
     def ranges(self) -> npt.NDArray[np.intp]:
@@ -585,7 +574,7 @@ class ContactRows:
         In the plane that hardly fills the factors more; in space it takes half as many operations
         again.
         """
-        at, num, n = self._support(), len(self.g), self._n
+        at, num, n = self._acting(), len(self.g), self._n
         a, node, num_nodes = at.i % num, at.j // n, self._num_dofs // n
         near = self.valid if n == 2 else self.state.active
         a, node = unique_pairs(a[near[a]], node[near[a]], num_nodes)
@@ -593,10 +582,6 @@ class ContactRows:
             a, node = beside(a, node, self.sides[0].at_facets, num_nodes)
         found = coupled(a, node, num_nodes, num, n, self._per_vertex)
         return found.without(self.unknowns[0] == -2)
-
-    def _support(self) -> Sparse:
-        """Entries at all dofs on which multipliers act."""
-        return self.C
 
     def equations(self, increments: Sequence[npt.NDArray] | None) -> Linear:
         """Linearised equations; p = 0 without active multipliers. Collective.

@@ -99,10 +99,7 @@ class FrictionRows(ContactRows):
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
-        flat = np.concatenate([part.ravel() for part in values])
-        size = (self._n - 1) * len(self.g)
-        total = np.bincount(matrix.i, matrix.values * flat[matrix.j], size)
-        return total.astype(float).reshape(-1, len(self.g))  # without entries: integers
+        return matrix.times(values, (self._n - 1) * len(self.g)).reshape(-1, len(self.g))
 
     @property
     def slip(self) -> npt.NDArray[np.float64]:
@@ -177,7 +174,7 @@ class FrictionRows(ContactRows):
         """
         across = self.holds_across(moves)
         can = self.state.active & (self.mu > 0)
-        some, num_free = active_set.stuck(self.stuck, can, self._surplus, holds, across)
+        some, num_free = active_set.stuck(self.stuck, can, holds, across)
         self.state.sticks = np.where(self.state.active, some, self.state.sticks)
         return across[some].reshape(-1, holds.shape[1]), num_free
 
@@ -202,7 +199,6 @@ class FrictionRows(ContactRows):
             now.sticks = sticks if self._soft else now.sticks
             now.way = np.where(now.active & ~now.sticks, way, now.way)
         now.sticks &= self.mu > 0
-        self._surplus = np.zeros(len(now.p))
 
     @property
     def _lengths(self) -> npt.NDArray[np.float64]:
@@ -332,7 +328,8 @@ class FrictionRows(ContactRows):
     # Rows
 
     @property
-    def _active_unknowns(self) -> npt.NDArray[np.bool_]:
+    def is_in(self) -> npt.NDArray[np.bool_]:
+        """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
         return np.tile(self.state.active, self._n)
 
     def contact_forces(self) -> list[npt.NDArray[np.float64]]:
@@ -343,9 +340,6 @@ class FrictionRows(ContactRows):
         flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
         across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
         return [a + b for a, b in zip(super().contact_forces(), across, strict=True)]
-
-    def _support(self) -> Sparse:
-        return joined(self.C, self.T)
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:

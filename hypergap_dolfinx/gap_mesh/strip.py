@@ -107,6 +107,25 @@ class Chain:
         return Chain(facets, X, x, closed=False)
 
 
+def check_chains(surface: Surface, kind: str):
+    """Check that edges form chains.
+
+    Args:
+        surface: The surface.
+        kind: What it is a side of, a tie or a contact.
+
+    Raises:
+        InterfaceError: They branch.
+    """
+    for ends in surface.facets.T:
+        count = np.bincount(ends, minlength=len(surface.x))
+        if (count > 1).any():
+            raise InterfaceError(
+                f"{surface.name} branches at {spot(surface.x[count.argmax()])}: its facets must "
+                f"form chains (make one {kind} for each branch)."
+            )
+
+
 def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> list[Chain]:
     """Order the edges of a surface into chains, the body on the left.
 
@@ -117,14 +136,8 @@ def chains(surface: Surface, breaks: npt.NDArray[np.bool_] | None = None) -> lis
     Raises:
         InterfaceError: The edges branch.
     """
+    check_chains(surface, "tie")
     start, end = surface.facets.T
-    for ends in (start, end):
-        count = np.bincount(ends, minlength=len(surface.x))
-        if (count > 1).any():
-            raise InterfaceError(
-                f"{surface.name} branches at {spot(surface.x[count.argmax()])}: its facets must "
-                "form chains (make one tie for each branch)."
-            )
     edge_to = np.full(len(surface.x), -1)
     edge_to[end] = np.arange(len(end))
     previous = edge_to[start]

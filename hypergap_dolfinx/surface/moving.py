@@ -100,6 +100,12 @@ class Sparse:
         matrix.destroy()
         return found
 
+    def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
+        """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
+        flat = np.concatenate([part.ravel() for part in values])
+        found = np.bincount(self.i, self.values * flat[self.j], num)
+        return found.astype(float)  # without entries: integers
+
 
 def joined(*parts: Sparse) -> Sparse:
     """The sum of sparse matrices."""
