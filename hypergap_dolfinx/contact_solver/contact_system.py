@@ -179,7 +179,7 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
-        continuation = Continuation(self._comm)
+        continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
         self._largest, self._num_rays, polished = 0.0, 0, False
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
