@@ -145,7 +145,7 @@ class LinearisedContact:
         gaps, forces, loads = self._watched()
         A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
         while len(more):
-            by_f, by_y = self._columns(gaps, forces, loads[more], more)
+            by_f, by_y = self._columns(gaps, forces, loads, more)
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
             z = np.append(z, np.zeros(len(more)))
             small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
@@ -156,7 +156,10 @@ class LinearisedContact:
             y, f = y0 + B @ z, f0 + A @ z
             more = self._wrong(y, f)
             more = more[~np.isin(more, of)]
-        changes, _, now = self._base(right, shift, beside=loads[of].T @ z, anew=True)
+        unknowns = np.zeros(len(y))
+        unknowns[of] = z
+        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
+        changes, _, now = self._base(right, shift, beside=beside, anew=True)
         return self._found(changes, y, np.where(self._on, now, f), of, f0)
 
     def _watched(self):
@@ -169,8 +172,11 @@ class LinearisedContact:
 
     def _columns(self, gaps, forces, loads, of) -> tuple[Array, Array]:
         """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each."""
-        X = self._tangent.responses(loads)
-        both = np.stack((-(forces @ X), gaps @ X))
+        both = np.zeros((2, len(self._on), len(of)))
+        for k, x in enumerate(self._tangent.responses(loads, of)):
+            for found, sign, matrix in zip(both, (-1, 1), (forces, gaps), strict=True):
+                values = sign * matrix.values * x[matrix.j]
+                found[:, k] = np.bincount(matrix.i, values, len(self._on))
         self._comm.Allreduce(MPI.IN_PLACE, both)
         by_f, by_y = both
         by_f[of, np.arange(len(of))] += ~self._on[of]
@@ -204,6 +210,8 @@ class LinearisedContact:
                 if np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
+            else:
+                return None
         return None
 
     def _laws(self, y, f, of) -> "_Laws":
