@@ -192,8 +192,24 @@ class LinearisedContact:
         return None if found is None else found[0]
 
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
-        """The unknowns with friction, by Newton's method with a line search."""
+        """The unknowns with friction.
+
+        Where Newton's method fails it follows a path of falling compliances, which make gaps of
+        multipliers: there is one solution while they are large.
+        """
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
+        found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
+        if found is not None:
+            return found
+        for share in (*give * SHORTENED ** np.arange(-1.0, 2 * TRIALS), 0.0):
+            found = self._newton(y0 + share * f0, f0, A, B + share * A, of, z)
+            if found is None:
+                return None
+            z = found
+        return z
+
+    def _newton(self, y0, f0, A, B, of, z) -> Array | None:
+        """Newton's method with a line search."""
         laws = self._laws(y0 + B @ z, f0 + A @ z, of)
         for _ in range(DENSE):
             if laws.are_satisfied:
