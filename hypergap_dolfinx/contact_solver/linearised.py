@@ -26,7 +26,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, GUESSED, SHORTENED, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +49,8 @@ class Solution:
     """True if there was one only with bodies held near their places."""
     base: list[Array]
     """Multipliers of the working set, in the same units and order."""
+    is_guess: bool = False
+    """True if so many would be unknowns that their states are a better working set."""
 
 
 @dataclass
@@ -100,6 +102,7 @@ class LinearisedContact:
         num_tied: int,
         held: Sequence[npt.NDArray[np.bool_]],
         nearness: Callable[[], float] | None,
+        fewest: float,
     ) -> Solution:
         """Solve it; where H isn't positive, with a share of the stiffness without stress added.
 
@@ -112,6 +115,7 @@ class LinearisedContact:
             num_tied: Number of the ties' multipliers.
             held: Mask of each body's prescribed owned dofs.
             nearness: Gives the first share of the diagonal; None if no body is free.
+            fewest: Fewest wrong states of guesses before.
 
         Raises:
             SolveError: The linear solver failed.
@@ -119,7 +123,9 @@ class LinearisedContact:
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
         for _ in range(TRIALS + 1):
-            found = self._solve(right, (stiff, near))
+            found = self._solve(right, (stiff, near), fewest)
+            if found.is_guess:
+                return found
             negative = self._tangent.negative
             is_positive = negative is None or negative <= num
             if found.is_solved:
@@ -132,12 +138,14 @@ class LinearisedContact:
                 stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
 
-    def _solve(self, right, shift: tuple[float, float]) -> Solution:
+    def _solve(self, right, shift: tuple[float, float], fewest: float) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
         changes, y, f = self._base(right, shift)
         more = self._wrong(y, f)
         if not len(more):
             return self._found(changes, y, f, more, f)
+        if GUESSED < len(more) < fewest:
+            return replace(self._found(changes, y, f, more, f), is_guess=True)
         if self._tangent.has_old_factors:
             changes, y, f = self._base(right, shift, anew=True)
             more = self._wrong(y, f)
@@ -239,6 +247,8 @@ class LinearisedContact:
             places = place[start : start + part.num_unknowns].reshape(-1, len(part.g))
             start += part.num_unknowns
             at = np.flatnonzero(places[0] >= 0)
+            if not len(at):
+                continue
             rows = places[:, at]
             error, by_y, by_f, least = part.law(y[rows], f[rows], at)
             found.error[rows] = error

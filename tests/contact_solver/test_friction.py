@@ -17,7 +17,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver import active_set, linearised
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 
 comm = MPI.COMM_WORLD
@@ -337,3 +337,42 @@ def test_input():
     with raises(ValueError, "the contact has no friction"):
         _ = plain.sticking
     problem.destroy()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_guessed_sets(monkeypatch, dim):
+    """Working sets that are guessed anew, however few change, lead to the same equilibrium."""
+    found, counts = [], []
+    count = linearised.LinearisedContact._solve
+
+    def counted(*args):
+        solution = count(*args)
+        counts[-1] += solution.is_guess
+        return solution
+
+    monkeypatch.setattr(linearised.LinearisedContact, "_solve", counted)
+    for least in (linearised.GUESSED, 0):
+        monkeypatch.setattr(linearised, "GUESSED", least)
+        counts.append(0)
+        contact, _, go = rotating(dim, friction=0.1)
+        go(0, *(0.04, 0.02)[: dim - 1], -0.1)
+        found.append(contact.rows.state.p)
+    assert counts[0] == 0 < counts[1] and contact.slipping.any()
+    close(found[1], found[0], 1e-9)
+
+
+def test_falling_compliances(monkeypatch):
+    """A small problem where Newton's method finds no descent is solved along a path."""
+    paths, newton = [], linearised.LinearisedContact._newton
+
+    def tried(*args):
+        paths.append(newton(*args))
+        return paths[-1]
+
+    monkeypatch.setattr(linearised.LinearisedContact, "_newton", tried)
+    _, problem, go = rotating(2, friction=0.1)
+    go(0, 0, -0.1)
+    paths.clear()
+    go(0, 0.04, -0.1)
+    assert paths[0] is None and paths[-1] is not None
+    assert problem.iterations <= 4
