@@ -420,10 +420,8 @@ class Tangent:
         pc, num, at = ksp.getPC(), len(of), np.flatnonzero(np.isin(loads.i, of))
         order = np.argsort(of)
         row = order[np.searchsorted(of, loads.i[at], sorter=order)]
-        size = self.num_local
-        right = np.bincount(row * size + loads.j[at], loads.values[at], num * size)
-        right = right.reshape(num, size)
-        found = np.empty((num, size))
+        places, found = row * self.num_local + loads.j[at], np.empty((num, self.num_local))
+        right = np.bincount(places, loads.values[at], found.size).reshape(found.shape)
         if pc.getType() not in ("lu", "cholesky"):
             for values, solution in zip(right, found, strict=True):
                 b.array[:] = values

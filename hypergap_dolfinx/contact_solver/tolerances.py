@@ -124,7 +124,7 @@ Measured: 28 and 16 for the first and the second load step of the bolted assembl
 127 tests of contact_solver."""
 
 GUESSED = 500
-"""Number of unknowns of the small problem above which their states are the next working set, as long
-as they become fewer: a factorisation takes less time than their right-hand sides.
-Measured: bolted assembly: a factorisation takes as long as 120 right-hand sides, a first guess makes
-411 of 960; 7.2 s, with 240 7.5, without 8.3; of a finer one 12.5, 12.2."""
+"""Number of unknowns of the small problem above which their states are the next working set, as
+long as they become fewer: a factorisation takes less time than their right-hand sides.
+Measured: bolted assembly: a factorisation takes as long as 120 right-hand sides, a first guess
+makes 411 of 960; 7.2 s, with 240 7.5, without 8.3; of a finer one 12.5, 12.2."""
