@@ -217,7 +217,16 @@ class LinearisedContact:
         return z
 
     def _newton(self, y0, f0, A, B, of, z) -> Array | None:
-        """Newton's method with a line search."""
+        """Newton's method with a line search, and with full steps if that finds no descent.
+
+        Errors of gaps and of forces have no common scale: where a row hardly gives way, a smaller
+        error of the one has to cost a larger one of the other.
+        """
+        found = self._descended(y0, f0, A, B, of, z, TRIALS)
+        return self._descended(y0, f0, A, B, of, z, 0) if found is None else found
+
+    def _descended(self, y0, f0, A, B, of, z, trials: int) -> Array | None:
+        """Newton's method with so many trials of a shorter step; all steps are full for none."""
         laws = self._laws(y0 + B @ z, f0 + A @ z, of)
         for _ in range(DENSE):
             if laws.are_satisfied:
@@ -228,10 +237,10 @@ class LinearisedContact:
             except np.linalg.LinAlgError:
                 way = np.linalg.lstsq(slope, -laws.error)[0]
             size, share, start = np.linalg.norm(laws.error), 1.0, z
-            for _ in range(TRIALS):
+            for _ in range(max(trials, 1)):
                 z = start + share * way
                 laws = self._laws(y0 + B @ z, f0 + A @ z, of)
-                if np.linalg.norm(laws.error) < size:
+                if not trials or np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
             else:
