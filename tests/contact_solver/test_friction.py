@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Friction: slip and its derivatives, what sticks and what slips, exact solutions."""
 
+import runpy
+from pathlib import Path
+
 from mpi4py import MPI
 
 import numpy as np
@@ -376,3 +379,31 @@ def test_falling_compliances(monkeypatch):
     go(0, 0.04, -0.1)
     assert paths[0] is None and paths[-1] is not None
     assert problem.iterations <= 4
+
+
+@pytest.mark.parametrize("mu", [0.3, 1.0])
+@pytest.mark.parametrize("swap", [False, True])
+def test_ironing_in_space(mu, swap):
+    """A stiff die is drawn there and back, friction falls, it is lifted: few steps, no halving."""
+    demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "ironing.py"))
+    demo["Ironing"].__init__.__globals__["RTOL"] = 1e-8
+    friction, size = fem.Constant(meshes.block(comm, (1, 1))[0], mu), demo["H"]
+    scene = demo["Ironing"](comm, dim=3, friction=friction, swap=swap, coarse=True)
+    counts = []
+
+    def go(along, down):
+        scene.goal.value[0], scene.goal.value[-1] = along * size, -down * size
+        scene.solve()
+        counts.append(scene.problem.iterations)
+        assert scene.problem.halvings == 0
+
+    for down in (0.25, 0.5, 0.75, 1):
+        go(0, down)
+    for along in (0.5, 1, 1.5, 1):
+        go(along, 1)
+    friction.value = mu / 3
+    go(1, 1)
+    for down in (0.5, 0, -0.1):
+        go(1, down)
+    assert max(counts) <= (8 if mu < 1 else 10), str(counts)
+    assert not scene.contact.active.any()
