@@ -45,6 +45,7 @@ class FrictionRows(ContactRows):
         """As for a contact without friction. Collective."""
         super().__init__(pair, held)
         num, across = len(self.state.p), self._n - 1
+        self._per_vertex = self._n
         assert pair.contact.friction is not None
         self._friction = pair.contact.friction
         self._soft, self._limit = self._friction.elastic_slip, self._friction.shear_limit
@@ -55,8 +56,8 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
-        self._fixed: Sparse | None = None
-        self._carried, self._zero = False, 0.0
+        self._carried = False
+        self.T = Sparse.empty()
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
 
@@ -87,15 +88,12 @@ class FrictionRows(ContactRows):
         opening = self.state.opening
         if opening is None:
             self.T = Sparse.empty()
-        elif self._follows:
-            self.T = opening.slip(self.u, self.condensed_to)
-        else:
-            if self._fixed is None:
-                self._fixed = opening.slip(self.at, self.condensed_to)
-            self.T = self._fixed
-        self.T = self._condensed(self.T)
-        moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
+        elif self._follows or not len(self.T.i):
+            self.T = self._condensed(opening.slip(self.at, self.condensed_to))
+        moves = self.u[0] - self._since[0], self.u[1] - self._since[1]
         self.s = self._times(self.T, moves)
+        self._lengths, self._all_slopes = np.append(self.g, self.s), None
+        self._acting = joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -104,7 +102,7 @@ class FrictionRows(ContactRows):
     @property
     def slip(self) -> npt.NDArray[np.float64]:
         """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
-        return np.divide(self.s, self.m, out=np.zeros_like(self.s), where=self.valid)
+        return self._over_areas(self.s)
 
     def commit(self):
         """Accept the state, and add up the dissipation and slip of the load step."""
@@ -116,7 +114,6 @@ class FrictionRows(ContactRows):
         self.dissipated -= float((now.q * now.active * self.m * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * now.active, self.tangents)
         now.sticks |= ~now.active
-        self._since = self.start
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
@@ -132,11 +129,10 @@ class FrictionRows(ContactRows):
     def tangents(self) -> npt.NDArray[np.float64]:
         """Mean directions in which q acts on Γ1's body, ``(n - 1, num_multipliers, n)``."""
         num, start = len(self.g), len(self.sides[0].dofs) * self._n
-        on = self.T.j >= start
-        number = self.T.i[on] * self._n + (self.T.j[on] - start) % self._n
-        size = (self._n - 1) * num * self._n
-        total = np.bincount(number, self.T.values[on], size).reshape(-1, num, self._n)
-        return total * (self.valid / np.where(self.valid, self.m, 1))[:, None]
+        T = self.T.some(self.T.j >= start)
+        number = T.i * self._n + (T.j - start) % self._n
+        total = np.bincount(number, T.values, (self._n - 1) * num * self._n)
+        return total.reshape(-1, num, self._n) * self._over_areas(np.ones(num))[:, None]
 
     @property
     def shears(self) -> npt.NDArray[np.float64]:
@@ -158,8 +154,8 @@ class FrictionRows(ContactRows):
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
-        rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
-        return rows * (self.valid / np.where(self.valid, self.m, 1))[:, None, None]
+        rows = np.stack([self._times(self.T, move) for move in moves])
+        return self._over_areas(rows).T
 
     def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
         """Let more active multipliers stick, until no motion is free.
@@ -184,7 +180,7 @@ class FrictionRows(ContactRows):
         """Choose the working set; in it new multipliers stick."""
         last = self.state.active
         super().start_set(stiffness, zero)
-        now, self._all_slopes = self.state, None
+        now = self.state
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
         if self._carried:  # slip beyond a facet's size
@@ -194,20 +190,15 @@ class FrictionRows(ContactRows):
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
         elif self._soft or self._n > 2:
-            y = self._over_areas(self._lengths).reshape(self._n, -1)
-            _, sticks, way = self._states(y, self._forces, np.arange(len(self.g)))
+            every = np.arange(len(self.g))
+            _, sticks, way = self._states(self._scaled(self._lengths), self._forces, every)
             now.sticks = sticks if self._soft else now.sticks
             now.way = np.where(now.active & ~now.sticks, way, now.way)
         now.sticks &= self.mu > 0
 
     @property
-    def _lengths(self) -> npt.NDArray[np.float64]:
-        """Weighted gaps and slips, ``(num_unknowns,)``."""
-        return np.append(self.g, self.s)
-
-    @property
     def _slopes(self) -> Sparse:
-        """Their derivatives by displacements."""
+        """Derivatives of weighted gaps and slips by displacements."""
         if self._all_slopes is None:
             opening, S = self.state.opening, self.T
             if opening is not None and self._follows:
@@ -216,9 +207,6 @@ class FrictionRows(ContactRows):
                 S = self._condensed(opening.slip_slopes(self.u, self._since, self.condensed_to, on))
             self._all_slopes = joined(self.C, Sparse(len(self.g) + S.i, S.j, S.values))
         return self._all_slopes
-
-    def _acting(self) -> Sparse:
-        return joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
 
     def give(self) -> npt.NDArray[np.float64]:
         """What a compliance adds to gaps, over multipliers; nothing to slips."""
@@ -324,22 +312,6 @@ class FrictionRows(ContactRows):
         now.way = np.where(changed[:num], way, now.way)
         super().accept(*flat)
         now.q = np.where(now.active, f[1:], 0) * self._per_unit
-
-    # Rows
-
-    @property
-    def is_in(self) -> npt.NDArray[np.bool_]:
-        """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
-        return np.tile(self.state.active, self._n)
-
-    def contact_forces(self) -> list[npt.NDArray[np.float64]]:
-        """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
-        now = self.state
-        q = (now.q * now.active).ravel()
-        size = sum(side.dofs.size for side in self.sides) * self._n
-        flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
-        across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
-        return [a + b for a, b in zip(super().contact_forces(), across, strict=True)]
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
