@@ -18,14 +18,14 @@ def sources(new, lasting, active, facets) -> npt.NDArray[np.intp]:
         facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
     """
     result = np.full(len(new), -1)
-    i, j = _pairs(facets[new[facets].any(axis=1)])
+    i, j = neighbours(facets[new[facets].any(axis=1)])
     use = new[i] & lasting[j]
     result[i[use]] = j[use]
     result[i[use & ~active[j]]] = -1
     return result
 
 
-def _pairs(facets) -> npt.NDArray[np.intp]:
+def neighbours(facets) -> npt.NDArray[np.intp]:
     """Vertices of the same facets, both ways and also with themselves, ``(2, num_pairs)``."""
     k = facets.shape[1]
     return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))

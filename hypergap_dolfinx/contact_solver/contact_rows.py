@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_solver import active_set
-from hypergap_dolfinx.contact_solver.pattern import Pattern, beside, coupled, unique_pairs
+from hypergap_dolfinx.contact_solver.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
@@ -146,12 +146,6 @@ class ContactRows:
         known.pop(self.number, None)
         known[self.number] = ref(self)
         self._contact.show(self)
-
-    def ending(self, i: int, space: int) -> EndingSide:
-        """One side, for :mod:`shared_ends`; ``space`` numbers its function space."""
-        side = self.sides[i]
-        held = self._held[i][np.searchsorted(side.dofs, side.vertex_dofs)]
-        return EndingSide(space, side.reference, side.vertex_dofs, held)
 
     def displacements(self, u: Sequence[npt.NDArray[np.float64]]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
@@ -528,13 +522,12 @@ class ContactRows:
         In the plane that hardly fills the factors more; in space it takes half as many operations
         again.
         """
-        at, num, n, num_nodes = self._acting, len(self.g), self._n, len(self._is_free) // self._n
+        at, num, n = self._acting, len(self.g), self._n
         a, node = at.i % num, at.j // n
-        near = self.valid if n == 2 else self.state.active
-        a, node = unique_pairs(a[near[a]], node[near[a]], num_nodes)
-        if n == 2:
-            a, node = beside(a, node, self.sides[0].at_facets, num_nodes)
-        found = coupled(a, node, num_nodes, num, n, self._per_vertex)
+        near = (self.valid if n == 2 else self.state.active)[a]
+        facets = self.sides[0].at_facets if n == 2 else None
+        shape = num, len(self._is_free) // n
+        found = coupled(a[near], node[near], shape, n, self._per_vertex, facets)
         return found.without(self.unknowns[0] == -2)
 
     def equations(self, increments: Sequence[npt.NDArray] | None) -> Linear:
@@ -643,21 +636,13 @@ def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface])
     """
     spaces: list[fem.FunctionSpace] = []
 
-    def number(V: fem.FunctionSpace) -> int:
+    def ending(V: fem.FunctionSpace, side: MovingSurface, held=None) -> EndingSide:
         if V not in spaces:
             spaces.append(V)
-        return spaces.index(V)
+        return EndingSide(spaces.index(V), side, held)
 
-    sides, tied = [], []
-    for rows in contacts:
-        side0, side1 = (rows.ending(i, number(V)) for i, V in enumerate(rows.spaces))
-        sides.append((side0, side1))
-    for tie in interfaces:
-        side0, side1 = (
-            EndingSide(number(V), surface, MovingSurface(surface).vertex_dofs)
-            for V, surface in zip(tie.spaces, tie.surfaces, strict=True)
-        )
-        tied.append((side0, side1))
+    sides = [list(map(ending, rows.spaces, rows.sides, rows._held)) for rows in contacts]
+    tied = [list(map(ending, tie.spaces, map(MovingSurface, tie.surfaces))) for tie in interfaces]
     for rows, found in zip(contacts, condensations(sides, tied), strict=True):
         rows.condensed_to = found
 

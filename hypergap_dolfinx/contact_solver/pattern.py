@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.moving import Sparse
 
+Ints = npt.NDArray[np.integer]
+
 
 class Pattern:
     """Places of the entries of a matrix ``(size, size)``."""
@@ -49,78 +51,42 @@ class Pattern:
         at = np.searchsorted(self.keys, keys)
         if (np.append(self.keys, -1)[at] != keys).any():
             return None
-        return np.bincount(at, entries.values, len(self.keys)).astype(
-            float
-        )  # without entries: integers
-
-
-def unique_pairs(a: npt.NDArray, node: npt.NDArray, num: int) -> tuple[npt.NDArray, npt.NDArray]:
-    """Distinct pairs of multipliers and nodes, sorted; ``num`` is the number of nodes."""
-    a, node = np.divmod(_sorted(a * num + node), num)
-    return a, node
-
-
-def beside(
-    a: npt.NDArray, node: npt.NDArray, facets: npt.NDArray, num: int
-) -> tuple[npt.NDArray, npt.NDArray]:
-    """Multipliers with their nodes, and with all nodes of the facets around these.
-
-    Args:
-        a: Multipliers.
-        node: A node on which each acts.
-        facets: Nodes of the facets that may slide past, ``(num_facets, num_facet_nodes)``.
-        num: Number of nodes.
-
-    Returns:
-        All distinct pairs of multipliers and nodes, sorted.
-    """
-    of_node = np.argsort(facets.ravel(), kind="stable")
-    start = np.searchsorted(facets.ravel()[of_node], np.arange(num + 1))
-    count = (start[1:] - start[:-1])[node]
-    facet = of_node[_ranges(start[node], count)] // facets.shape[1]
-    more = np.repeat(a, count * facets.shape[1]), facets[facet].ravel()
-    return unique_pairs(np.append(a, more[0]), np.append(node, more[1]), num)
+        found = np.bincount(at, entries.values, len(self.keys))
+        return found.astype(float)  # without entries: integers
 
 
 def coupled(
-    a: npt.NDArray[np.intp],
-    node: npt.NDArray[np.intp],
-    num_nodes: int,
-    num: int,
-    n: int,
-    across: int,
+    a: Ints, node: Ints, shape: tuple[int, int], n: int, across: int, facets=None
 ) -> Pattern:
     """Pattern of multipliers with all nodes on which they act, and of these nodes with each other.
 
     Args:
-        a: Multipliers, sorted.
+        a: Multipliers.
         node: A node on which each acts.
-        num_nodes: Number of nodes, of n unknowns each.
-        num: Number of multipliers, of ``across`` unknowns each, component by component.
-        n: Number of dimensions.
-        across: Number of unknowns of a multiplier.
+        shape: Numbers of multipliers and of nodes.
+        n: Number of a node's unknowns.
+        across: Number of a multiplier's unknowns, which follow those of nodes component by
+            component; each has an equation, too, if nothing acts.
+        facets: Nodes of facets that may slide past, ``(num_facets, num_facet_nodes)``: multipliers
+            act on all nodes of those around their nodes.
     """
-    start, size = num_nodes * n, num_nodes * n + num * across
-    count = np.bincount(a, minlength=num)
-    first = np.cumsum(count) - count
-    left = np.repeat(node, count[a])
-    right = node[_ranges(first[a], count[a])]
-    left, right = np.divmod(_sorted(left * num_nodes + right), num_nodes)
-    dofs, own = np.arange(n), start + num * np.arange(across)
-    blocks = [(left[:, None] * n + dofs, right[:, None] * n + dofs)]
-    blocks.append((a[:, None] + own, node[:, None] * n + dofs))
-    blocks.append(blocks[-1][::-1])
-    every = _sorted(a)[:, None] + own
-    blocks.append((every, every))
-    keys = [(i[:, :, None] * size + j[:, None]).ravel() for i, j in blocks]
-    keys.append(np.arange(start, size) * (size + 1))  # inactive multipliers have an equation too
-    return Pattern(size, _sorted(np.concatenate(keys)))
+    from scipy import sparse  # takes .15 s
 
+    def ones(i, j, shape):
+        return sparse.csr_array((np.ones(len(i)), (i, j)), shape=shape)
 
-def _ranges(start: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Concatenated ranges start, …, start + count − 1."""
-    before = np.cumsum(count) - count
-    return np.arange(count.sum()) + np.repeat(start - before, count)
+    acts, size, every = ones(a, node, shape), shape[0] * across, np.unique(a)
+    if facets is not None:
+        facet = np.repeat(np.arange(len(facets)), facets.shape[1])
+        of = ones(facet, facets.ravel(), (len(facets), shape[1]))
+        acts = acts + acts @ (of.T @ of)
+    nodes = sparse.kron(acts.T @ acts, np.ones((n, n)))
+    rows = sparse.kron(np.ones((across, 1)), sparse.kron(acts, np.ones((1, n))))
+    laws = sparse.kron(np.ones((across, across)), ones(every, every, 2 * shape[:1]))
+    laws = laws + ones(np.arange(size), np.arange(size), (size, size))
+    found = sparse.block_array([[nodes, rows.T], [rows, laws]]).tocoo()
+    i, j = (part.astype(np.int64) for part in found.coords)
+    return Pattern.of(found.shape[0], Sparse(i, j, found.data))
 
 
 def _sorted(values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
