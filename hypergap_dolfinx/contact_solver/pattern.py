@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.moving import Sparse
 
-Ints = npt.NDArray[np.integer]
+Ints = npt.NDArray[np.int64]
 
 
 class Pattern:
@@ -70,26 +70,34 @@ def coupled(
         facets: Nodes of facets that may slide past, ``(num_facets, num_facet_nodes)``: multipliers
             act on all nodes of those around their nodes.
     """
-    from scipy import sparse  # takes .15 s
-
-    def ones(i, j, shape):
-        return sparse.csr_array((np.ones(len(i)), (i, j)), shape=shape)
-
-    acts, size, every = ones(a, node, shape), shape[0] * across, np.unique(a)
+    num, num_nodes = shape
     if facets is not None:
-        facet = np.repeat(np.arange(len(facets)), facets.shape[1])
-        of = ones(facet, facets.ravel(), (len(facets), shape[1]))
-        acts = acts + acts @ (of.T @ of)
-    nodes = sparse.kron(acts.T @ acts, np.ones((n, n)))
-    rows = sparse.kron(np.ones((across, 1)), sparse.kron(acts, np.ones((1, n))))
-    laws = sparse.kron(np.ones((across, across)), ones(every, every, 2 * shape[:1]))
-    laws = laws + ones(np.arange(size), np.arange(size), (size, size))
-    found = sparse.block_array([[nodes, rows.T], [rows, laws]]).tocoo()
-    i, j = (part.astype(np.int64) for part in found.coords)
-    return Pattern.of(found.shape[0], Sparse(i, j, found.data))
+        facet, nodes = np.repeat(np.arange(len(facets)), facets.shape[1]), facets.ravel()
+        around = _product((a, node), (nodes, facet), len(facets))
+        more = _product(around, (facet, nodes), num_nodes)
+        a, node = np.append(a, more[0]), np.append(node, more[1])
+    a, node = np.divmod(_sorted(a * num_nodes + node), num_nodes)
+    left, right = _product((node, a), (a, node), num_nodes)
+    start, size = num_nodes * n, num_nodes * n + num * across
+    dofs, own = np.arange(n), start + num * np.arange(across)
+    every, forces = _sorted(a)[:, None] + own, (a[:, None] + own, node[:, None] * n + dofs)
+    blocks = [(left[:, None] * n + dofs, right[:, None] * n + dofs), forces, forces[::-1]]
+    blocks.append((every, every))
+    keys = [(i[:, :, None] * size + j[:, None]).ravel() for i, j in blocks]
+    keys.append(np.arange(start, size) * (size + 1))
+    return Pattern(size, _sorted(np.concatenate(keys)))
 
 
-def _sorted(values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _product(a: tuple[Ints, Ints], b: tuple[Ints, Ints], num: int) -> tuple[Ints, Ints]:
+    """Distinct rows and columns of a product of matrices, sorted; b has ``num`` columns."""
+    order = np.argsort(b[0], kind="stable")
+    start, end = (np.searchsorted(b[0][order], a[1], side) for side in ("left", "right"))
+    count = end - start
+    at = np.arange(count.sum()) + np.repeat(start - (np.cumsum(count) - count), count)
+    return np.divmod(_sorted(np.repeat(a[0], count) * num + b[1][order[at]]), num)
+
+
+def _sorted(values: Ints) -> Ints:
     """Distinct values, sorted; ``np.unique`` (by hashing) takes ten times as long."""
     values = np.sort(values, axis=None)
     return values[np.append(True, values[1:] != values[:-1])[: len(values)]]
