@@ -22,7 +22,6 @@ from hypergap_dolfinx.contact_solver.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
-    COVERED_AREA,
     EXACT,
     EXCEEDS,
     HOLDS,
@@ -193,7 +192,7 @@ class ContactRows:
             np.bincount(self.C.i, weights * self.C.values**2, len(g))
             for weights in (1.0, self._is_free[self.C.j])
         )
-        self.valid = (self.m > COVERED_AREA * self._area) & (free > HOLDS**2 * every)
+        self.valid = (self.m > HOLDS * self._area) & (free > HOLDS**2 * every)
         self._lengths, self._acting = self.g, self.C
         self._transfer()
 
