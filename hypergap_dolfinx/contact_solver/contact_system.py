@@ -105,7 +105,7 @@ class ContactSystem(NonlinearSystem):
             for pair in pairs
         ]
         for rows in self._rows:
-            rows.register()
+            rows.start_solve()
         self._frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         share_ends(self._rows, pieces.interfaces)
         self._tangent = Tangent(
