@@ -516,7 +516,8 @@ class Tie(collective.Owner):
 
         Returns:
             n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
-            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None.
+            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None. On
+            curved cells they are least squares, with the same integrals over each cell.
 
         Raises:
             ValueError: A displacement that is not on its side's space.
@@ -534,10 +535,11 @@ class Tie(collective.Owner):
 
         Args:
             problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
-            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous. It
-                is the traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels
-                −λ. (Of a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it
-                use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous (on
+                curved cells its least squares, with its integral over each cell). It is the
+                traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of
+                a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
+                :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
 
                 ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
                 the forces of λ at both sides' nodes: one order more accurate than λ, and smooth.
