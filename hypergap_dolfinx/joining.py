@@ -72,6 +72,24 @@ class Joined:
             if all(tie is not other for other in self.ties):
                 tie.destroy()
 
+    def turned_over(self, interface: int) -> "Joined | None":
+        """The interfaces with Γ0 and Γ1 of one exchanged, in its ties too. Collective.
+
+        None unless :meth:`Tie.between` chose the sides of all its ties, and no problem has them.
+        """
+        group = [tie for t, tie in enumerate(self.ties) if self._of[t][0] == interface]
+        if not all(tie.may_turn_over for tie in group):
+            return None
+        if not all([tie.turn_over() for tie in group]):
+            return None
+        self.destroy()
+        return Joined(self.ties)
+
+    def settle(self):
+        """Keep the sides of all ties from now on."""
+        for tie in self.ties:
+            tie.settle()
+
     def find(self, tie) -> int:
         """Number of the interface with a tie.
 

@@ -117,6 +117,12 @@ class TiedInterfaces(Protocol):
     def of_piece(self, tie, multipliers: npt.NDArray) -> npt.NDArray:
         """A tie's own multipliers among those of its interface."""
 
+    def turned_over(self, interface: int) -> "TiedInterfaces | None":
+        """The interfaces with Γ0 and Γ1 of one exchanged, None where users chose. Collective."""
+
+    def settle(self):
+        """Keep the sides of all ties from now on."""
+
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
 
