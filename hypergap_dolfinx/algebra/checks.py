@@ -5,6 +5,7 @@
 Every check is collective and raises the same exception on every rank.
 """
 
+import logging
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -25,21 +26,28 @@ from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 
+LOG = logging.getLogger("hypergap_dolfinx")
 _chunk = 100_000  # cells that are checked at a time, to bound the memory
 
 
-def check_cells(mesh: Mesh, name: str):
+def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
     """Raise if a cell has no volume or is turned over somewhere. Collective.
 
-    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part.
+    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part. Away from
+    interfaces a cell may be turned over at its corners and edges, where no Gauss point is: coarse
+    meshes of Gmsh have such curved cells. That is told in the log.
 
     Args:
         mesh: Mesh of a body.
         name: Its name in the message.
+        facets: This rank's facets on each interface.
 
     Raises:
         ValueError: With the place of the first such cell.
     """
+    on_interface = _cells_at(mesh, facets)
+    turned: list[str] = []  # places of cells that are turned over at a corner
+    num = 0
     n = mesh.geometry.dim
     cmap = compat.coordinate_element(mesh)
     cell_type = getattr(basix.CellType, mesh.topology.cell_name())
@@ -51,7 +59,8 @@ def check_cells(mesh: Mesh, name: str):
         straight = _straight(mesh.geometry.x[:, :n], cells, element.points)
         middle, _ = basix.make_quadrature(cell_type, 1)
         lots = [(cells[straight], middle, middle[:0])]
-        cells = cells[~straight]
+        cells, on_interface = cells[~straight], on_interface[~straight]
+        num -= int(straight.sum())
     else:
         lots = []
     # On simplices det J is a polynomial of this degree. It is evaluated in as many points as it has
@@ -68,7 +77,12 @@ def check_cells(mesh: Mesh, name: str):
         sign = np.sign(det[:, :1])
         bad = ~(sign * det[:, :num_inside] > NOISE * size[:, None]).all(axis=1)
         # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
-        bad |= (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
+        over = ~bad & (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
+        if over.any():  # none of the straight simplices, which come first
+            over_here = on_interface[num : num + len(x)]
+            bad |= over & over_here
+            turned += [spot(nodes) for nodes in x[over & ~over_here]]
+        num += len(x)
         # NaN and infinity in coordinates are left to checks that name the surface or body
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
@@ -79,6 +93,24 @@ def check_cells(mesh: Mesh, name: str):
             )
             break
     raise_on_all(mesh.comm, message, ValueError)
+    places = [place for part in mesh.comm.allgather(turned) for place in part]
+    if places and mesh.comm.rank == 0:
+        LOG.warning(
+            "%s has %d cell%s turned over at a corner or an edge, away from interfaces, the first "
+            "at %s: stresses beside it are wrong; mend its mesh.",
+            *(name, len(places), "s"[: len(places) > 1], places[0]),
+        )
+
+
+def _cells_at(mesh: Mesh, facets: Sequence[npt.ArrayLike]) -> npt.NDArray[np.bool_]:
+    """Mask of this rank's cells with one of some exterior facets, ``(num_cells,)``. Collective."""
+    n = mesh.topology.dim
+    mesh.topology.create_connectivity(n - 1, n)
+    to_cells = mesh.topology.connectivity(n - 1, n)
+    found = np.zeros(len(compat.geometry_dofmap(mesh)), dtype=bool)
+    for some in facets:
+        found[to_cells.array[to_cells.offsets[np.asarray(some, dtype=np.int32)]]] = True
+    return found
 
 
 def _straight(x, cells, points) -> npt.NDArray[np.bool_]:

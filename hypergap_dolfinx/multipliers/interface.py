@@ -31,6 +31,10 @@ class Interface(Protocol):
         """V₀ and V₁."""
 
     @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
+
+    @property
     def components(self) -> tuple[Component, Component]:
         """V₀ and V₁ among the dofs of their bodies."""
 
@@ -152,6 +156,10 @@ class ContactInterface(Protocol):
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
+
+    @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
 
     @property
     def sides(self) -> tuple[MovingSurface, MovingSurface]:

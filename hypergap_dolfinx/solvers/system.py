@@ -108,7 +108,8 @@ class TiedSystem(collective.Owner):
             raise ValueError("a tie is given twice; that would make the matrix singular.")
         spaces = [f.function_space for f in self._u]
         for i, V in enumerate(spaces):
-            checks.check_cells(V.mesh, f"body {i}")
+            on_interfaces = [facets for W, facets in self._sides() if W.mesh is V.mesh]
+            checks.check_cells(V.mesh, f"body {i}", on_interfaces)
         self._constraints = self._create_constraints(spaces)
         self._pieces.settle()
         checks.check_apart(ties)
@@ -127,6 +128,12 @@ class TiedSystem(collective.Owner):
         )
         self._x = self._b.duplicate()
         self._system = System(self._A, self._K, self._constraints, spaces)
+
+    def _sides(self) -> list[tuple[fem.FunctionSpace, npt.NDArray]]:
+        """Spaces and this rank's facets of the interfaces' sides."""
+        return [
+            side for tie in self._pieces.ties for side in zip(tie.spaces, tie.facets, strict=True)
+        ]
 
     def _create_constraints(self, spaces: Sequence[fem.FunctionSpace]) -> ConstraintBlocks:
         """B and C. The sides of ties that chose them may have to be exchanged. Collective."""
