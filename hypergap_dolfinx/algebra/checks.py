@@ -27,7 +27,23 @@ from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 
 LOG = logging.getLogger("hypergap_dolfinx")
+UNNAMED = "", "mesh"
+"""Names of meshes that nobody named."""
 _chunk = 100_000  # cells that are checked at a time, to bound the memory
+
+
+def name_of_body(i: int, V: fem.FunctionSpace) -> str:
+    """A body's name in messages: its number, and its mesh's name if this has one."""
+    name = V.mesh.name
+    return f"body {i}" if name in UNNAMED else f"body {i} ({name})"
+
+
+def name_of_tie(number: str, tie: Interface) -> str:
+    """A tie's name in messages: its number, names of its bodies' meshes, and its facets."""
+    names = [V.mesh.name for V in tie.spaces]
+    bodies = "" if all(name in UNNAMED for name in names) else f"{' and '.join(names)}, "
+    counts = " and ".join(str(len(surface.facets)) for surface in tie.surfaces)
+    return f"{number} ({bodies}{counts} facets around {spot(tie.surfaces[1].nodes)})"
 
 
 def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
@@ -155,21 +171,22 @@ def _det(J: npt.NDArray) -> npt.NDArray:
     return sum((-1) ** k * J[..., 0, k] * minor for k, minor in enumerate(minors))
 
 
-def check_finite(objects: Sequence[PETSc.Object], what: str):
+def check_finite(objects: Sequence[PETSc.Object], what: str, spaces: Sequence[fem.FunctionSpace]):
     """Raise if a body's matrix or vector has a NaN or an infinity. Collective.
 
     Args:
         objects: Matrices or vectors of the bodies.
         what: Their name in the message.
+        spaces: The bodies' spaces.
 
     Raises:
         ValueError: Names the body.
     """
-    for i, obj in enumerate(objects):
+    for i, (obj, V) in enumerate(zip(objects, spaces, strict=True)):
         if not np.isfinite(obj.norm()):
             raise ValueError(
-                f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
-                "coordinates and prescribed displacements."
+                f"{what} of {name_of_body(i, V)} has NaN or infinite entries; look at its "
+                "coefficients, coordinates and prescribed displacements."
             )
 
 
@@ -228,7 +245,8 @@ def check_apart(ties: Sequence[Interface]):
         others = sides[s][0] | sides[s][1]
         if sides[t][0] & others and sides[t][1] & others:
             raise InterfaceError(
-                f"ties {t} and {s} tie the same facets to each other; once is enough."
+                f"{name_of_tie(f'ties {t} and {s}', ties[t])} tie the same facets to each other; "
+                "once is enough."
             )
 
 

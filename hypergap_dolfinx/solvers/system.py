@@ -109,7 +109,7 @@ class TiedSystem(collective.Owner):
         spaces = [f.function_space for f in self._u]
         for i, V in enumerate(spaces):
             on_interfaces = [facets for W, facets in self._sides() if W.mesh is V.mesh]
-            checks.check_cells(V.mesh, f"body {i}", on_interfaces)
+            checks.check_cells(V.mesh, checks.name_of_body(i, V), on_interfaces)
         self._constraints = self._create_constraints(spaces)
         self._pieces.settle()
         checks.check_apart(ties)
@@ -192,7 +192,7 @@ class TiedSystem(collective.Owner):
         A prescribed dof has the mean of the others' diagonal, so that residuals have one unit.
         """
         changed = [self._assemble(i) for i in range(len(self._K))]
-        checks.check_finite(self._K, "the stiffness")
+        checks.check_finite(self._K, "the stiffness", self._system.spaces)
         soft = [
             part for part in (self._constraints.compliances, *self._constraints.jump_fields) if part
         ]
