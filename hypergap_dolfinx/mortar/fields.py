@@ -147,7 +147,7 @@ def _create(
         for f, values in zip(found, parts(dx, N / length[..., None]), strict=True):
             if tables is at_gauss:
                 mass = (length @ squares).reshape(-1, basis.dim, basis.dim)
-                load = np.einsum("pa,cpi->cai", table, (weights * length)[..., None] * values)
+                load = table.T @ ((weights * length)[..., None] * values)
                 values = np.linalg.solve(mass, load)
             V = f.function_space
             f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[cells]] = values
