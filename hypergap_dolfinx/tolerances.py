@@ -42,11 +42,11 @@ Measured: fits of AS1, a CAD assembly: 1e-8."""
 BULGES = 2
 """Distance of curved facets that touch, over that estimated from turns.
 Measured: 600 pairs of rings of 7 to 39 edges, lengths 1 : 1 to 1 : 4: 2 incomplete with 1.5, 2 and
-3, 25 with 1, as 26 tests of test_touching."""
+3, 26 with 1, where 26 tests of test_touching fail."""
 
 FACING_ANGLE = np.pi / 3
 """Deviation of curved facets' normals from opposite ones that no turn makes larger.
-Measured: test_touching: 45° loses curved facets (2 of 146 tests), 75° changes nothing."""
+Measured: test_touching: 45° loses curved facets (2 of 140 tests), 75° changes nothing."""
 
 TILT = np.pi / 36
 """Deviation of flat facets' normals from opposite ones.
