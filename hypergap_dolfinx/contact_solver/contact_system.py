@@ -97,7 +97,9 @@ class ContactSystem(NonlinearSystem):
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
+        self._pairs = list(pairs)
         super().__init__(F, u, bcs, pieces, **compiling)
+        pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names = rtol, names
         self._comm = self._u[0].function_space.mesh.comm
         self._rows = [
@@ -105,7 +107,7 @@ class ContactSystem(NonlinearSystem):
             for pair in pairs
         ]
         for rows in self._rows:
-            rows.register()
+            rows.start_solve()
         self._frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         share_ends(self._rows, pieces.interfaces)
         self._tangent = Tangent(
@@ -125,6 +127,13 @@ class ContactSystem(NonlinearSystem):
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
+
+    def _sides(self) -> list:
+        contacts = [pair.contact for pair in self._pairs]
+        return [
+            *super()._sides(),
+            *(side for c in contacts for side in zip(c.spaces, c.facets, strict=True)),
+        ]
 
     def _release(self) -> list:
         return [self.__dict__.pop("_tangent", None), *super()._release()]

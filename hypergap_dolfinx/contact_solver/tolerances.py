@@ -2,14 +2,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Tolerances of this room: one value, one meaning, and the measurement behind each."""
 
-COVERED_AREA = 1e-3
-"""Smallest area of a weight, over its facets', for which there is a multiplier.
-Measured: 0.1× to 10× change nothing in 147 tests of contact."""
-
 HOLDS = 1e-6
-"""Relative size, or sine, below which constraints on motions, and extents of points, are zero.
+"""Relative size, or sine, below which constraints on motions, extents of points, and the area of a
+vertex's weight over that of its facets are zero.
 Measured: 0.1× to 10× change nothing in 147 tests of contact; derivatives by prescribed dofs are
-exact zeros."""
+exact zeros; for weights 1e-3 changes nothing in 60 scenes of the plane and 12 in space."""
 
 NEAR_ENDS = 0.5
 """Distance of both sides' ends, in facet lengths, up to which they are one place.

@@ -100,6 +100,10 @@ class Sparse:
         matrix.destroy()
         return found
 
+    def some(self, use: npt.NDArray[np.bool_]) -> "Sparse":
+        """The entries of a mask, ``(num_entries,)``."""
+        return Sparse(self.i[use], self.j[use], self.values[use])
+
     def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
         flat = np.concatenate([part.ravel() for part in values])

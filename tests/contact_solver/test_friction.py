@@ -20,7 +20,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver import active_set, linearised
+from hypergap_dolfinx.contact_solver import linearised
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 
 comm = MPI.COMM_WORLD
@@ -225,16 +225,6 @@ def test_steps_backwards():
             found.append(x)
         assert (abs(found[-1] - 1.55) <= 1e-12) == tells
     assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
-
-
-def test_what_comes():
-    """What comes beside vertices that are all in contact begins as one of them is, others not."""
-    facets = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]])
-    come, on = (np.isin(np.arange(6), which) for which in ([0, 3, 5], [1, 2]))
-    lasting = ~come
-    np.testing.assert_array_equal(
-        active_set.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
-    )
 
 
 def test_slides_off():
