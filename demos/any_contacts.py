@@ -71,7 +71,7 @@ APART = 0.1  # of a facet, from the other body to the facets around a vertex wit
 AT_CORNER = 1.0  # the same at sharp corners, which means of gaps don't see
 BALANCE = 1e-6  # of forces in the bodies
 MOMENT = {"finite": 1e-3, "small": np.inf}  # the same, of moments with friction
-UNLOADED = 1e-6  # force over the stiffest modulus and its area: bodies with less have round-off
+UNLOADED = 1e-6  # pressure over the stiffest modulus: what has less has round-off
 # -
 
 # ## A part of a scene
@@ -573,7 +573,8 @@ def where_pressed(scene, problem, x):
         p = np.where(state.active, state.p, 0)
         if not p.any():
             continue
-        largest = np.abs(p).max()
+        stiffest = max(part.modulus for part in scene.parts)
+        largest = max(np.abs(p).max(), UNLOADED * stiffest)
         least = min(least, float(p.min() / largest))
         if scene.friction:
             q = np.linalg.norm(np.where(state.active, state.q, 0), axis=0)

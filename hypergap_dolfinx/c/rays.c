@@ -20,7 +20,6 @@
 #define STEPS 60 // to where a ray meets a curved edge: by bisection at most
 #define LAST_STEP 1e-15
 #define TINY 1e-12 // part of a chord that is round-off
-#define BEYOND 0.25 // how far an edge goes on beyond its end, in its reference coordinate
 
 // The chord of an edge of Γ1.
 typedef struct {
@@ -188,17 +187,13 @@ static void add_parts(Cast *cast, int g)
 {
   const Side *side = cast->below;
   const Frame *frame = &cast->frame;
-  const int *goes_on = cast->sigma->goes_on + 2 * g;
-  double from = goes_on[0] ? -BEYOND : 0, to = goes_on[1] ? 1 + BEYOND : 1;
   double slopes[2], low = INFINITY, high = -INFINITY;
   for (int k = 0; k < side->num_nodes; ++k)
   {
     double at = along(frame, node(side, g, k));
     low = smaller(low, at), high = larger(high, at);
   }
-  // A parabola's beyond its nodes, and what goes on beyond a wall
-  double more = (side->num_nodes > 2 ? 0.25 : 0) + (goes_on[0] || goes_on[1] ? 1 : 0);
-  more *= high - low;
+  double more = side->num_nodes > 2 ? 0.25 * (high - low) : 0; // a parabola's beyond its nodes
   if (low - more >= 1 || high + more <= 0)
     return;
   for (int k = 0; k < 2; ++k)
@@ -206,11 +201,11 @@ static void add_parts(Cast *cast, int g)
   if (side->num_nodes == 3 && slopes[0] * slopes[1] < 0)
   { // it turns
     double turn = slopes[0] / (slopes[0] - slopes[1]);
-    add_part(cast, g, from, turn);
-    add_part(cast, g, turn, to);
+    add_part(cast, g, 0, turn);
+    add_part(cast, g, turn, 1);
   }
   else
-    add_part(cast, g, from, to);
+    add_part(cast, g, 0, 1);
 }
 
 static int by_place(const void *a, const void *b)

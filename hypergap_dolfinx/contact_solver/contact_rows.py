@@ -585,10 +585,14 @@ class ContactRows:
         left = np.minimum(self.state.p * self.m / self._stiffness, self.distance)
         return np.where(self.valid, left, 0)
 
-    def is_closed(self) -> bool:
-        """True if active gaps are closed and none pulls, and no others overlap."""
-        p = self.state.p[self.state.active]
-        if p.min(initial=0) < -EXCEEDS * np.abs(p).max(initial=0):
+    def is_closed(self, nothing: float) -> bool:
+        """True if active gaps are closed and none pulls, and no others overlap.
+
+        Args:
+            nothing: Force treated as zero.
+        """
+        p, m = self.state.p[self.state.active], self.m[self.state.active]
+        if (np.minimum(p + EXCEEDS * np.abs(p).max(initial=0), 0) * m < -nothing).any():
             return False
         apart = self.distance[self.valid & ~self.state.active]
         return self._largest_gap() <= self.closed and bool((apart >= -self.closed).all())

@@ -433,22 +433,23 @@ class ContactSystem(NonlinearSystem):
         num = len(self._b.getNestSubVecs()) - self._num_ties  # forces at jumps too
         owned = self._owned()
         left, contact = self._forces_left()
-        closed = all([rows.is_closed() for rows in self._rows])
         parts = [*left[:num], *owned]
         self._left = parts[: len(self._u)]
         squares = np.array([np.vdot(part, part).real for part in parts])
         self._comm.Allreduce(MPI.IN_PLACE, squares)
         self._unbalanced = worst = np.sqrt(squares[:num].sum())
-        if not closed:
-            return False  # forces needn't be known to see that
-        size, least = sum([force**2 for force in self._forces]), 0.0
+        least = 0.0
         self._stiffness()
         for length, square in zip(self._row_lengths, squares[num:], strict=True):
             least += length**2 * square
+        self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
+        nothing = ROUND_OFF_FORCES * self._largest
+        if not all([rows.is_closed(nothing) for rows in self._rows]):
+            return False  # forces needn't be known to see that
+        size = sum([force**2 for force in self._forces])
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
-        self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
-        none = worst <= ROUND_OFF_FORCES * self._largest
+        none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
         return bool(none or worst <= self._rtol * np.sqrt(size))
 

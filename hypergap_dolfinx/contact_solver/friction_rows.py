@@ -316,7 +316,7 @@ class FrictionRows(ContactRows):
 
     # Convergence
 
-    def is_closed(self) -> bool:
+    def is_closed(self, nothing: float) -> bool:
         """True if active gaps are closed, sticking ones don't slip, and |q| is μ p elsewhere."""
         now, rigid = self.state, self.stuck
         bound, _ = self._bounds(now.p)
@@ -327,7 +327,7 @@ class FrictionRows(ContactRows):
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
         error = np.abs(now.q - target)[:, now.active & ~rigid].max(initial=0)
         none = max(EXCEEDS * bound.max(initial=0), self._zero)
-        return super().is_closed() and slip <= self.closed and error <= none
+        return super().is_closed(nothing) and slip <= self.closed and error <= none
 
     @property
     def is_exact(self) -> bool:
