@@ -246,7 +246,11 @@ class Blended:
     @cached_property
     def _K(self) -> sparse.csr_array:
         """∂c/∂u of vertices near to those that are covered in part."""
-        K, others = self._by_covered, self._left[self.facets] * self._per_left
+        K, left = self._by_covered, 1 - self.covered
+        others = np.ones(self.num)  # of halves that leave anything
+        np.multiply.at(others, self.facets, np.where(left == 0, 1, left))
+        none = self._sums(left == 0)[self.facets] - (left == 0)
+        others = np.where(none > 0, 0, others[self.facets] / np.where(left == 0, 1, left))
         return self.rows(self._by_vertex(Sparse(K.i, K.j, K.values * others.ravel()[K.i])))
 
     @cached_property

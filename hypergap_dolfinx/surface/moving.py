@@ -103,10 +103,11 @@ class Sparse:
 
     @classmethod
     def from_scipy(cls, matrix: sparse.sparray) -> "Sparse":
-        """Entries of a matrix of SciPy's."""
+        """Entries of a matrix of SciPy's that aren't zero."""
         found = matrix.tocoo()
-        i, j = (part.astype(np.int64) for part in found.coords)
-        return cls(i, j, found.data)
+        on = found.data != 0
+        i, j = (part[on].astype(np.int64) for part in found.coords)
+        return cls(i, j, found.data[on])
 
     def to_scipy(self, shape: tuple[int, int]) -> sparse.csr_array:
         """The same as a matrix of SciPy's."""
