@@ -179,7 +179,7 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
-        continuation = Continuation(self._comm)
+        continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
         self._largest, self._num_rays, polished = 0.0, 0, False
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
@@ -276,7 +276,16 @@ class ContactSystem(NonlinearSystem):
 
     def _inverted(self) -> str:
         """Message about cells that are turned over. Collective."""
-        return "cells are inverted, or the residual is no number, however short Newton's step is."
+        at = []
+        assert self._free is not None
+        for name, x, b in zip(self._names, self._free.places, self._b.getNestSubVecs()):
+            wrong = ~np.isfinite(b.array_r).reshape(x.shape).all(axis=1)
+            if wrong.any():
+                at.append(f" of {name} around {spot(x[wrong][:1])} (before displacements)")
+        where = next((part for parts in self._comm.allgather(at) for part in parts), None)
+        if where is None:  # seen by points of the tangent only
+            return "cells are inverted."
+        return f"cells{where} are inverted, or have no residual, however short Newton's step is."
 
     def _stalled(self, step: int) -> str:
         """Message about an iteration without progress. Collective."""
@@ -294,12 +303,15 @@ class ContactSystem(NonlinearSystem):
 
     def _unsolved(self, found: Solution) -> str:
         """Message about a linearised problem without a solution: a body leaves. Collective."""
-        if not self._num_free or self._frictional:
-            return "the linearised contact problem has no solution."
         pulls = [values[: len(rows.g)] for rows, values in zip(self._rows, found.base, strict=True)]
         c = int(np.argmin([part.min(initial=0) for part in pulls]))
         rows, k = self._rows[c], int(pulls[c].argmin())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
+        if not self._num_free or self._frictional:
+            return (
+                f"the linearised contact problem has no solution: contact {c} can neither be "
+                f"closed nor open around {at}."
+            )
         return (
             f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
             "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."

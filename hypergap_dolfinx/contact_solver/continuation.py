@@ -21,13 +21,15 @@ from hypergap_dolfinx.contact_solver.tolerances import BACK, OSCILLATES
 class Continuation:
     """Newton's iteration in one load step, seen from outside."""
 
-    def __init__(self, comm: MPI.Comm):
+    def __init__(self, comm: MPI.Comm, least: float):
         """Start.
 
         Args:
             comm: Communicator of the bodies.
+            least: Displacement treated as zero: shorter steps have no direction.
         """
         self._comm, self._num_back, self._square = comm, 0, 0.0
+        self._least = least
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
 
     def goes_back(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> bool:
@@ -42,7 +44,8 @@ class Continuation:
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         product, square = sums
         turned = product < OSCILLATES * np.sqrt(square * self._square)
-        back = bool(turned and work < 0 and self._num_back < BACK)
+        moves_on = square > self._least**2
+        back = bool(moves_on and turned and work < 0 and self._num_back < BACK)
         self._last, self._square = [(1 - 2 * back) * part for part in moves], square
         self._num_back += back
         return back

@@ -16,7 +16,7 @@ from test_contact_bodies import Assembly
 
 import meshes
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
 from hypergap_dolfinx import (
     Contact,
@@ -202,6 +202,25 @@ def test_loads():
     what = r"1 rigid motion of the .* not even by contact .*: body 1, at \(.*\), along \(-?1, 0\);"
     with raises(SolveError, what):
         free.problem([Contact(*faces(free))]).solve()
+
+
+@pytest.mark.ranks(2)
+def test_no_residual(monkeypatch):
+    """Where cells are inverted, or a form gives no numbers, is told."""
+    monkeypatch.setattr(contact_problem, "HALVINGS", 0)
+    scene = two()
+    V = scene.bodies[1].V
+    high = fem.Constant(V.mesh, default_scalar_type(3.0))
+    x, v = ufl.SpatialCoordinate(V.mesh), ufl.TestFunction(V)
+    F = [scene.F[0], scene.F[1] + 1e-9 * ufl.ln(high - x[1]) * v[0] * ufl.dx]
+    problem = ContactProblem(F, scene.u, bcs=scene.bcs, contacts=[Contact(*faces(scene))])
+    scene.down.value = -0.02
+    problem.solve()
+    high.value = 0.9  # the top is at y = 1
+    with raises(
+        SolveError, r"cells of body 1 around \(.*, (0.5|1)\) \(before displacements\) are inv"
+    ):
+        problem.solve()
 
 
 def test_motions_in_words():

@@ -213,7 +213,7 @@ def test_steps_backwards():
         return (x - 0.05, 1.0) if x < 0 else (-0.05 - 0.5 * x, -0.5) if x < 1 else (x - 1.55, 1.0)
 
     for tells in (False, True):
-        x, continuation, found = -0.1, Continuation(MPI.COMM_SELF), []
+        x, continuation, found = -0.1, Continuation(MPI.COMM_SELF, 1e-9), []
         for _ in range(30):
             F, slope = force(x)
             dx = F / slope
