@@ -51,6 +51,7 @@ typedef struct {
   int num, sheets[MOST_STACKED];
   int count, edge[MOST_CUT];
   double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
+  int looks; // whether it isn't known yet what points see
   int num_spots;
   Spot spots[MOST_POINTS];
   const double *origin;
@@ -415,7 +416,7 @@ static void meet(Tape *tape, const Set *set, int s, const Plane *plane, const Ve
   double step = INFINITY, last = set->of->last;
   for (int k = 0; k < 3; ++k)
     at[k] = constant(tape, k < 2 ? xi[k] : up);
-  int steps = tape->order ? tape->order : STEPS_OF_RAY;
+  int steps = set->looks ? STEPS_OF_RAY : tape->order;
   for (int it = 0; it < steps && !(step < last); ++it)
   {
     double X[2] = {at[0][0], at[1][0]}, z[3][3], w[3][3], jet[3][3];
@@ -439,7 +440,7 @@ static void meet(Tape *tape, const Set *set, int s, const Plane *plane, const Ve
       at[k] = combined(tape, 1, at[k], -1, sum);
       step = k < 2 ? larger(step, fabs(sum[0])) : step;
     }
-    if (tape->order)
+    if (!set->looks)
       step = INFINITY;
   }
 }
@@ -449,7 +450,7 @@ static Jet depth_of(Tape *tape, const Set *set, const Spot *spot, const Vec *x1)
 {
   const Parts *parts = set->of;
   const Nearest *foot = &spot->foot;
-  if (!tape->order)
+  if (set->looks)
     return constant(tape, depth_by(*foot));
   int facet = foot->triangle / parts->triangles_a_facet;
   const double *at = parts->triangle_at + 6 * (foot->triangle % parts->triangles_a_facet);
@@ -480,13 +481,13 @@ static Jet depth_of(Tape *tape, const Set *set, const Spot *spot, const Vec *x1)
   return scaled(tape, foot->inside < 0 ? -1 : 1, power(tape, square, 0.5));
 }
 
-// What the set's sheets weigh at a point of Γ1, and where its ray meets them. Without derivatives
-// it finds out what these depend on; NULL for ``visible`` if a weight is zero.
+// What the set's sheets weigh at a point of Γ1, and where its ray meets them. If it looks it finds
+// out what these depend on; NULL for ``visible`` if a weight is zero then.
 static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, Jet weight,
                    Jet const *X)
 {
   const Parts *parts = set->of;
-  int order = tape->order;
+  int looks = set->looks;
   Seen seen = {.weight = weight, .X = {X[0], X[1]}};
   const double at_X[2] = {X[0][0], X[1][0]};
   Vec t[2], x1 = point_on(tape, set, 1, set->facet, set->own, at_X, X, 0, NULL);
@@ -507,7 +508,7 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
       seen.up = at[2], seen.front = s;
       memcpy(seen.xi, at, sizeof(seen.xi));
     }
-    if (order && !((spot->leans | spot->fades) >> s & 1))
+    if (!looks && !((spot->leans | spot->fades) >> s & 1))
       continue;
     for (int k = 0; k < 2; ++k)
       t[k] = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], xi, at, k + 1, NULL);
@@ -515,18 +516,18 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
     // − cos times the length of M
     Jet lean = product(tape, dotted(tape, &n0, &plane->normal),
                        power(tape, dotted(tape, &n0, &n0), -0.5));
-    if (!order || spot->leans >> s & 1)
+    if (looks || spot->leans >> s & 1)
     {
       Jet cos = product(tape, lean, power(tape, plane->square, -0.5));
       part = step_of(tape, scaled(tape, -1, cos), parts->cosines);
       spot->leans |= (part[0] < 1) << s;
       visible = product(tape, visible, part);
     }
-    if (order ? spot->fades >> s & 1 : at[2][0] < 0 && visible[0] > 0)
+    if (looks ? at[2][0] < 0 && visible[0] > 0 : spot->fades >> s & 1)
     {
       if (!depth)
       {
-        if (!order)
+        if (looks)
         {
           double x[3];
           for (int i = 0; i < 3; ++i)
@@ -541,7 +542,7 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
       spot->fades |= (part[0] < 1) << s;
       visible = product(tape, visible, part);
     }
-    if (!order && !(visible[0] > 0))
+    if (looks && !(visible[0] > 0))
       return seen;
   }
   seen.visible = visible;
@@ -667,7 +668,7 @@ static void number_facet(Set *set, int side, int f, int *numbers)
 
 static int make_room(Tape *tape, int n, int order, int count, size_t *room)
 {
-  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0;
+  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0, tape->room = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
   size_t needed = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
   if (needed <= *room)
     return 1;
@@ -686,8 +687,9 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
     return 0;
   Plane plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
-  set->num_spots = 0;
-  for (int k = 0; k < num; ++k)
+  set->looks = 1, set->num_spots = 0;
+  size_t used = tape->used;
+  for (int k = 0; k < num; ++k, tape->used = used)
   {
     Spot *spot = set->spots + set->num_spots;
     *spot = (Spot){.number = k};
@@ -697,7 +699,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
   }
   if (!set->num_spots)
     return 1;
-  set->num_dofs = 0;
+  set->looks = set->num_dofs = 0;
   number_facet(set, 1, set->facet, set->own);
   for (int s = 0; s < set->num; ++s)
     number_facet(set, 0, set->sheets[s], set->of_sheet[s]);
@@ -711,7 +713,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
   weight = points_of(tape, set, &plane, points);
   double whole = 1. / (set->above->num_corners == 3 ? 6 : 4); // of a part
   Jet sum = constant(tape, 0), covered = constant(tape, 0);
-  size_t used = tape->used;
+  used = tape->used;
   for (int k = 0; k < set->num_spots; ++k, tape->used = used)
   {
     Spot *spot = set->spots + k;
