@@ -557,6 +557,7 @@ typedef struct {
   const double *p, *by; // or Σ p ∂²g + Σ by ∂²covered
   Triplets *H;
   const double *moved; // or slips, if T isn't NULL
+  int across;
   Triplets *T;
   const double *q; // or forces of tractions
 } Work;
@@ -636,10 +637,15 @@ static void add_slips(Tape *tape, const Set *set, const Plane *plane, const Seen
     for (int a = 0; a < n; ++a)
       for (int i = 0; i < 3; ++i)
       {
-        for (int j = 0; !work->q && j < 3; ++j)
+        for (int j = 0; work->across && i == 0 && j < 3; ++j)
         {
-          double across = (i == j) - plane->normal.x[i][0] * plane->normal.x[j][0] / plane->square[0];
-          add_triplet(work->T, 3 * set->row + i, 3 * dofs[a] + j, sign * N[0][a] * size[0] * across);
+          double up = plane->normal.x[j][0] / sqrt(plane->square[0]);
+          add_triplet(work->T, set->row, 3 * dofs[a] + j, -sign * N[0][a] * size[0] * up);
+        }
+        for (int j = 0; !work->across && !work->q && j < 3; ++j)
+        {
+          double flat = (i == j) - plane->normal.x[i][0] * plane->normal.x[j][0] / plane->square[0];
+          add_triplet(work->T, 3 * set->row + i, 3 * dofs[a] + j, sign * N[0][a] * size[0] * flat);
         }
         if (!work->q)
           continue;
@@ -668,7 +674,7 @@ static void number_facet(Set *set, int side, int f, int *numbers)
 
 static int make_room(Tape *tape, int n, int order, int count, size_t *room)
 {
-  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0, tape->room = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
+  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0;
   size_t needed = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
   if (needed <= *room)
     return 1;
@@ -867,11 +873,12 @@ int part_curvature(const Parts *parts, const double *p, const double *by_covered
 }
 
 // Weighted slips of parts s = T Δu, three components each: T; if they are given Δu, by dofs,
-// T + ∂T/∂u Δu instead.
-int part_slips(const Parts *parts, const double *moved, Triplets *T)
+// T + ∂T/∂u Δu instead. Across: what Δu adds to gaps of points that stay opposite to each other.
+int part_slips(const Parts *parts, const double *moved, int across, Triplets *T)
 {
   T->num = 0;
-  return for_sets(parts, &(Work){.order = moved != NULL, .moved = moved, .T = T});
+  return for_sets(parts,
+                  &(Work){.order = moved != NULL, .moved = moved, .across = across, .T = T});
 }
 
 // Σ q ∂T/∂u, with tractions of parts, (num_facets₁, num_corners, 3); it isn't symmetric.

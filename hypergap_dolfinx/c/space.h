@@ -98,7 +98,7 @@ void slip_curvatures(const Rays *rays, const int *block, const double *traction,
 int find_parts(const Parts *parts, double *g, double *covered, Triplets *C,
                Triplets *by_covered);
 int part_curvature(const Parts *parts, const double *p, const double *by_covered, Triplets *H);
-int part_slips(const Parts *parts, const double *moved, Triplets *T);
+int part_slips(const Parts *parts, const double *moved, int across, Triplets *T);
 int part_slip_curvature(const Parts *parts, const double *q, Triplets *H);
 int merge_blocks(int num_rows, int num_columns, int num, int a, const int *rows, int b,
                  const int *columns, int size, double *values, int *first);

@@ -33,7 +33,7 @@ class Blended:
     """Gaps of vertices; derivatives are by both sides' dofs, Γ1's behind Γ0's."""
 
     rays: Any
-    """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`Columns` in space."""
+    """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`SpaceColumns` in space."""
     facets: npt.NDArray[np.int32]
     """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
     whole: Floats
@@ -88,7 +88,7 @@ class Blended:
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
         S, g = self._slopes, self._g
-        return joined(self._own(S), self._beside(S), self.by_weights(g, g[self.pairs[1]]))
+        return joined(self.spread(S), self.by_weights(g, g[self.pairs[1]]))
 
     def by_weights(self, own: Floats, beside: Floats) -> Sparse:
         """∂L/∂u times values.
@@ -159,12 +159,16 @@ class Blended:
     @cached_property
     def slips(self) -> Sparse:
         """L T: slips of vertices are L T Δu."""
-        return joined(self._own(self._T), self._beside(self._T))
+        return self.spread(self._T)
 
     @cached_property
     def parting(self) -> Sparse:
         """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
         T = self._by_vertex(self.rays.slips(across=True))
+        return self.spread(T)
+
+    def spread(self, T: Sparse) -> Sparse:
+        """L T."""
         return joined(self._own(T), self._beside(T))
 
     @cached_property
@@ -181,7 +185,7 @@ class Blended:
         slopes, T = self._by_vertex(self.rays.slips(moved)), self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
         by_weights = self.by_weights(s, s[self.pairs[1]])
-        return joined(self._own(slopes), self._beside(slopes), by_weights)
+        return joined(self.spread(slopes), by_weights)
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""

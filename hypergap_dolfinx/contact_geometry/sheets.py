@@ -38,7 +38,6 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     NEAREST,
     SLACK,
     SLIVER,
-    WHOLE,
     WIDTH,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
@@ -49,7 +48,7 @@ from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyTriangles:
     """Triangles of a surface, for depths in its body."""
 
     corners: npt.NDArray[np.float64]
@@ -58,7 +57,7 @@ class Body:
     """Corners of a facet's triangles on the reference facet, ``(triangles_a_facet, 3, 2)``."""
 
     @classmethod
-    def of(cls, surface: Surface) -> "Body":
+    def of(cls, surface: Surface) -> "BodyTriangles":
         """That of a surface; curved facets are taken as triangles between their nodes."""
         points, triangles = _lattice(surface.geometry.cell_type, surface.geometry.degree)
         corners = (tabulate(surface.geometry, points) @ surface.nodes)[:, triangles]
@@ -78,7 +77,7 @@ class Body:
         return depths
 
 
-def weights_of(frames: Frames, rays: Rays, body: Body) -> npt.NDArray[np.float64]:
+def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[np.float64]:
     """Weights ω of sheets at rays.
 
     Args:
@@ -126,7 +125,7 @@ def sort_out(
     num = len(frames.middle)
     whole = polygon_areas(reference_corners(frames.surfaces[1].geometry.cell_type)[None])[0]
     area = np.bincount(f1[first], pieces.area[first], num)
-    faded = area < (1 - WHOLE) * whole
+    faded = area < (1 - SLIVER) * whole
     faded[f1[first & (least < 1)]] = True
     return first & ~faded[f1], seen & faded[f1]
 
@@ -134,7 +133,7 @@ def sort_out(
 class Faded:
     """Parts of faded facets; all arrays of parts are ``(num_facets1 * num_corners,)``."""
 
-    def __init__(self, frames: Frames, pieces: FacetPieces, dofs, body: Body, parts):
+    def __init__(self, frames: Frames, pieces: FacetPieces, dofs, body: BodyTriangles, parts):
         """Those that have some pieces.
 
         Args:
@@ -200,8 +199,12 @@ class Faded:
         Args:
             moved: Δu by both sides' dofs, ``(num_dofs, 3)``, if it moves with u.
         """
-        given = self._pointer, None if moved is None else doubles(moved)
+        given = self._pointer, None if moved is None else doubles(moved), False
         return _filled(1, lambda T: call("part_slips", *given, T))[0]
+
+    def parting(self) -> Sparse:
+        """What displacements add to gaps of points that stay opposite to each other."""
+        return _filled(1, lambda C: call("part_slips", self._pointer, None, True, C))[0]
 
     def slip_curvature(self, q) -> Sparse:
         """Σ q ∂T/∂u, with tractions of parts, ``(num, 3)``; it isn't symmetric."""

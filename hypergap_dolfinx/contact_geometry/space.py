@@ -40,7 +40,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     polygon_areas,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
-from hypergap_dolfinx.contact_geometry.sheets import Body, Faded, sort_out, weights_of
+from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
@@ -50,7 +50,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass
-class Columns:
+class SpaceColumns:
     """Columns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
 
     sides: Sides
@@ -68,10 +68,10 @@ class Columns:
     """All pieces that are seen, and heights of columns there, to look at."""
 
     @classmethod
-    def between(cls, sides: Sides, u: Displacements) -> "Columns | None":
+    def between(cls, sides: Sides, u: Displacements) -> "SpaceColumns | None":
         """Those at given displacements, None if nothing of Γ1 sees Γ0."""
         frames = Frames.of(displaced(sides, u))
-        pieces, body = find_pieces(frames), Body.of(frames.surfaces[0])
+        pieces, body = find_pieces(frames), BodyTriangles.of(frames.surfaces[0])
         if not len(pieces.num):
             return None
         rays, piece, weights = _cast(frames, pieces)
@@ -135,16 +135,31 @@ class Columns:
         g = np.bincount(each[self.piece], self.weights * f, self.facets.size).astype(float)
         covered = np.zeros(self.facets.size)
         covered[np.unique(each)] = 1
+        C, K = self._own_slopes, Sparse.empty()
+        if self.faded:
+            more, K = self.faded.gaps(g, covered)
+            C = joined(C, self._by_vertex(more))
+            covered = np.minimum(covered, 1)
+        return g.reshape(shape), covered.reshape(shape), C, K
+
+    @cached_property
+    def _own_slopes(self) -> Sparse:
+        """∂g/∂u of columns."""
         dofs = self.dofs()
         blocks = np.zeros((*dofs.shape, 3))  # of pieces
         self.rays.add_by_dofs(self.piece, self.weights, self.rays.heights[2], blocks)
-        C = merged(self.vertex[:, None], dofs, blocks[:, None, :, None], self.size)
-        K = Sparse.empty()
-        if self.faded:
-            more, K = self.faded.gaps(g, covered)
-            C = joined(C, Sparse(self.facets.ravel()[more.i].astype(np.int64), more.j, more.values))
-            covered = np.minimum(covered, 1)
-        return g.reshape(shape), covered.reshape(shape), C, K
+        return merged(self.vertex[:, None], dofs, blocks[:, None, :, None], self.size)
+
+    def _by_vertex(self, parts: Sparse, num: int = 1) -> Sparse:
+        """Sums over parts of vertices, of each component."""
+        part, k = np.divmod(parts.i, num)
+        rows = num * self.facets.ravel()[part].astype(np.int64) + k
+        return Sparse(rows, parts.j, parts.values)
+
+    def parting(self) -> Sparse:
+        """What displacements add to gaps of vertices if opposite points stay so."""
+        C = self._own_slopes
+        return joined(C, self._by_vertex(self.faded.parting())) if self.faded else C
 
     def curvature(self, p: Floats, by_covered: Floats) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of parts."""
@@ -204,10 +219,7 @@ class Columns:
         T = self.slips(on, np.tile(np.eye(3), (self.size[0], 1, 1)), moved)
         if not self.faded:
             return T
-        parts = self.faded.slips(moved)
-        part, k = np.divmod(parts.i, 3)
-        rows = 3 * self.facets.ravel()[part].astype(np.int64) + k
-        return joined(T, Sparse(rows, parts.j, parts.values))
+        return joined(T, self._by_vertex(self.faded.slips(moved), 3))
 
     def slip_curvature(self, traction: Floats) -> Sparse:
         """∂(Tᵀq)/∂u from tractions of vertices, ``(num, 3)``; it isn't symmetric."""
@@ -285,20 +297,20 @@ class Columns:
 
 
 @dataclass
-class _Seen(Found):
-    """Columns and faded parts, and what vertices have of them."""
+class _Opposite(Found):
+    """SpaceColumns and faded parts, and what vertices have of them."""
 
-    columns: Columns
+    columns: SpaceColumns
     gaps: Blended
 
 
 @dataclass
-class SpaceSegments(Segments[_Seen]):
+class SpaceSegments(Segments[_Opposite]):
     """Contact segments in space."""
 
     @override
-    def _find(self, u: Displacements) -> _Seen:
-        found = Columns.between(self.sides, u)
+    def _find(self, u: Displacements) -> _Opposite:
+        found = SpaceColumns.between(self.sides, u)
         if found is None or not len(found.shown[1]):
             below, above = displaced(self.sides, u)
             raise NotFacingError(
@@ -306,12 +318,17 @@ class SpaceSegments(Segments[_Seen]):
                 "along its normals; check the tags."
             )
         sizes = self.num_multipliers, 3 * self.num_dofs
-        return _Seen(u, found, Blended(found, found.facets, found.whole, *sizes))
+        return _Opposite(u, found, Blended(found, found.facets, found.whole, *sizes))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         gaps = self._at(u).gaps
         return gaps.g, gaps.m, gaps.C
+
+    @override
+    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        gaps = self._at(u).gaps
+        return gaps.g, gaps.m, gaps.spread(gaps.rays.parting())
 
     @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
@@ -335,7 +352,7 @@ class SpaceSegments(Segments[_Seen]):
 
     def _slips(
         self,
-        state: _Seen,
+        state: _Opposite,
         target,
         on: npt.NDArray[np.bool_] | bool = True,
         moved: Floats | None = None,
