@@ -92,7 +92,7 @@ int open_body(Body *body)
 
 Nearest nearest_of(const Body *body, const double *point)
 {
-  Nearest found = {body->x, point, body->order, INFINITY, 0};
+  Nearest found = {.x = body->x, .point = point, .order = body->order, .nearest = INFINITY};
   look_for(&found, 0, body->num_triangles, body->balls);
   return found;
 }

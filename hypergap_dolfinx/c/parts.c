@@ -28,6 +28,9 @@
 #define JETS 1500        // more than a set of sheets takes, and each of its corners
 #define JETS_OF_CORNER 400
 #define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
+// Slivers in the plane may have an area near zero on a curved facet's reference, and points anywhere:
+// parts of the one area over the other from which on they count, and do so fully
+static const double SPREAD[2] = {0.25, 0.5};
 #define STEPS_OF_RAY 10  // to where it meets Γ0, at most
 
 typedef struct {
@@ -51,6 +54,7 @@ typedef struct {
   int num, sheets[MOST_STACKED];
   int count, edge[MOST_CUT];
   double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
+  double whole;                           // how much of the polygon counts
   int looks; // whether it isn't known yet what points see
   int num_spots;
   Spot spots[MOST_POINTS];
@@ -105,11 +109,19 @@ static Jet power(Tape *tape, const double *a, double n)
   return composed(tape, a, (double[]){f, n * f / a[0], n * (n - 1) * f / (a[0] * a[0])});
 }
 
-static Jet step_of(Tape *tape, const double *a, const double *ends)
+// A step from 0 to 1, once smooth, and its two derivatives.
+static void smoothed(double a, const double *ends, double *f)
 {
-  double width = ends[1] - ends[0], t = (a[0] - ends[0]) / width, f[3] = {t >= 1, 0, 0};
+  double width = ends[1] - ends[0], t = (a - ends[0]) / width;
+  f[0] = t >= 1, f[1] = f[2] = 0;
   if (t > 0 && t < 1)
     f[0] = t * t * (3 - 2 * t), f[1] = 6 * t * (1 - t) / width, f[2] = (6 - 12 * t) / (width * width);
+}
+
+static Jet step_of(Tape *tape, const double *a, const double *ends)
+{
+  double f[3];
+  smoothed(a[0], ends, f);
   return composed(tape, a, f);
 }
 
@@ -393,7 +405,7 @@ static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*point
     e = e[0] > least ? power(tape, e, 0.5) : constant(tape, sqrt(least));
     for (int p = 0; p < num; ++p)
     {
-      double turn = 2 * M_PI * p / num, y[2] = {sqrt(2) * cos(turn), sqrt(2) * sin(turn)};
+      const double *y = set->of->points + 2 * p;
       Jet by = combined(tape, y[0], d, y[1], e);
       points[p][0] = combined(tape, 1, combined(tape, 1, X[0][0], 1, first[0]), y[0], c);
       points[p][1] = combined(tape, 1, combined(tape, 1, X[0][1], 1, first[1]), 1, by);
@@ -402,7 +414,7 @@ static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*point
   else
     for (int i = 0; i < 2; ++i)
       points[0][i] = combined(tape, 1, X[0][i], 1, first[i]);
-  return scaled(tape, (set->num % 2 ? 1. : -1.) / num, area);
+  return scaled(tape, (set->num % 2 ? set->whole : -set->whole) / num, area);
 }
 
 // Where the ray from a point of Γ1 meets a sheet, by Newton's method: each step gives one order of
@@ -684,6 +696,12 @@ static int make_room(Tape *tape, int n, int order, int count, size_t *room)
   return tape->memory != NULL;
 }
 
+// Area of a part of a reference facet.
+static double part_area(const Facets *facets)
+{
+  return 1. / (facets->num_corners == 3 ? 6 : 4);
+}
+
 // Add what a set has; 0 without memory.
 static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
 {
@@ -717,7 +735,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
     return 0;
   plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
-  double whole = 1. / (set->above->num_corners == 3 ? 6 : 4); // of a part
+  double whole = part_area(set->above);
   Jet sum = constant(tape, 0), covered = constant(tape, 0);
   used = tape->used;
   for (int k = 0; k < set->num_spots; ++k, tape->used = used)
@@ -783,6 +801,11 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
       else
         map_to(stack->own, (const Point *)parts->parts + PART * set->part, parts->last, y[c],
                set->at[c], set->X[c]);
+    double counts[3], whole = part_area(set->above);
+    smoothed(area_of(left, set->X) / whole / (area_of(left, y) / stack->area), SPREAD, counts);
+    set->whole = counts[0];
+    if (!(set->whole > 0))
+      continue;
     if (!add_set(set, stack->tape, stack->room, stack->work))
       return 0;
     set->num = level + 1;

@@ -59,6 +59,7 @@ typedef struct {
   const int *first;             // of each one's sheets, (num + 1)
   const int *sheets;            // facets of Γ0
   int num_points;               // of the rule on polygons: 1 or 3
+  const double *points;         // as for polygon_rule
   double cosines[2], nearest[2], slack, sliver, least, last;
   int num_triangles;            // of Γ0, for depths
   const double *triangles;      // their corners, (num_triangles, 3, 3)

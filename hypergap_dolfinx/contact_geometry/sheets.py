@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.heights import At, Rays
+from hypergap_dolfinx.contact_geometry.moments import standard_points
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
@@ -149,6 +150,7 @@ class Faded:
         self.facets, first = np.unique(pairs // len(below.facets), return_index=True)
         corners = reference_corners(below.geometry.cell_type)
         straight = all(surface.geometry.dim == 3 for surface in frames.surfaces)
+        points = standard_points(1 if straight else 2)[0]
         self.num = parts.shape[0] * len(above.facets)
         self._pointer = struct(
             "Parts",
@@ -161,7 +163,8 @@ class Faded:
             facets=ints(self.facets),
             first=ints(np.append(first, len(pairs))),
             sheets=ints(pairs % len(below.facets)),
-            num_points=1 if straight else 3,
+            num_points=len(points),
+            points=points,
             cosines=list(COSINES),
             nearest=list(NEAREST),
             slack=SLACK,
