@@ -12,6 +12,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.algebra.load_path import LoadPath
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows
@@ -154,7 +155,7 @@ class ContactProblem(ContactSystem):
             bcs,
             Joined(ties),
             pairs,
-            names=[f"body {i}" for i in elastic],
+            names=[name_of_body(i, u[i].function_space) for i in elastic],
             rtol=rtol,
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,

@@ -7,6 +7,15 @@ class InterfaceError(ValueError):
     """The given facets or spaces can't form an interface; the message is the same on every rank."""
 
 
+class PrescribedSideError(InterfaceError):
+    """Γ1 of an interface is prescribed where Γ0 can move: the other side would have to be Γ1."""
+
+    def __init__(self, message: str, interface: int):
+        """The message, and the interface's number."""
+        super().__init__(message)
+        self.interface = interface
+
+
 class NotFacingError(InterfaceError):
     """No part of one surface lies opposite the other: an error for ties, but not for contact."""
 

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.algebra.checks import name_of_tie
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.mortar.constraint import Multipliers, smooth_pieces
@@ -52,25 +53,44 @@ class Joined:
         self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
         """By a tie's number: its interface's number, and its multipliers among those of a union."""
         self.names: list[str] = []
-        """Name of each interface in messages, by the numbers of its ties."""
+        """Name of each interface in messages: numbers of its ties, bodies, facets."""
         for group in _groups(self.ties):
             whole, places = _union([self.ties[t] for t in group])
             if whole is None:
                 for t in group:
                     self._of[t] = len(self.interfaces), None
                     self.interfaces.append(self.ties[t])
-                    self.names.append(f"tie {t}")
+                    self.names.append(name_of_tie(f"tie {t}", self.ties[t]))
                 continue
             for t, at in zip(group, places, strict=True):
                 self._of[t] = len(self.interfaces), at
             self.interfaces.append(whole)
-            self.names.append(f"ties {', '.join(map(str, group[:-1]))} and {group[-1]}")
+            numbers = f"ties {', '.join(map(str, group[:-1]))} and {group[-1]}"
+            self.names.append(name_of_tie(numbers, whole))
 
     def destroy(self):
         """Destroy the PETSc objects of unions. Collective."""
         for tie in self.interfaces:
             if all(tie is not other for other in self.ties):
                 tie.destroy()
+
+    def turned_over(self, interface: int) -> "Joined | None":
+        """The interfaces with Γ0 and Γ1 of one exchanged, in its ties too. Collective.
+
+        None unless :meth:`Tie.between` chose the sides of all its ties, and no problem has them.
+        """
+        group = [tie for t, tie in enumerate(self.ties) if self._of[t][0] == interface]
+        if not all(tie.may_turn_over for tie in group):
+            return None
+        if not all([tie.turn_over() for tie in group]):
+            return None
+        self.destroy()
+        return Joined(self.ties)
+
+    def settle(self):
+        """Keep the sides of all ties from now on."""
+        for tie in self.ties:
+            tie.settle()
 
     def find(self, tie) -> int:
         """Number of the interface with a tie.

@@ -149,7 +149,7 @@ class TiedProblem(TiedSystem):
             g.set(0.0)
             petsc.set_bc(g, bcs)
             prescribed.append(g)
-        checks.check_finite(self._b_bodies, "the load")
+        checks.check_finite(self._b_bodies, "the load", self._system.spaces)
         self._constraints.check_prescribed(prescribed)
         self._constraints.read_jumps()
         for t, c in enumerate(self._b_ties):

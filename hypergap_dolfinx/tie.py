@@ -3,7 +3,7 @@
 """The tie between two surfaces."""
 
 import logging
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from copy import copy
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.collective import raise_on_all
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
 from hypergap_dolfinx.interface_laws.given_values import Given
@@ -196,6 +196,7 @@ class Tie(collective.Owner):
         self.discontinuous = discontinuous
         """True if λ may jump to other ties of the same surfaces."""
         self._swapped = False
+        self._other: Callable[[], Tie] | None = None  # with the sides exchanged
         self.components = Component.of(V0), Component.of(V1)
         """Dofs of V₀ and V₁ among those of their bodies."""
         if motion is not None and motion.turns and any(p.of_vector for p in self.components):
@@ -248,7 +249,9 @@ class Tie(collective.Owner):
         """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
 
         But a thin layer, its cells a hundred times longer than thick, is always Γ1: as Γ0 with
-        smaller cells it would be tied at the other side's nodes only, and lose digits.
+        smaller cells it would be tied at the other side's nodes only, and lose digits. If the first
+        problem with the tie prescribes whole facets of that Γ1 while the other side can move there,
+        it exchanges the sides: λ, Σ and all else of the tie are those of the new sides then.
         :attr:`swapped` (or the log of ``hypergap_dolfinx``) tells: λ acts on Γ0's body, that of
         ``tie.spaces[0]``.
 
@@ -275,16 +278,47 @@ class Tie(collective.Owner):
             why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
         else:
             swapped, why = ratio > 1, "coarser"
-        if swapped and options.get("jump") is not None:
-            options["jump"] = Jump(options["jump"]).reversed()
-        if swapped and options.get("law") is not None:
-            options["law"] = laws.Law(options["law"]).reversed()
-        tie = cls(*((b, a) if swapped else (a, b)), **options)
-        tie._swapped = swapped
-        if tie.sigma.comm.rank == 0:
-            reason = "" if why == "second" else f", the {why} one"
-            LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
+
+        def create(swapped: bool, reason: str) -> "Tie":
+            given = dict(options)
+            if swapped and given.get("jump") is not None:
+                given["jump"] = Jump(given["jump"]).reversed()
+            if swapped and given.get("law") is not None:
+                given["law"] = laws.Law(given["law"]).reversed()
+            tie = cls(*((b, a) if swapped else (a, b)), **given)
+            tie._swapped = swapped
+            if tie.sigma.comm.rank == 0:
+                LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
+            return tie
+
+        tie = create(swapped, "" if why == "second" else f", the {why} one")
+        if not tie.adjusts:  # else Γ1 has been moved
+            tie._other = lambda: create(not swapped, ": the other one is prescribed")
         return tie
+
+    @property
+    def may_turn_over(self) -> bool:
+        """True if :meth:`between` chose the sides, and no problem has the tie."""
+        return self._other is not None
+
+    def settle(self):
+        """Keep the sides from now on."""
+        self._other = None
+
+    def turn_over(self) -> bool:
+        """Exchange Γ0 and Γ1, once. Collective.
+
+        Returns:
+            False if there is no Σ with the sides exchanged; the tie stays as it is then.
+        """
+        assert self._other is not None
+        try:
+            other = self._other()
+        except (InterfaceError, InvertedCellError):  # the same on all ranks
+            return False
+        self.destroy()
+        self.__dict__, other.__dict__ = other.__dict__, {}
+        return True
 
     @classmethod
     def periodic(
@@ -352,7 +386,7 @@ class Tie(collective.Owner):
 
     @property
     def swapped(self) -> bool:
-        """True if :meth:`between` made its first side Γ1."""
+        """True if :meth:`between`, or a problem with the tie, made its first side Γ1."""
         return self._swapped
 
     def destroy(self):
@@ -516,7 +550,8 @@ class Tie(collective.Owner):
 
         Returns:
             n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
-            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None.
+            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None. On
+            curved cells they are least squares, with the same integrals over each cell.
 
         Raises:
             ValueError: A displacement that is not on its side's space.
@@ -534,10 +569,11 @@ class Tie(collective.Owner):
 
         Args:
             problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
-            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous. It
-                is the traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels
-                −λ. (Of a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it
-                use :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous (on
+                curved cells its least squares, with its integral over each cell). It is the
+                traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of
+                a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
+                :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
 
                 ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
                 the forces of λ at both sides' nodes: one order more accurate than λ, and smooth.

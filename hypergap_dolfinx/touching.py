@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Search for bodies that touch and their facets: the sides of an assembly's ties."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 from mpi4py import MPI
@@ -24,22 +26,43 @@ from hypergap_dolfinx.tolerances import (
     CORNER_ASSEMBLY,
     FACING_ANGLE,
     FILE_DIGITS,
+    GOES_ON,
     NEAR_FLAT,
     TILT,
     TURNS_EXPLAINED,
 )
 
+LOG = logging.getLogger("hypergap_dolfinx")
+EXPLANATIONS = "flat", "curved", "distance"
+"""Explanations of the distance of facets that touch."""
+
 # A facet that is a quadrilateral, as two triangles; its vertices as DOLFINx orders them
 _SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
-class Touching(NamedTuple):
-    """Facets of two bodies that lie on each other: the two sides of a tie."""
-
+class _Sides(NamedTuple):
     side0: tuple[fem.FunctionSpace, npt.NDArray[np.int32]]
     """The first body's space, and this rank's facets of it."""
     side1: tuple[fem.FunctionSpace, npt.NDArray[np.int32]]
     """The same of the second one."""
+
+
+class Touching(_Sides):
+    """Facets of two bodies that lie on each other: the two sides of a tie."""
+
+    apart: float
+    """Largest distance of flat facets that were found to touch, negative if they overlap."""
+    explained: str
+    """Explanation of that distance: ``"flat"`` if it is 1e-3 of a facet's size and less,
+    ``"curved"`` if the surfaces turn as much from facet to facet, ``"distance"`` if it is only less
+    than the given distance."""
+
+    @classmethod
+    def of(cls, side0, side1, apart: float, explained: str) -> "Touching":
+        """Two sides, and how far they are apart."""
+        pair = cls(side0, side1)
+        pair.apart, pair.explained = apart, explained
+        return pair
 
 
 @dataclass(frozen=True)
@@ -54,8 +77,9 @@ class _Facets:
     """Global geometry nodes of the vertices, ``(num_facets, num_vertices)``."""
     inside: npt.NDArray[np.float64]
     """A point on the body's side of each, ``(num_facets, n)``."""
-    bulge: npt.NDArray[np.float64]
-    """Distance of the geometry's nodes from the flat facet, ``(num_facets,)``."""
+    heights: npt.NDArray[np.float64]
+    """Largest distances of the geometry's nodes from the flat facet, out of the body and into it,
+    ``(num_facets, 2)``."""
     part: npt.NDArray[np.int32]
     """Connected part of the mesh, ``(num_facets,)``."""
 
@@ -68,8 +92,11 @@ class _Boundary:
     """Vertices in the order in which the normal points out of the body, ``(num, n, n)``."""
     facet: npt.NDArray[np.intp]
     """Number among all ranks' facets of the space, ``(num,)``."""
-    bulge: npt.NDArray[np.float64]
-    """Largest distance of the curved surface from the simplex, ``(num,)``."""
+    curvature: npt.NDArray[np.float64]
+    """Curvature tensors, of the part that bulges out of the body and of the part that bulges into
+    it, ``(num, 2, n, n)``."""
+    heights: npt.NDArray[np.float64]
+    """Largest distances of a curved facet's nodes from the simplex, as of :class:`_Facets`."""
     turn: npt.NDArray[np.float64]
     """Turn of the curved surface from simplex to simplex, ``(num,)``."""
 
@@ -83,14 +110,43 @@ class _Boundary:
         """Longest edges, ``(num,)``."""
         return np.linalg.norm(self.x - np.roll(self.x, 1, axis=1), axis=2).max(axis=1)
 
+    def bulges(self, shares: npt.NDArray) -> npt.NDArray[np.float64]:
+        """Largest distances of the curved surface from points of the simplices.
+
+        A surface with curvature tensor K through the vertices is Σ λ_i λ_j e_ij·K e_ij / 2 away
+        from the point with barycentric coordinates λ, with e_ij from vertex i to vertex j.
+
+        Args:
+            shares: λ, ``(num, num_points, n)``.
+
+        Returns:
+            Out of the body and into it, ``(num, num_points, 2)``.
+        """
+        found, products = np.zeros((*shares.shape[:2], 2)), np.zeros(shares.shape[:2])
+        for i, j in combinations(range(shares.shape[2]), 2):
+            e, both = self.x[:, j] - self.x[:, i], shares[..., i] * shares[..., j]
+            squares = np.einsum("pi,psij,pj->ps", e, self.curvature, e)
+            found += BULGES / 2 * both[..., None] * squares[:, None]
+            products += both
+        return np.maximum(
+            found, np.minimum(BULGES * 4 * products, 1)[..., None] * self.heights[:, None]
+        )
+
     def boxes(self, distance: float | None) -> npt.NDArray[np.float64]:
         """Lower and upper corners of boxes that meet if simplices may touch, ``(num, 2, n)``."""
-        reach = self.bulge + NEAR_FLAT * self.size if distance is None else distance
-        reach = np.broadcast_to(reach, len(self.x))[:, None]
-        return np.stack((self.x.min(axis=1) - reach, self.x.max(axis=1) + reach), axis=1)
+        if distance is None:
+            n = self.x.shape[2]
+            middle = np.full((len(self.x), 1, n), 1 / n)
+            # Nowhere more than the sum of the edges', which is n times what the middle has
+            reach = n * self.bulges(middle).max(axis=(1, 2)) + NEAR_FLAT * self.size
+        else:
+            reach = np.full(len(self.x), distance)
+        return np.stack(
+            (self.x.min(axis=1) - reach[:, None], self.x.max(axis=1) + reach[:, None]), axis=1
+        )
 
     def __getitem__(self, chosen) -> "_Boundary":
-        return _Boundary(self.x[chosen], self.facet[chosen], self.bulge[chosen], self.turn[chosen])
+        return _Boundary(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
 def find_touching(
@@ -108,14 +164,17 @@ def find_touching(
         distance: Largest gap or overlap of facets that touch. If not given, it is 1e-3 of the
             smaller one's size for flat facets; flat facets of curved surfaces are up to h²/8R apart
             (edges h on a radius R): twice that distance, estimated from the turns between facets
-            (up to 65°), is allowed. Parts with a smaller clearance, or thinner layers, need a
-            distance. With one, normals may deviate from opposite ones by 60°, without by 5° plus
-            the surface's turn between facets.
+            (up to 65°), is allowed where it is: at their middles, not at their vertices; a gap
+            where a surface bulges out, an overlap where it bulges in. A turn is a corner, not
+            curvature, if the surface doesn't go on turning beyond the facets on both sides. Parts
+            with a smaller clearance, or thinner layers, need a distance. Normals may deviate from
+            opposite ones by 5° plus ¾ of the surfaces' turns between facets.
 
     Returns:
         A pair of sides for :class:`Tie` for each two bodies that touch, each a space and this
         rank's facets (possibly none); in the order of ``spaces``, and of the positions of a mesh's
-        parts.
+        parts. ``apart`` of a pair is the largest distance in it, ``explained`` is what explains it:
+        ``"flat"``, ``"curved"`` or ``"distance"``. The log of ``hypergap_dolfinx`` has them too.
 
     Raises:
         InterfaceError: A space that isn't Lagrange, two on one mesh, meshes of different dimension
@@ -160,7 +219,15 @@ def find_touching(
         mine = mine[(mine >= 0) & (mine < len(here[i]))]
         return spaces[i], np.sort(here[i][mine])
 
-    return [Touching(side(*a), side(*b)) for a, b in found]
+    pairs = []
+    for (i, f), (j, g), apart, explained in found:
+        pairs.append(Touching.of(side(i, f), side(j, g), apart, explained))
+        if comm.rank == 0:
+            LOG.info(
+                "spaces[%d] and spaces[%d] touch with %d and %d facets, up to %.3g apart (%s)",
+                *(i, j, len(f), len(g), apart, explained),
+            )
+    return pairs
 
 
 def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
@@ -220,12 +287,15 @@ def _exterior_facets(V: fem.FunctionSpace, name: str) -> _Facets:
     height = np.einsum("fmi,fi->fm", all_x[facet_nodes] - x[:, :1], unit_normals(x[:, :n]))
     # The last vertex of a quadrilateral may be out of the plane of the others, on both sides alike
     height[:, : num_vertices[cell]] = 0
+    centres = all_x[compat.geometry_dofmap(mesh)[cells]].mean(axis=1)
+    outwards = np.einsum("fi,fi->f", unit_normals(x[:, :n]), x.mean(axis=1) - centres)
+    height *= np.sign(outwards)[:, None]
     return _Facets(
         index=index,
         x=x,
         nodes=mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape),
-        inside=all_x[compat.geometry_dofmap(mesh)[cells]].mean(axis=1),
-        bulge=np.abs(height).max(axis=1, initial=0),
+        inside=centres,
+        heights=np.column_stack([(sign * height).max(axis=1, initial=0) for sign in (1, -1)]),
         part=graph.connected(V)[0][V.dofmap.list[cells, 0]],
     )
 
@@ -237,12 +307,12 @@ def _bodies(facets: _Facets) -> list[_Boundary]:
     facet = np.tile(np.arange(len(facets.x)), len(split))
     inwards = np.einsum("fi,fi->f", unit_normals(x), x.mean(axis=1) - facets.inside[facet]) < 0
     x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
-    bulge, turn = _curvature(x, nodes)
+    curvature, turn = _curvature(x, nodes)
     # Known for facets that are curved themselves
-    known = facets.bulge[facet]
+    heights = facets.heights[facet]
     size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    turn = np.maximum(turn, 8 * known / np.where(size > 0, size, 1))
-    boundary = _Boundary(x, facet, np.maximum(BULGES * bulge, known), turn)
+    turn = np.maximum(turn, 8 * heights.max(axis=1) / np.where(size > 0, size, 1))
+    boundary = _Boundary(x, facet, curvature, heights, turn)
     part = facets.part[facet]
     lowest = []
     for p in range(int(part.max(initial=-1)) + 1):
@@ -252,43 +322,96 @@ def _bodies(facets: _Facets) -> list[_Boundary]:
 
 
 def _curvature(x: npt.NDArray, nodes: npt.NDArray):
-    """Distance of the curved surface from each of its simplices, and the largest turn at it.
+    """Curvature tensors of the surface at each of its simplices, and the largest turn there.
 
-    An edge h of a circle turns by θ = h / R to the next one, and is up to hθ / 8 away from it.
-    Beside a chamfer the smaller of two simplices counts.
+    A circle of radius R turns by θ = h / R from one edge h to the next one. Of a ridge between two
+    simplices, θ / h is the curvature across it, h being the height of the smaller one over the
+    ridge; a triangle has the sum of its ridges' tensors.
+
+    Returns:
+        ``(num, 2, n, n)``, as of :class:`_Boundary`, and ``(num,)``.
     """
     num, n = len(x), x.shape[2]
     normals = unit_normals(x)
-    edges = np.linalg.norm(np.roll(x, 1, axis=1) - np.roll(x, 2, axis=1), axis=2)  # (num, n)
-    if n == 2:
-        height = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)[:, None].repeat(2, axis=1)
-    else:
-        area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
-        height = area[:, None] / np.where(edges > 0, edges, 1)
-    # Opposite to vertex k: the edge between the others, or in 2D the other vertex
-    ridges = np.sort(np.stack([np.delete(nodes, k, axis=1) for k in range(n)], axis=1), axis=2)
-    order = np.lexsort(ridges.reshape(-1, n - 1).T)
-    same = (np.diff(ridges.reshape(-1, n - 1)[order], axis=0) == 0).all(axis=1)
+    # Opposite to vertex k: the ridge between the others, or in 2D the other vertex
+    others = np.stack([np.delete(np.arange(n), k) for k in range(n)])
+    ridges = np.sort(nodes[:, others], axis=2).reshape(-1, n - 1)
+    order = np.lexsort(ridges.T)
+    same = (np.diff(ridges[order], axis=0) == 0).all(axis=1)
     a, b = order[:-1][same], order[1:][same]
-    f, g = a // n, b // n
+    (f, k), (g, m) = np.divmod(a, n), np.divmod(b, n)
+    start, end = x[f, others[k, 0]], x[f, others[k, -1]]
+    along = end - start  # zero in 2D
+    length = np.linalg.norm(along, axis=1)
+    along /= np.where(length > 0, length, 1)[:, None]
+    # Within each simplex, from the ridge to the vertex beyond
+    ways = [x[f, k] - start, x[g, m] - start]
+    ways = [way - np.einsum("ei,ei->e", way, along)[:, None] * along for way in ways]
+    height = np.array([np.linalg.norm(way, axis=1) for way in ways])
+    ways = [way / np.where(h > 0, h, 1)[:, None] for way, h in zip(ways, height, strict=True)]
     cosine = np.einsum("ei,ei->e", normals[f], normals[g])
     theta = np.arccos(np.clip(cosine, -1, 1))
-    theta[theta > CORNER_ASSEMBLY] = 0
-    sag = np.minimum(height.ravel()[a], height.ravel()[b]) * theta / 8
-    bulge, turn = np.zeros(num), np.zeros(num)
-    for at in (f, g):
-        np.maximum.at(turn, at, theta)
-        # A triangle of a sphere is as far from it as its three edges' turns add up to
-        (np.maximum if n == 2 else np.add).at(bulge, at, sag)
-    # Triangles turn unevenly, narrow ones hardly: take the largest distance around
-    smooth, around = theta > 0, bulge.copy()
-    np.maximum.at(around, f[smooth], bulge[g[smooth]])
-    np.maximum.at(around, g[smooth], bulge[f[smooth]])
-    return around, turn
+    inwards = (np.einsum("ei,ei->e", ways[1], normals[f]) > 0).astype(np.intp)
+    corner = theta > CORNER_ASSEMBLY
+    # Ridges at the vertices beyond: smooth ones of the same kind, and corners of any
+    going = np.zeros((2, 2, len(f)))  # (side, smooth or any, ridge)
+    touching = ridges[a]
+    at = np.argsort(touching.ravel(), kind="stable")
+    first = np.searchsorted(touching.ravel()[at], np.arange(nodes.max(initial=-1) + 2))
+    for side, (vertex, way) in enumerate(zip((nodes[f, k], nodes[g, m]), ways, strict=True)):
+        count = first[vertex + 1] - first[vertex]
+        ridge = np.repeat(np.arange(len(f)), count)
+        beyond = at[
+            np.arange(len(ridge))
+            - np.repeat(np.cumsum(count) - count, count)
+            + np.repeat(first[vertex], count)
+        ] // (n - 1)
+        turns = theta[beyond] * (1 - np.einsum("ei,ei->e", along[beyond], way[ridge]) ** 2)
+        smooth = ~corner[beyond] & (inwards[beyond] == inwards[ridge])
+        for kind, mask in enumerate((smooth, smooth | corner[beyond])):
+            np.maximum.at(going[side, kind], ridge[mask], turns[mask])
+    least = np.minimum(going[:, 0].max(axis=0), going[:, 1].min(axis=0))
+    curved = np.where(corner, 0, np.minimum(theta, GOES_ON * least))
+    smooth = theta <= curved + FILE_DIGITS
+    height = height.min(axis=0)
+    size = curved / np.where(height > 0, height, 1)
+    K, turn = np.zeros((num, 2, n, n)), np.zeros(num)
+    for simplex, way in zip((f, g), ways, strict=True):
+        np.maximum.at(turn, simplex, curved)
+        tensors = size[:, None, None] * way[:, :, None] * way[:, None]
+        np.add.at(K, (simplex, inwards), tensors)
+    if n == 2:
+        K /= 2
+    return _around(K, turn, normals, f[smooth], g[smooth])
+
+
+def _around(
+    K: npt.NDArray, turn: npt.NDArray, normals: npt.NDArray, f: npt.NDArray, g: npt.NDArray
+):
+    """Largest tensors and turns of simplices and their neighbours: narrow ones hardly turn.
+
+    Tensors of neighbours are turned with the normals. The triangle at the end of a curved surface
+    has no ridge that turns.
+    """
+    near, trace = K.copy(), np.einsum("psii->ps", K)
+    own, other = np.concatenate((f, g)), np.concatenate((g, f))
+    largest_turn = turn.copy()
+    np.maximum.at(largest_turn, own, turn[other])
+    for s in range(2):
+        order = np.argsort(trace[other, s], kind="stable")  # the largest comes last
+        mine, largest = own[order], other[order]
+        larger = trace[largest, s] > trace[mine, s]
+        mine, largest = mine[larger], largest[larger]
+        a, b = normals[largest], normals[mine]
+        both = a + b
+        R = 2 * b[:, :, None] * a[:, None] + np.eye(a.shape[1])
+        R -= both[:, :, None] * both[:, None] / (1 + np.einsum("pi,pi->p", a, b))[:, None, None]
+        near[mine, s] = R @ K[largest, s] @ R.transpose(0, 2, 1)
+    return near, largest_turn
 
 
 def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):
-    """Facets that touch: a list of ((space, facets), (space, facets))."""
+    """Facets that touch: a list of ((space, facets), (space, facets), apart, explained)."""
     boxes = [body.boxes(distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
     found = []
@@ -297,10 +420,12 @@ def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):
             continue
         (space0, body0), (space1, body1) = bodies[i], bodies[j]
         f, g = _meeting(boxes[i], boxes[j]).T
-        touch = _touch(body0[f], body1[g], distance)
-        if touch.any():
+        touch, apart, why = _touch(body0[f], body1[g], distance)
+        if len(touch):
             sides = np.unique(body0.facet[f[touch]]), np.unique(body1.facet[g[touch]])
-            found.append(((space0, sides[0]), (space1, sides[1])))
+            k = int(np.abs(apart).argmax())
+            pair = (space0, sides[0]), (space1, sides[1]), float(apart[k]), EXPLANATIONS[why[k]]
+            found.append(pair)
     return found
 
 
@@ -336,28 +461,49 @@ def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
-def _touch(a: _Boundary, b: _Boundary, distance: float | None) -> npt.NDArray[np.bool_]:
-    """Mask of pairs of simplices that touch."""
+def _touch(a: _Boundary, b: _Boundary, distance: float | None):
+    """Pairs of simplices that touch.
+
+    Returns:
+        Their numbers, their largest distances (negative if they overlap), and the numbers of what
+        explains these, among :data:`EXPLANATIONS`.
+    """
+    limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
+    facing = np.flatnonzero(np.einsum("pi,pi->p", a.normals, b.normals) < -np.cos(limit))
+    a, b = a[facing], b[facing]
     n0, n1 = a.normals, b.normals
-    if distance is None:
-        limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
-        reach = np.maximum(a.bulge, b.bulge) + NEAR_FLAT * np.minimum(a.size, b.size)
-    else:
-        limit, reach = np.full(len(n0), FACING_ANGLE), np.full(len(n0), distance)
-    touch = np.einsum("pi,pi->p", n0, n1) < -np.cos(limit)
-    f = np.flatnonzero(touch)
-    n0, n1, x0, x1 = n0[f], n1[f], a.x[f], b.x[f]
     normal = n0 - n1
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     axes = axes_across(normal)  # (pair, axis, n)
-    origin = x0[:, :1]
-    flat0, flat1 = (np.einsum("pvi,pai->pva", x - origin, axes) for x in (x0, x1))
-    middle, common, smaller = common_part(flat0, flat1[:, ::-1])
-    point = origin[:, 0] + np.einsum("pa,pai->pi", middle, axes)
+    origin = a.x[:, :1]
+    flat0, flat1 = (np.einsum("pvi,pai->pva", x - origin, axes) for x in (a.x, b.x))
+    vertices, middle, common, smaller = common_part(flat0, flat1[:, ::-1])
+    some = common > FILE_DIGITS * smaller
+    a, b = a[some], b[some]
+    n0, n1, normal, axes, origin, flat0, flat1 = (
+        v[some] for v in (n0, n1, normal, axes, origin, flat0, flat1)
+    )
+    at = np.concatenate((vertices[some], middle[some, None]), axis=1)  # (pair, point, axis)
+    points = origin + at @ axes
     heights = [
-        np.einsum("pi,pi->p", x[:, 0] - point, n) / np.einsum("pi,pi->p", normal, n)
-        for x, n in ((x0, n0), (x1, n1))
+        np.einsum("pqi,pi->pq", x[:, :1] - points, n) / np.einsum("pi,pi->p", normal, n)[:, None]
+        for x, n in ((a.x, n0), (b.x, n1))
     ]
-    near = np.abs(heights[1] - heights[0]) <= reach[f]
-    touch[f] = near & (common > FILE_DIGITS * smaller)
-    return touch
+    # Of points on one simplex from the other's plane
+    apart = (heights[1] - heights[0]) * np.einsum("pi,pi->p", normal, n0)[:, None]
+    flat = np.broadcast_to(NEAR_FLAT * np.minimum(a.size, b.size)[:, None], apart.shape)
+    bulges = a.bulges(_shares(flat0, at)) + b.bulges(_shares(flat1, at))
+    curved = np.where(apart > 0, bulges[..., 0], bulges[..., 1]) + flat
+    reach = curved if distance is None else np.full(apart.shape, distance)
+    touch = np.flatnonzero((np.abs(apart) <= reach).all(axis=1))
+    largest = touch, np.abs(apart[touch]).argmax(axis=1)
+    far = np.abs(apart[largest])
+    why = np.where(far <= flat[largest], 0, np.where(far <= curved[largest], 1, 2))
+    return facing[some][touch], apart[largest], why
+
+
+def _shares(simplices: npt.NDArray, points: npt.NDArray) -> npt.NDArray[np.float64]:
+    """Barycentric coordinates of points, ``(num, num_points, n)``."""
+    edges = simplices[:, 1:] - simplices[:, :1]
+    last = (points - simplices[:, :1]) @ np.linalg.pinv(edges)
+    return np.clip(np.concatenate((1 - last.sum(axis=2, keepdims=True), last), axis=2), 0, 1)

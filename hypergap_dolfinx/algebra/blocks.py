@@ -15,7 +15,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import PrescribedSideError
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
@@ -336,7 +336,8 @@ class ConstraintBlocks:
         B0.destroy()
         untied = tie.sigma.comm.allreduce(int(untied))
         if untied:
-            raise InterfaceError(
+            raise PrescribedSideError(
                 f"{untied} displacements of Γ1 of {self._names[t]} are prescribed on whole facets "
-                "while Γ0 can move there, so nothing would tie it; swap the sides of the tie."
+                "while Γ0 can move there, so nothing would tie it; swap the sides of the tie.",
+                t,
             )

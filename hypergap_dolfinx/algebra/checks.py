@@ -5,6 +5,7 @@
 Every check is collective and raises the same exception on every rank.
 """
 
+import logging
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -25,21 +26,44 @@ from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 
+LOG = logging.getLogger("hypergap_dolfinx")
+UNNAMED = "", "mesh"
+"""Names of meshes that nobody named."""
 _chunk = 100_000  # cells that are checked at a time, to bound the memory
 
 
-def check_cells(mesh: Mesh, name: str):
+def name_of_body(i: int, V: fem.FunctionSpace) -> str:
+    """A body's name in messages: its number, and its mesh's name if this has one."""
+    name = V.mesh.name
+    return f"body {i}" if name in UNNAMED else f"body {i} ({name})"
+
+
+def name_of_tie(number: str, tie: Interface) -> str:
+    """A tie's name in messages: its number, names of its bodies' meshes, and its facets."""
+    names = [V.mesh.name for V in tie.spaces]
+    bodies = "" if all(name in UNNAMED for name in names) else f"{' and '.join(names)}, "
+    counts = " and ".join(str(len(surface.facets)) for surface in tie.surfaces)
+    return f"{number} ({bodies}{counts} facets around {spot(tie.surfaces[1].nodes)})"
+
+
+def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
     """Raise if a cell has no volume or is turned over somewhere. Collective.
 
-    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part.
+    DOLFINx takes |det J|, so a cell may be mirrored as a whole, but not in part. Away from
+    interfaces a cell may be turned over at its corners and edges, where no Gauss point is: coarse
+    meshes of Gmsh have such curved cells. That is told in the log.
 
     Args:
         mesh: Mesh of a body.
         name: Its name in the message.
+        facets: This rank's facets on each interface.
 
     Raises:
         ValueError: With the place of the first such cell.
     """
+    on_interface = _cells_at(mesh, facets)
+    turned: list[str] = []  # places of cells that are turned over at a corner
+    num = 0
     n = mesh.geometry.dim
     cmap = compat.coordinate_element(mesh)
     cell_type = getattr(basix.CellType, mesh.topology.cell_name())
@@ -51,7 +75,8 @@ def check_cells(mesh: Mesh, name: str):
         straight = _straight(mesh.geometry.x[:, :n], cells, element.points)
         middle, _ = basix.make_quadrature(cell_type, 1)
         lots = [(cells[straight], middle, middle[:0])]
-        cells = cells[~straight]
+        cells, on_interface = cells[~straight], on_interface[~straight]
+        num -= int(straight.sum())
     else:
         lots = []
     # On simplices det J is a polynomial of this degree. It is evaluated in as many points as it has
@@ -68,7 +93,12 @@ def check_cells(mesh: Mesh, name: str):
         sign = np.sign(det[:, :1])
         bad = ~(sign * det[:, :num_inside] > NOISE * size[:, None]).all(axis=1)
         # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
-        bad |= (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
+        over = ~bad & (sign * det < -INVERTED_CORNER * size[:, None]).any(axis=1)
+        if over.any():  # none of the straight simplices, which come first
+            over_here = on_interface[num : num + len(x)]
+            bad |= over & over_here
+            turned += [spot(nodes) for nodes in x[over & ~over_here]]
+        num += len(x)
         # NaN and infinity in coordinates are left to checks that name the surface or body
         bad &= np.isfinite(det).all(axis=1)
         if bad.any():
@@ -79,6 +109,24 @@ def check_cells(mesh: Mesh, name: str):
             )
             break
     raise_on_all(mesh.comm, message, ValueError)
+    places = [place for part in mesh.comm.allgather(turned) for place in part]
+    if places and mesh.comm.rank == 0:
+        LOG.warning(
+            "%s has %d cell%s turned over at a corner or an edge, away from interfaces, the first "
+            "at %s: stresses beside it are wrong; mend its mesh.",
+            *(name, len(places), "s"[: len(places) > 1], places[0]),
+        )
+
+
+def _cells_at(mesh: Mesh, facets: Sequence[npt.ArrayLike]) -> npt.NDArray[np.bool_]:
+    """Mask of this rank's cells with one of some exterior facets, ``(num_cells,)``. Collective."""
+    n = mesh.topology.dim
+    mesh.topology.create_connectivity(n - 1, n)
+    to_cells = mesh.topology.connectivity(n - 1, n)
+    found = np.zeros(len(compat.geometry_dofmap(mesh)), dtype=bool)
+    for some in facets:
+        found[to_cells.array[to_cells.offsets[np.asarray(some, dtype=np.int32)]]] = True
+    return found
 
 
 def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
@@ -123,21 +171,22 @@ def _det(J: npt.NDArray) -> npt.NDArray:
     return sum((-1) ** k * J[..., 0, k] * minor for k, minor in enumerate(minors))
 
 
-def check_finite(objects: Sequence[PETSc.Object], what: str):
+def check_finite(objects: Sequence[PETSc.Object], what: str, spaces: Sequence[fem.FunctionSpace]):
     """Raise if a body's matrix or vector has a NaN or an infinity. Collective.
 
     Args:
         objects: Matrices or vectors of the bodies.
         what: Their name in the message.
+        spaces: The bodies' spaces.
 
     Raises:
         ValueError: Names the body.
     """
-    for i, obj in enumerate(objects):
+    for i, (obj, V) in enumerate(zip(objects, spaces, strict=True)):
         if not np.isfinite(obj.norm()):
             raise ValueError(
-                f"{what} of body {i} has NaN or infinite entries; look at its coefficients, "
-                "coordinates and prescribed displacements."
+                f"{what} of {name_of_body(i, V)} has NaN or infinite entries; look at its "
+                "coefficients, coordinates and prescribed displacements."
             )
 
 
@@ -196,7 +245,8 @@ def check_apart(ties: Sequence[Interface]):
         others = sides[s][0] | sides[s][1]
         if sides[t][0] & others and sides[t][1] & others:
             raise InterfaceError(
-                f"ties {t} and {s} tie the same facets to each other; once is enough."
+                f"{name_of_tie(f'ties {t} and {s}', ties[t])} tie the same facets to each other; "
+                "once is enough."
             )
 
 

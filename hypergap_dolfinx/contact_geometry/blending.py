@@ -266,9 +266,7 @@ class Blended:
 
     def rows(self, part: Sparse) -> sparse.csr_array:
         """Rows of vertices that are covered in part and of those beside them."""
-        on = self.near[part.i]
-        near = Sparse(part.i[on], part.j[on], part.values[on])
-        return near.to_scipy((self.num, self.size))
+        return part.some(self.near[part.i]).to_scipy((self.num, self.size))
 
     def _halves_of_c(self):
         """∂c_e/∂u over 1 − c_e of one half after the other of each vertex, by vertex."""

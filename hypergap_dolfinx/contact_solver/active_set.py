@@ -1,34 +1,11 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Working set of a Newton step: where new multipliers come from, and how it holds rigid bodies."""
+"""Working set of a Newton step: multipliers that hold rigid bodies."""
 
 import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS
-
-
-def sources(new, lasting, active, facets) -> npt.NDArray[np.intp]:
-    """Vertices from which new multipliers take their tractions, -1 for none, ``(num,)``.
-
-    Args:
-        new: Mask of the new multipliers, ``(num,)``.
-        lasting: Mask of those that existed before, ``(num,)``.
-        active: The active set, in which all of these beside a new one must be, ``(num,)``.
-        facets: Vertices of Γ1's facets, ``(num_facets, num_facet_vertices)``.
-    """
-    result = np.full(len(new), -1)
-    i, j = _pairs(facets[new[facets].any(axis=1)])
-    use = new[i] & lasting[j]
-    result[i[use]] = j[use]
-    result[i[use & ~active[j]]] = -1
-    return result
-
-
-def _pairs(facets) -> npt.NDArray[np.intp]:
-    """Vertices of the same facets, both ways and also with themselves, ``(2, num_pairs)``."""
-    k = facets.shape[1]
-    return np.stack((np.repeat(facets, k, 1).ravel(), np.tile(facets, k).ravel()))
 
 
 def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.bool_], int]:

@@ -97,7 +97,9 @@ class ContactSystem(NonlinearSystem):
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
+        self._pairs = list(pairs)
         super().__init__(F, u, bcs, pieces, **compiling)
+        pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names = rtol, names
         self._comm = self._u[0].function_space.mesh.comm
         self._rows = [
@@ -105,7 +107,7 @@ class ContactSystem(NonlinearSystem):
             for pair in pairs
         ]
         for rows in self._rows:
-            rows.register()
+            rows.start_solve()
         self._frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         share_ends(self._rows, pieces.interfaces)
         self._tangent = Tangent(
@@ -125,6 +127,13 @@ class ContactSystem(NonlinearSystem):
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
+
+    def _sides(self) -> list:
+        contacts = [pair.contact for pair in self._pairs]
+        return [
+            *super()._sides(),
+            *(side for c in contacts for side in zip(c.spaces, c.facets, strict=True)),
+        ]
 
     def _release(self) -> list:
         return [self.__dict__.pop("_tangent", None), *super()._release()]
@@ -181,6 +190,7 @@ class ContactSystem(NonlinearSystem):
         self._lead()
         continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
         self._largest, self._num_rays, polished = 0.0, 0, False
+        self._holding: npt.NDArray[np.bool_] | None = None
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
         while True:
@@ -244,13 +254,20 @@ class ContactSystem(NonlinearSystem):
         start = self._state()
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
         moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
-        equations = [rows.equations(jump if moves else None) for rows in self._rows]
-        problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
-        found = problem.solve(
-            self._right(), num_tied, self._held, self._nearness if self._num_free else None
-        )
+        nearness, fewest = self._nearness if self._num_free else None, np.inf
+        while True:
+            equations = [rows.equations(jump if moves else None) for rows in self._rows]
+            problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
+            found = problem.solve(self._right(), num_tied, self._held, nearness, fewest)
+            if not found.is_guess:
+                break
+            fewest = sum(int(part.sum()) for part in found.changed)
+            for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
+                rows.accept(*solution)
+            if self._num_free:
+                self._hold()
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == RAYS:
             raise SolveError(self._unsolved(found))
@@ -349,8 +366,10 @@ class ContactSystem(NonlinearSystem):
         ]
 
     def _hold(self):
-        """Enlarge active sets until they hold. Collective."""
+        """Enlarge active sets until they hold, unless those that held before act. Collective."""
         assert self._free is not None
+        if self._holding is not None and not (self._holding & ~self._acting()).any():
+            return
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         moves = [self._free_moves(rows, modes) for rows in self._rows]
         pairs = list(zip(self._rows, moves, strict=True))
@@ -374,6 +393,12 @@ class ContactSystem(NonlinearSystem):
             across = np.vstack([part.reshape(-1, self._num_free) for part in (across, *sticking)])
             found = np.vstack((holds[active], across))
             raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(frictional)))
+        self._holding = self._acting()
+
+    def _acting(self) -> npt.NDArray[np.bool_]:
+        """Mask of the multipliers that are active, and of those that stick."""
+        sets = [rows.state.active for rows in self._rows]
+        return np.concatenate([*sets, *(rows.stuck for rows in self._frictional)])
 
     def _owned(self) -> list[npt.NDArray[np.float64]]:
         """This rank's owned displacements of each body."""

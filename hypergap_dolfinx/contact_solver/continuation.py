@@ -43,7 +43,7 @@ class Continuation:
         sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         product, square = sums
-        turned = product < OSCILLATES * np.sqrt(square * self._square)
+        turned = product < OSCILLATES * self._square
         moves_on = square > self._least**2
         back = bool(moves_on and turned and work < 0 and self._num_back < BACK)
         self._last, self._square = [(1 - 2 * back) * part for part in moves], square

@@ -45,6 +45,7 @@ class FrictionRows(ContactRows):
         """As for a contact without friction. Collective."""
         super().__init__(pair, held)
         num, across = len(self.state.p), self._n - 1
+        self._per_vertex = self._n
         assert pair.contact.friction is not None
         self._friction = pair.contact.friction
         self._soft, self._limit = self._friction.elastic_slip, self._friction.shear_limit
@@ -55,8 +56,8 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
-        self._fixed: Sparse | None = None
-        self._carried, self._zero = False, 0.0
+        self._carried = False
+        self.T = Sparse.empty()
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
 
@@ -87,15 +88,12 @@ class FrictionRows(ContactRows):
         opening = self.state.opening
         if opening is None:
             self.T = Sparse.empty()
-        elif self._follows:
-            self.T = opening.slip(self.u, self.condensed_to)
-        else:
-            if self._fixed is None:
-                self._fixed = opening.slip(self.at, self.condensed_to)
-            self.T = self._fixed
-        self.T = self._condensed(self.T)
-        moves = [a - b for a, b in zip(self.u, self._since, strict=True)]
+        elif self._follows or not len(self.T.i):
+            self.T = self._condensed(opening.slip(self.at, self.condensed_to))
+        moves = self.u[0] - self._since[0], self.u[1] - self._since[1]
         self.s = self._times(self.T, moves)
+        self._lengths, self._all_slopes = np.append(self.g, self.s), None
+        self._acting = joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
 
     def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
         """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
@@ -104,7 +102,7 @@ class FrictionRows(ContactRows):
     @property
     def slip(self) -> npt.NDArray[np.float64]:
         """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
-        return np.divide(self.s, self.m, out=np.zeros_like(self.s), where=self.valid)
+        return self._over_areas(self.s)
 
     def commit(self):
         """Accept the state, and add up the dissipation and slip of the load step."""
@@ -116,7 +114,6 @@ class FrictionRows(ContactRows):
         self.dissipated -= float((now.q * now.active * self.m * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * now.active, self.tangents)
         now.sticks |= ~now.active
-        self._since = self.start
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
@@ -132,11 +129,10 @@ class FrictionRows(ContactRows):
     def tangents(self) -> npt.NDArray[np.float64]:
         """Mean directions in which q acts on Γ1's body, ``(n - 1, num_multipliers, n)``."""
         num, start = len(self.g), len(self.sides[0].dofs) * self._n
-        on = self.T.j >= start
-        number = self.T.i[on] * self._n + (self.T.j[on] - start) % self._n
-        size = (self._n - 1) * num * self._n
-        total = np.bincount(number, self.T.values[on], size).reshape(-1, num, self._n)
-        return total * (self.valid / np.where(self.valid, self.m, 1))[:, None]
+        T = self.T.some(self.T.j >= start)
+        number = T.i * self._n + (T.j - start) % self._n
+        total = np.bincount(number, T.values, (self._n - 1) * num * self._n)
+        return total.reshape(-1, num, self._n) * self._over_areas(np.ones(num))[:, None]
 
     @property
     def shears(self) -> npt.NDArray[np.float64]:
@@ -144,10 +140,16 @@ class FrictionRows(ContactRows):
         q = np.einsum("ka,kai->ai", self.state.q * self.state.active, self.tangents)
         return np.stack([self.spread(part) for part in q.T], axis=1)
 
-    def _bounds(self, p) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Friction's bound min(μ p, τ) at pressures, and its derivative by them."""
-        bound = self.mu * np.maximum(p, 0)
-        return np.minimum(bound, self._limit), np.where(bound < self._limit, self.mu, 0)
+    def _bounds(self, p, at=slice(None), unit=1.0):
+        """Friction's bound min(μ p, τ) at pressures, and its derivative by them.
+
+        Args:
+            p: Pressures, times ``unit``.
+            at: Numbers of the multipliers.
+            unit: Unit of the pressures.
+        """
+        bound, limit = self.mu[at] * np.maximum(p, 0), self._limit * unit
+        return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
 
     # Sets
 
@@ -158,25 +160,8 @@ class FrictionRows(ContactRows):
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
-        rows = np.stack([self._times(self.T, move).T for move in moves], axis=2)
-        return rows * (self.valid / np.where(self.valid, self.m, 1))[:, None, None]
-
-    def stick_where(self, holds: npt.NDArray, moves: Sequence[Displacements]):
-        """Let more active multipliers stick, until no motion is free.
-
-        Args:
-            holds: Rows of other constraints on free motions, ``(num, num_free)``.
-            moves: Free motions at both sides.
-
-        Returns:
-            Rows of the sticking ones, ``(num_sticking, num_free)``, and the number of free motions
-            that remain.
-        """
-        across = self.holds_across(moves)
-        can = self.state.active & (self.mu > 0)
-        some, num_free = active_set.stuck(self.stuck, can, holds, across)
-        self.state.sticks = np.where(self.state.active, some, self.state.sticks)
-        return across[some].reshape(-1, holds.shape[1]), num_free
+        rows = np.stack([self._times(self.T, move) for move in moves])
+        return self._over_areas(rows).T
 
     # The linearised contact problem
 
@@ -184,30 +169,25 @@ class FrictionRows(ContactRows):
         """Choose the working set; in it new multipliers stick."""
         last = self.state.active
         super().start_set(stiffness, zero)
-        now, self._all_slopes = self.state, None
+        now = self.state
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
         if self._carried:  # slip beyond a facet's size
             size = np.linalg.norm(self.slip, axis=0)
-            slips = size > self.sides[1].reference.size.max()
+            slips = size > self._size
             now.sticks &= ~slips
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
             self._carried = False
         elif self._soft or self._n > 2:
-            y = self._over_areas(self._lengths).reshape(self._n, -1)
-            _, sticks, way = self._states(y, self._forces, np.arange(len(self.g)))
+            every = np.arange(len(self.g))
+            _, sticks, way = self._states(self._scaled(self._lengths), self._forces, every)
             now.sticks = sticks if self._soft else now.sticks
             now.way = np.where(now.active & ~now.sticks, way, now.way)
         now.sticks &= self.mu > 0
 
     @property
-    def _lengths(self) -> npt.NDArray[np.float64]:
-        """Weighted gaps and slips, ``(num_unknowns,)``."""
-        return np.append(self.g, self.s)
-
-    @property
     def _slopes(self) -> Sparse:
-        """Their derivatives by displacements."""
+        """Derivatives of weighted gaps and slips by displacements."""
         if self._all_slopes is None:
             opening, S = self.state.opening, self.T
             if opening is not None and self._follows:
@@ -217,21 +197,17 @@ class FrictionRows(ContactRows):
             self._all_slopes = joined(self.C, Sparse(len(self.g) + S.i, S.j, S.values))
         return self._all_slopes
 
-    def _acting(self) -> Sparse:
-        return joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
-
     def give(self) -> npt.NDArray[np.float64]:
         """What a compliance adds to gaps, over multipliers; nothing to slips."""
         return np.append(super().give(), np.zeros((self._n - 1) * len(self.g)))
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``."""
-        every = np.arange(len(self.g))
+        every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(self._n, -1) for v in (y, f))
-        error, _, _, least = self.law(y, f, every)
-        now, (closed, sticks, way) = self.state, self._states(y, f, every)
-        other = closed != now.active
-        other |= closed & (sticks != now.sticks)
+        closed, sticks, way = states = self._states(y, f, every)
+        error, _, _, least = self.law(y, f, every, states)
+        other = (closed != now.active) | (closed & (sticks != now.sticks))
         other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
         return np.tile(self.valid & other & (np.abs(error) > least).any(axis=0), self._n)
 
@@ -252,10 +228,8 @@ class FrictionRows(ContactRows):
         return closed, sticks, trial / np.where(size > 0, size, 1)
 
     def _scaled_bounds(self, p, at):
-        """Friction's bound in the units of :meth:`law`, and its derivative."""
-        bound = self.mu[at] * np.maximum(p, 0)
-        limit = self._limit * np.where(self.valid, self.m, 1)[at] / self._root
-        return np.minimum(bound, limit), np.where((bound < limit) & (p > 0), self.mu[at], 0)
+        """The same in the units of :meth:`law`."""
+        return self._bounds(p, at, np.where(self.valid, self.m, 1)[at] / self._root)
 
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f.
@@ -316,30 +290,12 @@ class FrictionRows(ContactRows):
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         num, now = len(self.g), self.state
-        every = np.arange(num)
-        flat = y[:num], f[:num], changed[:num]
-        y, f = (v.reshape(self._n, -1) for v in (y, f))
-        _, sticks, way = self._states(y, f, every)
-        now.sticks = np.where(changed[:num], sticks, now.sticks)
-        now.way = np.where(changed[:num], way, now.way)
-        super().accept(*flat)
+        super().accept(y[:num], f[:num], changed[:num])
+        y, f, changed = (v.reshape(self._n, -1) for v in (y, f, changed))
+        _, sticks, way = self._states(y, f, np.arange(num))
+        now.sticks = np.where(changed[0], sticks, now.sticks)
+        now.way = np.where(changed[0], way, now.way)
         now.q = np.where(now.active, f[1:], 0) * self._per_unit
-
-    # Rows
-
-    @property
-    def is_in(self) -> npt.NDArray[np.bool_]:
-        """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
-        return np.tile(self.state.active, self._n)
-
-    def contact_forces(self) -> list[npt.NDArray[np.float64]]:
-        """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
-        now = self.state
-        q = (now.q * now.active).ravel()
-        size = sum(side.dofs.size for side in self.sides) * self._n
-        flat = np.bincount(self.T.j, self.T.values * q[self.T.i], size)
-        across = np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
-        return [a + b for a, b in zip(super().contact_forces(), across, strict=True)]
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
@@ -353,12 +309,10 @@ class FrictionRows(ContactRows):
 
     def _curvature(self) -> Sparse:
         assert self.state.opening is not None
-        q = np.stack(
-            [self.spread(q * (self.state.active & (self.state.p > 0))) for q in self.state.q]
-        )
-        return joined(
-            super()._curvature(), self.state.opening.slip_curvature(self.u, q, self.condensed_to)
-        )
+        acts = self.state.active & (self.state.p > 0)
+        q = np.stack([self.spread(q * acts) for q in self.state.q])
+        H = self.state.opening.slip_curvature(self.u, q, self.condensed_to)
+        return joined(super()._curvature(), H)
 
     # Convergence
 
@@ -378,7 +332,7 @@ class FrictionRows(ContactRows):
     @property
     def is_exact(self) -> bool:
         """True if gaps are so small that moments of friction balance."""
-        return self._largest_gap() <= EXACT * float(self.sides[1].reference.size.max())
+        return self._largest_gap() <= EXACT * self._size
 
     @property
     def holds_too_much(self) -> bool:
@@ -403,6 +357,8 @@ def hold_by_sticking(
     """
     num_free = 0
     for rows, moves in frictional:
-        across, num_free = rows.stick_where(holds, moves)
-        holds = np.vstack((holds, across))
+        across, can = rows.holds_across(moves), rows.state.active & (rows.mu > 0)
+        stuck, num_free = active_set.stuck(rows.stuck, can, holds, across)
+        rows.state.sticks |= stuck
+        holds = np.vstack((holds, across[stuck].reshape(-1, holds.shape[1])))
     return num_free

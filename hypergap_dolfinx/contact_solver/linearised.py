@@ -26,7 +26,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, GUESSED, SHORTENED, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +49,8 @@ class Solution:
     """True if there was one only with bodies held near their places."""
     base: list[Array]
     """Multipliers of the working set, in the same units and order."""
+    is_guess: bool = False
+    """True if so many would be unknowns that their states are a better working set."""
 
 
 @dataclass
@@ -100,6 +102,7 @@ class LinearisedContact:
         num_tied: int,
         held: Sequence[npt.NDArray[np.bool_]],
         nearness: Callable[[], float] | None,
+        fewest: float,
     ) -> Solution:
         """Solve it; where H isn't positive, with a share of the stiffness without stress added.
 
@@ -112,6 +115,7 @@ class LinearisedContact:
             num_tied: Number of the ties' multipliers.
             held: Mask of each body's prescribed owned dofs.
             nearness: Gives the first share of the diagonal; None if no body is free.
+            fewest: Fewest wrong states of guesses before.
 
         Raises:
             SolveError: The linear solver failed.
@@ -119,7 +123,9 @@ class LinearisedContact:
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
         for _ in range(TRIALS + 1):
-            found = self._solve(right, (stiff, near))
+            found = self._solve(right, (stiff, near), fewest)
+            if found.is_guess:
+                return found
             negative = self._tangent.negative
             is_positive = negative is None or negative <= num
             if found.is_solved:
@@ -132,12 +138,14 @@ class LinearisedContact:
                 stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
 
-    def _solve(self, right, shift: tuple[float, float]) -> Solution:
+    def _solve(self, right, shift: tuple[float, float], fewest: float) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
         changes, y, f = self._base(right, shift)
         more = self._wrong(y, f)
         if not len(more):
             return self._found(changes, y, f, more, f)
+        if GUESSED < len(more) < fewest:
+            return replace(self._found(changes, y, f, more, f), is_guess=True)
         if self._tangent.has_old_factors:
             changes, y, f = self._base(right, shift, anew=True)
             more = self._wrong(y, f)
@@ -145,7 +153,7 @@ class LinearisedContact:
         gaps, forces, loads = self._watched()
         A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
         while len(more):
-            by_f, by_y = self._columns(gaps, forces, loads[more], more)
+            by_f, by_y = self._columns(gaps, forces, loads, more)
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
             z = np.append(z, np.zeros(len(more)))
             small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
@@ -156,7 +164,10 @@ class LinearisedContact:
             y, f = y0 + B @ z, f0 + A @ z
             more = self._wrong(y, f)
             more = more[~np.isin(more, of)]
-        changes, _, now = self._base(right, shift, beside=loads[of].T @ z, anew=True)
+        unknowns = np.zeros(len(y))
+        unknowns[of] = z
+        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
+        changes, _, now = self._base(right, shift, beside=beside, anew=True)
         return self._found(changes, y, np.where(self._on, now, f), of, f0)
 
     def _watched(self):
@@ -169,8 +180,11 @@ class LinearisedContact:
 
     def _columns(self, gaps, forces, loads, of) -> tuple[Array, Array]:
         """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each."""
-        X = self._tangent.responses(loads)
-        both = np.stack((-(forces @ X), gaps @ X))
+        both = np.zeros((2, len(self._on), len(of)))
+        for k, x in enumerate(self._tangent.responses(loads, of)):
+            for found, sign, matrix in zip(both, (-1, 1), (forces, gaps), strict=True):
+                values = sign * matrix.values * x[matrix.j]
+                found[:, k] = np.bincount(matrix.i, values, len(self._on))
         self._comm.Allreduce(MPI.IN_PLACE, both)
         by_f, by_y = both
         by_f[of, np.arange(len(of))] += ~self._on[of]
@@ -186,8 +200,33 @@ class LinearisedContact:
         return None if found is None else found[0]
 
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
-        """The unknowns with friction, by Newton's method with a line search."""
+        """The unknowns with friction.
+
+        Where Newton's method fails it follows a path of falling compliances, which make gaps of
+        multipliers: there is one solution while they are large.
+        """
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
+        found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
+        if found is not None:
+            return found
+        for share in (*give * SHORTENED ** np.arange(-1.0, 2 * TRIALS), 0.0):
+            found = self._newton(y0 + share * f0, f0, A, B + share * A, of, z)
+            if found is None:
+                return None
+            z = found
+        return z
+
+    def _newton(self, y0, f0, A, B, of, z) -> Array | None:
+        """Newton's method with a line search, and with full steps if that finds no descent.
+
+        Errors of gaps and of forces have no common scale: where a row hardly gives way, a smaller
+        error of the one has to cost a larger one of the other.
+        """
+        found = self._descended(y0, f0, A, B, of, z, TRIALS)
+        return self._descended(y0, f0, A, B, of, z, 0) if found is None else found
+
+    def _descended(self, y0, f0, A, B, of, z, trials: int) -> Array | None:
+        """Newton's method with so many trials of a shorter step; all steps are full for none."""
         laws = self._laws(y0 + B @ z, f0 + A @ z, of)
         for _ in range(DENSE):
             if laws.are_satisfied:
@@ -198,12 +237,14 @@ class LinearisedContact:
             except np.linalg.LinAlgError:
                 way = np.linalg.lstsq(slope, -laws.error)[0]
             size, share, start = np.linalg.norm(laws.error), 1.0, z
-            for _ in range(TRIALS):
+            for _ in range(max(trials, 1)):
                 z = start + share * way
                 laws = self._laws(y0 + B @ z, f0 + A @ z, of)
-                if np.linalg.norm(laws.error) < size:
+                if not trials or np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
+            else:
+                return None
         return None
 
     def _laws(self, y, f, of) -> "_Laws":
@@ -215,6 +256,8 @@ class LinearisedContact:
             places = place[start : start + part.num_unknowns].reshape(-1, len(part.g))
             start += part.num_unknowns
             at = np.flatnonzero(places[0] >= 0)
+            if not len(at):
+                continue
             rows = places[:, at]
             error, by_y, by_f, least = part.law(y[rows], f[rows], at)
             found.error[rows] = error

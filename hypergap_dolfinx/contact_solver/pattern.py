@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.moving import Sparse
 
+Ints = npt.NDArray[np.int64]
+
 
 class Pattern:
     """Places of the entries of a matrix ``(size, size)``."""
@@ -49,81 +51,53 @@ class Pattern:
         at = np.searchsorted(self.keys, keys)
         if (np.append(self.keys, -1)[at] != keys).any():
             return None
-        return np.bincount(at, entries.values, len(self.keys)).astype(
-            float
-        )  # without entries: integers
-
-
-def unique_pairs(a: npt.NDArray, node: npt.NDArray, num: int) -> tuple[npt.NDArray, npt.NDArray]:
-    """Distinct pairs of multipliers and nodes, sorted; ``num`` is the number of nodes."""
-    a, node = np.divmod(_sorted(a * num + node), num)
-    return a, node
-
-
-def beside(
-    a: npt.NDArray, node: npt.NDArray, facets: npt.NDArray, num: int
-) -> tuple[npt.NDArray, npt.NDArray]:
-    """Multipliers with their nodes, and with all nodes of the facets around these.
-
-    Args:
-        a: Multipliers.
-        node: A node on which each acts.
-        facets: Nodes of the facets that may slide past, ``(num_facets, num_facet_nodes)``.
-        num: Number of nodes.
-
-    Returns:
-        All distinct pairs of multipliers and nodes, sorted.
-    """
-    of_node = np.argsort(facets.ravel(), kind="stable")
-    start = np.searchsorted(facets.ravel()[of_node], np.arange(num + 1))
-    count = (start[1:] - start[:-1])[node]
-    facet = of_node[_ranges(start[node], count)] // facets.shape[1]
-    more = np.repeat(a, count * facets.shape[1]), facets[facet].ravel()
-    return unique_pairs(np.append(a, more[0]), np.append(node, more[1]), num)
+        found = np.bincount(at, entries.values, len(self.keys))
+        return found.astype(float)  # without entries: integers
 
 
 def coupled(
-    a: npt.NDArray[np.intp],
-    node: npt.NDArray[np.intp],
-    num_nodes: int,
-    num: int,
-    n: int,
-    across: int,
+    a: Ints, node: Ints, shape: tuple[int, int], n: int, across: int, facets=None
 ) -> Pattern:
     """Pattern of multipliers with all nodes on which they act, and of these nodes with each other.
 
     Args:
-        a: Multipliers, sorted.
+        a: Multipliers.
         node: A node on which each acts.
-        num_nodes: Number of nodes, of n unknowns each.
-        num: Number of multipliers, of ``across`` unknowns each, component by component.
-        n: Number of dimensions.
-        across: Number of unknowns of a multiplier.
+        shape: Numbers of multipliers and of nodes.
+        n: Number of a node's unknowns.
+        across: Number of a multiplier's unknowns, which follow those of nodes component by
+            component; each has an equation, too, if nothing acts.
+        facets: Nodes of facets that may slide past, ``(num_facets, num_facet_nodes)``: multipliers
+            act on all nodes of those around their nodes.
     """
+    num, num_nodes = shape
+    if facets is not None:
+        facet, nodes = np.repeat(np.arange(len(facets)), facets.shape[1]), facets.ravel()
+        around = _product((a, node), (nodes, facet), len(facets))
+        more = _product(around, (facet, nodes), num_nodes)
+        a, node = np.append(a, more[0]), np.append(node, more[1])
+    a, node = np.divmod(_sorted(a * num_nodes + node), num_nodes)
+    left, right = _product((node, a), (a, node), num_nodes)
     start, size = num_nodes * n, num_nodes * n + num * across
-    count = np.bincount(a, minlength=num)
-    first = np.cumsum(count) - count
-    left = np.repeat(node, count[a])
-    right = node[_ranges(first[a], count[a])]
-    left, right = np.divmod(_sorted(left * num_nodes + right), num_nodes)
     dofs, own = np.arange(n), start + num * np.arange(across)
-    blocks = [(left[:, None] * n + dofs, right[:, None] * n + dofs)]
-    blocks.append((a[:, None] + own, node[:, None] * n + dofs))
-    blocks.append(blocks[-1][::-1])
-    every = _sorted(a)[:, None] + own
+    every, forces = _sorted(a)[:, None] + own, (a[:, None] + own, node[:, None] * n + dofs)
+    blocks = [(left[:, None] * n + dofs, right[:, None] * n + dofs), forces, forces[::-1]]
     blocks.append((every, every))
     keys = [(i[:, :, None] * size + j[:, None]).ravel() for i, j in blocks]
-    keys.append(np.arange(start, size) * (size + 1))  # inactive multipliers have an equation too
+    keys.append(np.arange(start, size) * (size + 1))
     return Pattern(size, _sorted(np.concatenate(keys)))
 
 
-def _ranges(start: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Concatenated ranges start, …, start + count − 1."""
-    before = np.cumsum(count) - count
-    return np.arange(count.sum()) + np.repeat(start - before, count)
+def _product(a: tuple[Ints, Ints], b: tuple[Ints, Ints], num: int) -> tuple[Ints, Ints]:
+    """Distinct rows and columns of a product of matrices, sorted; b has ``num`` columns."""
+    order = np.argsort(b[0], kind="stable")
+    start, end = (np.searchsorted(b[0][order], a[1], side) for side in ("left", "right"))
+    count = end - start
+    at = np.arange(count.sum()) + np.repeat(start - (np.cumsum(count) - count), count)
+    return np.divmod(_sorted(np.repeat(a[0], count) * num + b[1][order[at]]), num)
 
 
-def _sorted(values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _sorted(values: Ints) -> Ints:
     """Distinct values, sorted; ``np.unique`` (by hashing) takes ten times as long."""
     values = np.sort(values, axis=None)
     return values[np.append(True, values[1:] != values[:-1])[: len(values)]]

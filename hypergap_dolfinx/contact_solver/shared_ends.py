@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import NEAR_ENDS, PARALLEL_ENDS
+from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import Surface, normals_by_area
 
 HELD = "held"
@@ -19,16 +20,30 @@ HELD = "held"
 class EndingSide:
     """A side of a contact or a tie."""
 
-    space: Hashable
-    """Function space of the dofs."""
-    surface: Surface
-    dofs: npt.NDArray[np.int64]
-    """Dofs of the vertices, ``(num_vertices,)``."""
+    space: int
+    """Number of its function space."""
+    moving: MovingSurface
     held: npt.NDArray[np.bool_] | None = None
-    """Mask of prescribed components of a contact's vertices, ``(num_vertices, n)``."""
+    """Mask of prescribed components of a contact's dofs, ``(num_dofs, n)``."""
+
+    @property
+    def surface(self) -> Surface:
+        """The undeformed surface."""
+        return self.moving.reference
+
+    def node(self, vertex: int) -> Hashable:
+        """Node at a vertex."""
+        return self.space, int(self.moving.vertex_dofs[vertex])
+
+    def is_held(self, vertex: int, normal: npt.NDArray[np.float64]) -> bool:
+        """True if the components along a normal are prescribed at a vertex."""
+        if self.held is None:
+            return False
+        at = np.searchsorted(self.moving.dofs, self.moving.vertex_dofs[vertex])
+        return bool(self.held[at][np.abs(normal) > PARALLEL_ENDS].all())
 
 
-Sides = tuple[EndingSide, EndingSide]
+Ends = Sequence[EndingSide]
 
 
 class _Places:
@@ -46,7 +61,7 @@ class _Places:
         self._parent[self.find(a)] = self.find(b)
 
 
-def condensations(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.NDArray[np.intp]]:
+def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.NDArray[np.intp]]:
     """Vertices of Γ1 to which others without a pressure of their own are condensed.
 
     At the end of a contact the gap may be held already: both bodies are tied or prescribed there,
@@ -67,22 +82,22 @@ def condensations(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.
     for side in (side for sides in contacts for side in sides):
         normals = _vertex_normals(side.surface)
         for v in _ends(side.surface).tolist():
-            if side.held is not None and side.held[v][np.abs(normals[v]) > PARALLEL_ENDS].all():
-                places.join(_node(side, v), HELD)
+            if side.is_held(v, normals[v]):
+                places.join(side.node(v), HELD)
     for sides in ties:
         for v1, v0 in _facing(sides):
             if v0 is not None:
-                places.join(_node(sides[1], v1), _node(sides[0], v0))
+                places.join(sides[1].node(v1), sides[0].node(v0))
     result = []
     for sides in contacts:
         normals, lost, found = _vertex_normals(sides[1].surface), [], []
         for v1, v0 in _facing(sides):
-            node = _node(sides[1], v1)
+            node = sides[1].node(v1)
             a = places.find(node)
             # Γ0 slides past, or is far away: then only another contact with it there counts
             b: Hashable = (sides[0].space, node if a == HELD else a)
             if v0 is not None:
-                b = places.find(_node(sides[0], v0))
+                b = places.find(sides[0].node(v0))
             if sides[0].held is not None and sides[0].held.all():
                 b = HELD
             if _connected(a, b, normals[v1], along):
@@ -95,15 +110,10 @@ def condensations(contacts: Sequence[Sides], ties: Sequence[Sides]) -> list[npt.
     return result
 
 
-def _node(side: EndingSide, vertex: int) -> Hashable:
-    return side.space, int(side.dofs[vertex])
-
-
 def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
     """Unit normals at the vertices, ``(num_vertices, n)``."""
     normals = np.zeros_like(surface.x)
-    for corner in surface.facets.T:
-        np.add.at(normals, corner, normals_by_area(surface.x[surface.facets]))
+    np.add.at(normals, surface.facets, normals_by_area(surface.x[surface.facets])[:, None])
     return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
 
@@ -115,12 +125,11 @@ def _ends(surface: Surface) -> npt.NDArray[np.intp]:
     return np.unique((start[outline], np.roll(start, -1, axis=1)[outline]))
 
 
-def _facing(sides: Sides) -> list[tuple[int, int | None]]:
+def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     """Ends of Γ1, each with the end of Γ0 at the same place or None."""
     surface0, surface1 = sides[0].surface, sides[1].surface
     size = np.zeros(len(surface1.x))
-    for corner in surface1.facets.T:
-        np.maximum.at(size, corner, surface1.size)
+    np.maximum.at(size, surface1.facets, surface1.size[:, None])
     ends0, found = _ends(surface0), []
     for v in _ends(surface1).tolist():
         distance = np.linalg.norm(surface0.x[ends0] - surface1.x[v], axis=1)
@@ -148,21 +157,14 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
 def _neighbours(surface: Surface, lost: Sequence[int]) -> npt.NDArray[np.intp]:
     """Nearest vertex along the surface that isn't lost, for each that is; -1 for none."""
     result = np.arange(len(surface.x))
-    if not lost:
+    if not len(lost):
         return result
-    result[list(lost)] = -1
-    beside: dict[int, set[int]] = {v: set() for v in lost}
-    for facet in surface.facets[np.isin(surface.facets, lost).any(axis=1)].tolist():
-        for v in beside.keys() & set(facet):
-            beside[v].update(facet)
-    left, before = list(lost), -1
-    while left and len(left) != before:
-        before, given = len(left), {}
-        for v in left:
-            around = [b for b in sorted(beside[v]) if result[b] >= 0]
-            if around:
-                away = np.linalg.norm(surface.x[around] - surface.x[v], axis=1)
-                given[v] = result[around[int(away.argmin())]]
-        result[list(given)] = list(given.values())
-        left = [v for v in left if v not in given]
+    result[lost] = -1
+    facets, num = surface.facets, surface.facets.shape[1]
+    i, j = np.repeat(facets, num, axis=1).ravel(), np.tile(facets, num).ravel()
+    # The nearest one comes last, and so overwrites others
+    order = np.lexsort((-j, -np.linalg.norm(surface.x[i] - surface.x[j], axis=1)))
+    i, j = i[order], j[order]
+    while (use := (result[i] < 0) & (result[j] >= 0)).any():
+        result[i[use]] = result[j[use]]
     return result

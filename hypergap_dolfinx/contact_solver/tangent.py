@@ -8,7 +8,7 @@ has an equation, p = 0 if it is inactive, and there is room for entries that may
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -28,10 +28,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
-from hypergap_dolfinx.surface.moving import Sparse
-
-if TYPE_CHECKING:
-    from scipy import sparse
+from hypergap_dolfinx.surface.moving import Sparse, joined
 
 ROOM = {"mat_mumps_icntl_14": 30}
 """LDLᵀ needs less workspace to spare than LU; memory that isn't used takes time, too."""
@@ -381,36 +378,38 @@ class Tangent:
             vector.destroy()
         return found.real
 
-    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> "sparse.csr_array":
+    @property
+    def num_local(self) -> int:
+        """Number of this rank's unknowns of the matrix."""
+        assert self._retained is not None
+        return self._retained.vectors[0].getLocalSize()
+
+    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> Sparse:
         """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.
 
         Args:
             entries: Rows of each contact, columns are its unknowns.
             sizes: Numbers of rows of each contact.
         """
-        from scipy import sparse  # takes .15 s
-
         retained = self._retained
         assert retained is not None
-        rows, columns, values, before = [], [], [], 0
+        found, before = [], 0
         for numbers, part, size in zip(retained.numbers, entries, sizes, strict=True):
             column = numbers[part.j]
             use = column >= 0
-            rows.append(before + part.i[use])
-            columns.append(column[use])
-            values.append(part.values[use])
+            found.append(Sparse(before + part.i[use], column[use], part.values[use]))
             before += size
-        i, j, v = (np.concatenate(part) for part in (rows, columns, values))
-        return sparse.csr_array((v, (i, j)), shape=(before, retained.vectors[0].getLocalSize()))
+        return joined(*found)
 
-    def responses(self, loads: "sparse.csr_array") -> npt.NDArray:
+    def responses(self, loads: Sparse, of: npt.NDArray[np.intp]) -> npt.NDArray:
         """Solutions for several right-hand sides, with the last factors. Collective.
 
         Args:
-            loads: This rank's part of them, ``(num, num_local)``.
+            loads: This rank's part of them, columns are its unknowns.
+            of: Rows for which to solve.
 
         Returns:
-            This rank's part, ``(num_local, num)``.
+            This rank's part, ``(len(of), num_local)``.
 
         Raises:
             SolveError: The solver failed.
@@ -418,27 +417,30 @@ class Tangent:
         retained = self._retained
         assert retained is not None and retained.ksp is not None
         ksp, (x, b) = retained.ksp, retained.vectors
-        pc, num = ksp.getPC(), loads.shape[0]
-        found = np.empty((loads.shape[1], num))
+        pc, num, at = ksp.getPC(), len(of), np.flatnonzero(np.isin(loads.i, of))
+        order = np.argsort(of)
+        row = order[np.searchsorted(of, loads.i[at], sorter=order)]
+        places, found = row * self.num_local + loads.j[at], np.empty((num, self.num_local))
+        right = np.bincount(places, loads.values[at], found.size).reshape(found.shape)
         if pc.getType() not in ("lu", "cholesky"):
-            for k in range(num):
-                b.array[:] = loads[[k]].toarray()[0]
+            for values, solution in zip(right, found, strict=True):
+                b.array[:] = values
                 with self._ways[0].options.in_use():
                     ksp.solve(b, x)
                 message = saddle.failure(ksp, units=retained.units)
                 if message:
                     raise SolveError(message)
-                found[:, k] = x.array_r
+                solution[:] = x.array_r
             return found
         sizes = (b.getSizes(), (PETSc.DECIDE, num))
         B = PETSc.Mat().createDense(sizes, comm=b.comm)
         X = PETSc.Mat().createDense(sizes, comm=b.comm)
-        B.getDenseArray()[:] = loads.toarray().T
+        B.getDenseArray()[:] = right.T
         for matrix in (B, X):
             matrix.assemble()
         with self._ways[0].options.in_use():
             pc.getFactorMatrix().matSolve(B, X)
-        found[:] = X.getDenseArray().real
+        found[:] = X.getDenseArray().real.T
         for matrix in (B, X):
             matrix.destroy()
         if not b.comm.tompi4py().allreduce(bool(np.isfinite(found).all()), MPI.LAND):

@@ -24,15 +24,16 @@ def common_part(x0: npt.NDArray, x1: npt.NDArray):
         x1: Vertices of the second ones.
 
     Returns:
-        Centroids of the intersections ``(num, n - 1)``, their measures, and the measures of the
-        smaller simplices.
+        Vertices of the intersections, some of them repeated, ``(num, num_points, n - 1)``; their
+        centroids ``(num, n - 1)``, their measures, and the measures of the smaller simplices.
     """
     if x0.shape[2] == 1:
         ends = [np.sort(x[:, :, 0], axis=1) for x in (x0, x1)]
         start, end = (
             f(ends[0][:, k], ends[1][:, k]) for k, f in enumerate((np.maximum, np.minimum))
         )
-        return (start + end)[:, None] / 2, end - start, np.min([np.ptp(e, axis=1) for e in ends], 0)
+        common = np.stack((start, end), axis=1)[..., None]
+        return common, common.mean(axis=1), end - start, np.min([np.ptp(e, 1) for e in ends], 0)
     common = x0
     for k in range(3):
         start, edge = x1[:, k], x1[:, (k + 1) % 3] - x1[:, k]
@@ -42,7 +43,7 @@ def common_part(x0: npt.NDArray, x1: npt.NDArray):
     thirds = common[:, :1] + common[:, 1:-1] + common[:, 2:]
     middle = np.einsum("pt,pti->pi", parts, thirds) / 3 / np.where(area > 0, area, 1)[:, None]
     smaller = np.min([_cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (x0, x1)], axis=0)
-    return middle, area, smaller
+    return common, middle, area, smaller
 
 
 def _cross(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.float64]:

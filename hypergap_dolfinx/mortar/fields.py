@@ -106,43 +106,58 @@ def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.ND
     return nodal
 
 
-def alpha_derivative(domain: GapDomain, nodal, points):
-    """∂x/∂α of eq. (19) and the unit normals at reference points.
+def _create(
+    domain: GapDomain, nodal: npt.NDArray, shapes: dict[str, tuple[int, ...]], parts
+) -> list[fem.Function]:
+    """Discontinuous functions on Σ, of the degree of the φ_a, made from ∂u/∂α of eq. (19).
+
+    On straight cells ∂u/∂α is a polynomial, which is interpolated. On curved ones it is a rational
+    function with |N| in its denominator, and N may vanish at a node: where edges of Γ0 and Γ1 are
+    parallel, or a quadrilateral has a corner of 180°. There it is the polynomial f of the least
+    ∫∫ |f − ∂u/∂α|² dΓ_α dα, which has the integral of ∂u/∂α.
 
     Args:
         domain: Σ.
-        nodal: Values at the nodes, ``(num_cells, num_nodes, block_size)``.
-        points: Reference points, ``(num_points, n)``.
-
-    Returns:
-        ``(num_cells, num_points, block_size)`` and ``(num_cells, num_points, n)``.
+        nodal: u at the nodes, ``(num_cells, num_nodes, block_size)``.
+        shapes: Shape of each function's values, by its name.
+        parts: The functions' values, ``(num, num_points, size)`` each, of ∂u/∂α,
+            ``(num, num_points, block_size)``, and unit normals, ``(num, num_points, n)``.
     """
-    weights = np.ones(len(points))
-    element = kernel.GapElement.at(domain.geometry, domain.element, points, weights)
-    N, v = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
-    dphi = kernel.alpha_derivatives(element, v)
-    return dphi @ nodal, N / np.linalg.norm(N, axis=2, keepdims=True)
-
-
-def _discontinuous(domain: GapDomain, shape: tuple[int, ...], name: str) -> fem.Function:
-    """A discontinuous function on Σ, of the degree of the φ_a."""
-    element = ("Discontinuous Lagrange", domain.element.degree, shape)
-    return fem.Function(fem.functionspace(domain.mesh, element), name=name)
-
-
-def _points(f: fem.Function) -> npt.NDArray[np.float64]:
-    return f.function_space.ufl_element().basix_element.points
-
-
-def _set(f: fem.Function, values: npt.NDArray):
-    V = f.function_space
-    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] = values
+    element = "Discontinuous Lagrange", domain.element.degree
+    found = [
+        fem.Function(fem.functionspace(domain.mesh, (*element, shape)), name=name)
+        for name, shape in shapes.items()
+    ]
+    basis = found[0].function_space.ufl_element().basix_element
+    positive = basix.QuadratureType.gauss_jacobi  # weights
+    gauss, weights = basix.make_quadrature(basis.cell_type, domain.curved_rule, positive)
+    at_nodes, at_gauss = (
+        kernel.GapElement.at(domain.geometry, domain.element, X, np.ones(len(X)))
+        for X in (basis.points, gauss)
+    )
+    table = tabulate(basis, gauss)
+    squares = (weights[:, None, None] * table[:, :, None] * table[:, None]).reshape(len(gauss), -1)
+    straight, curved = np.flatnonzero(~domain.curved), np.flatnonzero(domain.curved)
+    chunks = [(straight, at_nodes)]
+    chunks += [(c, at_gauss) for c in np.array_split(curved, 1 + len(curved) // 1000)]
+    for cells, tables in chunks:
+        N, v = kernel.geometry_at_points(tables, domain.x[cells], domain.alpha_vertices[cells])
+        length = np.linalg.norm(N, axis=2)
+        dx = kernel.alpha_derivatives(tables, v) @ nodal[cells]
+        for f, values in zip(found, parts(dx, N / length[..., None]), strict=True):
+            if tables is at_gauss:
+                mass = (length @ squares).reshape(-1, basis.dim, basis.dim)
+                load = table.T @ ((weights * length)[..., None] * values)
+                values = np.linalg.solve(mass, load)
+            V = f.function_space
+            f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[cells]] = values
+    return found
 
 
 def traction(
     domain: GapDomain, constraint: Constraint, shape: tuple[int, ...], multipliers: npt.NDArray
 ) -> fem.Function:
-    """λ = Σ_a λ_a ∂φ_a/∂α (eq. 20) on Σ. Collective.
+    """λ = Σ_a λ_a ∂φ_a/∂α (eq. 20) on Σ; see :func:`_create` for curved cells. Collective.
 
     Args:
         domain: Σ.
@@ -150,12 +165,13 @@ def traction(
         shape: Shape of a value.
         multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
     """
-    f = _discontinuous(domain, shape, "traction")
     nodal = nodal_values(domain, constraint.R_A, multipliers)
     # Less a mean, the derivative of α times itself: else narrow cells lose its digits
     alpha = domain.hosts.alpha[..., None]
     mean = (alpha * nodal).sum(axis=1, keepdims=True) / (alpha**2).sum(axis=1, keepdims=True)
-    _set(f, alpha_derivative(domain, nodal - alpha * mean, _points(f))[0] + mean)
+    (f,) = _create(domain, nodal - alpha * mean, {"traction": shape}, lambda dx, n: (dx,))
+    V = f.function_space
+    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] += mean
     return f
 
 
@@ -180,15 +196,14 @@ def gap(
         nodal_values(domain, R, owned_values(u)) for R, u in zip(constraint.R, (u0, u1))
     )
     nodal = other + (nodal if turn is None else nodal @ turn.T)
-    normal_gap = _discontinuous(domain, (), "gap")
-    dx, n = alpha_derivative(domain, nodal, _points(normal_gap))
     if shape == ():
-        _set(normal_gap, dx)
-        return normal_gap, None
-    opening = np.einsum("cpi,cpi->cp", dx, n)[..., None]
-    slip = _discontinuous(domain, shape, "slip")
-    _set(normal_gap, opening)
-    _set(slip, dx - opening * n)
+        return _create(domain, nodal, {"gap": ()}, lambda dx, n: (dx,))[0], None
+
+    def parts(dx, n):
+        opening = np.einsum("cpi,cpi->cp", dx, n)[..., None]
+        return opening, dx - opening * n
+
+    normal_gap, slip = _create(domain, nodal, {"gap": (), "slip": shape}, parts)
     return normal_gap, slip
 
 

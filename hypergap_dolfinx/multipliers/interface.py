@@ -31,6 +31,10 @@ class Interface(Protocol):
         """V₀ and V₁."""
 
     @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
+
+    @property
     def components(self) -> tuple[Component, Component]:
         """V₀ and V₁ among the dofs of their bodies."""
 
@@ -117,6 +121,12 @@ class TiedInterfaces(Protocol):
     def of_piece(self, tie, multipliers: npt.NDArray) -> npt.NDArray:
         """A tie's own multipliers among those of its interface."""
 
+    def turned_over(self, interface: int) -> "TiedInterfaces | None":
+        """The interfaces with Γ0 and Γ1 of one exchanged, None where users chose. Collective."""
+
+    def settle(self):
+        """Keep the sides of all ties from now on."""
+
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
 
@@ -146,6 +156,10 @@ class ContactInterface(Protocol):
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
+
+    @property
+    def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """This rank's facets on Γ0 and on Γ1."""
 
     @property
     def sides(self) -> tuple[MovingSurface, MovingSurface]:

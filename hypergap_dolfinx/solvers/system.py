@@ -15,7 +15,7 @@ from hypergap_dolfinx.algebra import checks, saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.errors import PrescribedSideError, SolveError
 from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
@@ -108,8 +108,10 @@ class TiedSystem(collective.Owner):
             raise ValueError("a tie is given twice; that would make the matrix singular.")
         spaces = [f.function_space for f in self._u]
         for i, V in enumerate(spaces):
-            checks.check_cells(V.mesh, f"body {i}")
-        self._constraints = ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
+            on_interfaces = [facets for W, facets in self._sides() if W.mesh is V.mesh]
+            checks.check_cells(V.mesh, checks.name_of_body(i, V), on_interfaces)
+        self._constraints = self._create_constraints(spaces)
+        self._pieces.settle()
         checks.check_apart(ties)
         self._K = [petsc.create_matrix(form) for form in self._a]
         # Free interior nodes are unknowns without a stiffness, behind those of the bodies
@@ -126,6 +128,24 @@ class TiedSystem(collective.Owner):
         )
         self._x = self._b.duplicate()
         self._system = System(self._A, self._K, self._constraints, spaces)
+
+    def _sides(self) -> list[tuple[fem.FunctionSpace, npt.NDArray]]:
+        """Spaces and this rank's facets of the interfaces' sides."""
+        return [
+            side for tie in self._pieces.ties for side in zip(tie.spaces, tie.facets, strict=True)
+        ]
+
+    def _create_constraints(self, spaces: Sequence[fem.FunctionSpace]) -> ConstraintBlocks:
+        """B and C. The sides of ties that chose them may have to be exchanged. Collective."""
+        while True:
+            pieces = self._pieces
+            try:
+                return ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
+            except PrescribedSideError as error:
+                other = pieces.turned_over(error.interface)
+                if other is None:
+                    raise
+                self._pieces = other
 
     def _check_motions(self):
         """Raise if the assembly can move rigidly; a solver may not notice. Once; collective."""
@@ -172,7 +192,7 @@ class TiedSystem(collective.Owner):
         A prescribed dof has the mean of the others' diagonal, so that residuals have one unit.
         """
         changed = [self._assemble(i) for i in range(len(self._K))]
-        checks.check_finite(self._K, "the stiffness")
+        checks.check_finite(self._K, "the stiffness", self._system.spaces)
         soft = [
             part for part in (self._constraints.compliances, *self._constraints.jump_fields) if part
         ]

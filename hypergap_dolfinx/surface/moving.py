@@ -113,6 +113,10 @@ class Sparse:
         """The same as a matrix of SciPy's."""
         return sparse.csr_array((self.values, (self.i, self.j)), shape=shape)
 
+    def some(self, use: npt.NDArray[np.bool_]) -> "Sparse":
+        """The entries of a mask, ``(num_entries,)``."""
+        return Sparse(self.i[use], self.j[use], self.values[use])
+
     def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
         flat = np.concatenate([part.ravel() for part in values])

@@ -7,10 +7,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from assembly import comm, linear, problem, rectangle, tie
+from assembly import Body, comm, linear, problem, rectangle, tie
 from helpers import two_ranks
 
 import basix
+import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
@@ -136,7 +137,11 @@ def test_contradiction(other, swap):
     bcs = [held(bodies[0], LEFT), held(bodies[1], LEFT, other)]
     a, L = forms(bodies)
     p = TiedProblem(a, L, bcs=bcs, ties=ties)
-    raises(InterfaceError, r"^the prescribed displacements contradict tie 0 at \(", p.solve)
+    raises(
+        InterfaceError,
+        r"^the prescribed .* contradict tie 0 \(\d and \d facets around \(0.5, 1\)\) at \(",
+        p.solve,
+    )
 
 
 @pytest.mark.ranks(2)
@@ -330,10 +335,47 @@ def test_curved_cells_turned_over_at_their_edge(shift):
     det = np.linalg.det(J)
     turned = comm.allreduce(bool((det * np.sign(det[:, :1]) < -1e-2).any()), MPI.LOR)
     sound = comm.allreduce(bool((det * np.sign(det[:, :1]) > 0).all()), MPI.LAND)
+    facets = [dolfinx.mesh.exterior_facet_indices(mesh.topology)]
     if turned:
-        raises(ValueError, "^it has a cell without volume", lambda: checks.check_cells(mesh, "it"))
+        raises(
+            ValueError,
+            "^it has a cell without volume",
+            lambda: checks.check_cells(mesh, "it", facets),
+        )
     elif sound:
-        checks.check_cells(mesh, "it")
+        checks.check_cells(mesh, "it", facets)
+
+
+@two_ranks()
+def test_curved_cells_turned_over_at_a_corner(caplog):
+    """On the interface they are refused, elsewhere told: no Gauss point is there."""
+    bodies = []
+    for i in (0, 1):
+        mesh, ft = meshes.block(
+            comm, (2, 2), lambda x, i=i: x + np.array((0, i)), cell="triangle", degree=2
+        )
+        bodies.append(Body(mesh, ft, fem.functionspace(mesh, ("Lagrange", 1, (2,)))))
+    ties = [tie(bodies, *TIED)]
+    a, L = forms(bodies)
+    p = TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties)
+    assert not caplog.records
+    x = bodies[0].mesh.geometry.x
+
+    def move(y, away):
+        middle = np.isclose(np.abs(x[:, 0] - 0.25), 0.0) & np.isclose(x[:, 1], y)
+        x[middle, 0] += away
+
+    move(0, -0.135)
+    p = TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties)
+    p.solve()
+    said = "body 0 has 1 cell turned over at a corner or an edge, away from interfaces"
+    assert [r.message[: len(said)] for r in caplog.records] == [said] * (comm.rank == 0)
+    move(1, -0.135)
+    raises(
+        ValueError,
+        "^body 0 has a cell without volume or turned over in part, at",
+        lambda: TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties),
+    )
 
 
 @pytest.mark.ranks(2)

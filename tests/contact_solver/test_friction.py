@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Friction: slip and its derivatives, what sticks and what slips, exact solutions."""
 
+import runpy
+from pathlib import Path
+
 from mpi4py import MPI
 
 import numpy as np
@@ -17,7 +20,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver import linearised
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 
 comm = MPI.COMM_WORLD
@@ -224,16 +227,6 @@ def test_steps_backwards():
     assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
 
 
-def test_what_comes():
-    """What comes beside vertices that are all in contact begins as one of them is, others not."""
-    facets = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]])
-    come, on = (np.isin(np.arange(6), which) for which in ([0, 3, 5], [1, 2]))
-    lasting = ~come
-    np.testing.assert_array_equal(
-        active_set.sources(come, lasting, on, facets), [1, -1, -1, -1, -1, -1]
-    )
-
-
 def test_slides_off():
     """What has nothing opposite any more slips by nothing, and is no error of NumPy's."""
     contact, problem, go = rotating(2, friction=0.1)
@@ -337,3 +330,70 @@ def test_input():
     with raises(ValueError, "the contact has no friction"):
         _ = plain.sticking
     problem.destroy()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_guessed_sets(monkeypatch, dim):
+    """Working sets that are guessed anew, however few change, lead to the same equilibrium."""
+    found, counts = [], []
+    count = linearised.LinearisedContact._solve
+
+    def counted(*args):
+        solution = count(*args)
+        counts[-1] += solution.is_guess
+        return solution
+
+    monkeypatch.setattr(linearised.LinearisedContact, "_solve", counted)
+    for least in (linearised.GUESSED, 0):
+        monkeypatch.setattr(linearised, "GUESSED", least)
+        counts.append(0)
+        contact, _, go = rotating(dim, friction=0.1)
+        go(0, *(0.04, 0.02)[: dim - 1], -0.1)
+        found.append(contact.rows.state.p)
+    assert counts[0] == 0 < counts[1] and contact.slipping.any()
+    close(found[1], found[0], 1e-9)
+
+
+def test_falling_compliances(monkeypatch):
+    """A small problem where Newton's method finds no descent is solved along a path."""
+    paths, newton = [], linearised.LinearisedContact._newton
+
+    def tried(*args):
+        paths.append(newton(*args))
+        return paths[-1]
+
+    monkeypatch.setattr(linearised.LinearisedContact, "_newton", tried)
+    _, problem, go = rotating(2, friction=0.1)
+    go(0, 0, -0.1)
+    paths.clear()
+    go(0, 0.04, -0.1)
+    assert paths[0] is None and paths[-1] is not None
+    assert problem.iterations <= 4
+
+
+@pytest.mark.parametrize("mu", [0.3, 1.0])
+@pytest.mark.parametrize("swap", [False, True])
+def test_ironing_in_space(mu, swap):
+    """A stiff die is drawn there and back, friction falls, it is lifted: few steps, no halving."""
+    demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "ironing.py"))
+    demo["Ironing"].__init__.__globals__["RTOL"] = 1e-8
+    friction, size = fem.Constant(meshes.block(comm, (1, 1))[0], mu), demo["H"]
+    scene = demo["Ironing"](comm, dim=3, friction=friction, swap=swap, coarse=True)
+    counts = []
+
+    def go(along, down):
+        scene.goal.value[0], scene.goal.value[-1] = along * size, -down * size
+        scene.solve()
+        counts.append(scene.problem.iterations)
+        assert scene.problem.halvings == 0
+
+    for down in (0.25, 0.5, 0.75, 1):
+        go(0, down)
+    for along in (0.5, 1, 1.5, 1):
+        go(along, 1)
+    friction.value = mu / 3
+    go(1, 1)
+    for down in (0.5, 0, -0.1):
+        go(1, down)
+    assert max(counts) <= (8 if mu < 1 else 10), str(counts)
+    assert not scene.contact.active.any()

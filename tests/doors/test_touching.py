@@ -296,3 +296,104 @@ def test_wrong_input():
     W.mesh.geometry.x[:1] = np.nan
     with raises(InterfaceError, r"spaces\[1\] has NaN or infinite coordinates"):
         find_touching([V, W])
+
+
+@pytest.mark.parametrize("turn", (1, 0.5))
+@pytest.mark.parametrize("cell", ("triangle", "tetrahedron"))
+@pytest.mark.parametrize("seed", range(3))
+def test_irregular_arcs(cell, turn, seed):
+    """Rings and half rings whose edges are 1 : 4 long: all facets are found, at the ends too."""
+    rng = np.random.default_rng(seed)
+    spaces, counts = [], rng.integers(12, 40, 2)
+    for n, inner, outer in zip(counts, (0.5, 1), (1, 3), strict=True):
+        lengths = rng.uniform(1, 4, n)
+        ends = 2 * np.pi * turn * np.append(0, np.cumsum(lengths)) / lengths.sum()
+
+        def mapping(x, ends=ends, n=n):
+            angle = ends[np.rint(x[:, 1:2] * n).astype(int)]
+            return np.hstack((x[:, :1] * np.cos(angle), x[:, :1] * np.sin(angle), x[:, 2:]))
+
+        dim = 2 if cell in PLANE else 3
+        low, high = (inner, 0, 0)[:dim], (outer, 1, 1)[:dim]
+        spaces.append(space((1, n, 2)[:dim], low, high, cell, mapping, periodic=turn == 1))
+    (pair,) = find_touching(spaces)
+    found = [comm.allreduce(len(facets)) for _, facets in pair]
+    assert found == [n * (1 if cell in PLANE else 4) for n in counts]
+    assert pair.explained == "curved"
+
+
+def prism(sides, per_side, inner, outer, cell):
+    """A ring whose boundaries are regular polygons, with a number of facets on each side."""
+
+    def mapping(x):
+        side, part = np.divmod(x[:, 1:2] * sides, 1)
+        ends = 2 * np.pi * np.hstack((side, side + 1)) / sides
+        cosine, sine = (
+            f(ends[:, :1]) * (1 - part) + f(ends[:, 1:]) * part for f in (np.cos, np.sin)
+        )
+        return np.hstack((x[:, :1] * cosine, x[:, :1] * sine, x[:, 2:]))
+
+    dim = 2 if cell in PLANE else 3
+    low, high = ((r, end, end) for end, r in enumerate((inner, outer)))
+    count = (1, sides * per_side, 2)[:dim]
+    return space(count, low[:dim], high[:dim], cell, mapping, periodic=True)
+
+
+CLEARANCES = [(c, n) for c in (0.2, 0.05, -0.05) for n in ((1, 1), (2, 2), (3, 3), (2, 3))]
+# The overlap of a flat side in a hollow one whose facets, one a side, may be chords of a circle is
+# explained by these
+CLEARANCES += [(0.2, (3, 1)), (0.05, (3, 1))]
+
+
+@pytest.mark.parametrize(("clearance", "per_side"), CLEARANCES)
+@pytest.mark.parametrize(("sides", "cell"), [*zip((6, 12, 6, 8), PLANE + SPACE, strict=True)])
+def test_clearance_of_flat_sides(clearance, cell, sides, per_side):
+    """Corners of less than 65° aren't curvature, nor are flat sides that keep their distance."""
+    h = 2 * np.sin(np.pi / sides) / max(per_side)
+    off = 1 + clearance * h
+    a, b = (prism(sides, n, *r, cell) for n, r in zip(per_side, ((0.5, 1), (off, 3)), strict=True))
+    assert find_touching([a, b]) == []
+    (pair,) = find_touching([a, b], distance=1.01 * abs(clearance) * h)
+    apart = clearance * h * np.cos(np.pi / sides)
+    np.testing.assert_allclose(pair.apart, apart)
+    assert pair.explained in ("curved", "distance")
+    side0, side1 = pair
+    for (V, facets), n, r in ((side0, per_side[0], 1), (side1, per_side[1], off)):
+        near = np.cos(np.pi / sides) * r - 1e-9
+        rim = facets_of(V, lambda x, near=near, r=r: (_radius(x) > near) & (_radius(x) < r + 1e-9))
+        if cell in SPACE:
+            rim = rim[_on_the_side(rim)]
+        np.testing.assert_array_equal(middles(V, facets), rim)
+
+
+@pytest.mark.ranks(2, cell=["quadrilateral"], n=[2])
+@pytest.mark.parametrize("distance", (None, 0.02, 0.2))
+@pytest.mark.parametrize("n", (1, 2, 5))
+@pytest.mark.parametrize("cell", PLANE + SPACE)
+def test_sheared_blocks(cell, n, distance):
+    """Four blocks with corners of 60° and 120°, one cell or several: those that meet in a corner,
+    and sides around the corner, don't touch."""
+
+    def sheared(x):
+        x = x.copy()
+        x[:, 0] += np.tan(np.pi / 6) * x[:, 1]
+        return x
+
+    dim = 2 if cell in PLANE else 3
+    places = list(product((0, 1), repeat=2))
+    spaces = [
+        space((n + k,) * dim, (*at, 0)[:dim], (*np.add(at, 1), 1)[:dim], cell, sheared)
+        for k, at in enumerate(places)
+    ]
+    found = find_touching(spaces, distance)
+    assert bodies(found, spaces) == [(0, 1), (0, 2), (1, 3), (2, 3)]
+    for pair in found:
+        assert pair.explained == "flat" and abs(pair.apart) < 1e-14
+        i, j = (spaces.index(V) for V, _ in pair)
+        axis = np.abs(np.subtract(places[i], places[j])).argmax()
+        for V, facets in pair:
+
+            def on(x, axis=axis):
+                return np.isclose((x[:, 0] - np.tan(np.pi / 6) * x[:, 1], x[:, 1])[axis], 1)
+
+            np.testing.assert_array_equal(middles(V, facets), facets_of(V, on))

@@ -8,10 +8,10 @@ from mpi4py import MPI
 
 import helpers
 import pytest
-from assembly import bending, check, linear, problem, rectangle, stretching, tie
+from assembly import bending, check, in_halves, linear, problem, rectangle, stretching, tie
 from helpers import sweep, two_ranks
 
-from hypergap_dolfinx import InterfaceError
+from hypergap_dolfinx import InterfaceError, InvertedCellError, Tie
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 comm = MPI.COMM_WORLD
@@ -91,6 +91,40 @@ def test_all_of_one_side_is_prescribed():
     ties = [tie(bodies, *TIED[::-1])]
     with pytest.raises(InterfaceError, match=r"prescribed on whole facets.*swap the sides"):
         problem(bodies, ties, TIED, fixed, bending)
+
+
+@two_ranks(pieces=[2])
+@pytest.mark.parametrize("pieces", (1, 2))
+def test_between_leaves_sides_to_the_problem(pieces):
+    """The coarser side can't be Γ1 if all of it is prescribed: the other one is, jump and all."""
+    bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
+    sides = (
+        in_halves(bodies, TIED, 0.5)
+        if pieces == 2
+        else [[(bodies[i].V, bodies[i].facets(tag)) for i, tag in TIED]]
+    )
+    ties = [Tie.between(*pair, jump=(0.0, 0.0)) for pair in sides]
+    assert all(t.swapped for t in ties)
+    check(bodies, ties, TIED, fixed, bending)
+    assert not any(t.swapped for t in ties)
+    assert [t.spaces for t in ties] == [(bodies[0].V, bodies[1].V)] * pieces
+    # Settled: another problem doesn't take the tie from this one
+    with pytest.raises(InterfaceError, match=r"prescribed on whole facets.*swap the sides"):
+        problem(bodies, ties, TIED, [(1, BOTTOM, (0, 1))], bending)
+
+
+def test_both_sides_of_between_are_refused():
+    """All of Γ1 is prescribed, and Γ0 as Γ1 gives no Σ."""
+    bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
+    t = Tie.between(*((bodies[i].V, bodies[i].facets(tag)) for i, tag in TIED))
+
+    def fails():
+        raise InvertedCellError("no Σ")
+
+    t._other = fails
+    with pytest.raises(InterfaceError, match=r"prescribed on whole facets.*swap the sides"):
+        problem(bodies, [t], TIED, fixed, bending)
+    assert t.swapped
 
 
 @pytest.mark.ranks(ratio=[(1, 5)])

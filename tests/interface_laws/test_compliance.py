@@ -205,7 +205,7 @@ def test_both_sides_prescribed_and_zero_in_places():
     np.testing.assert_allclose(q.evaluate(t.traction(p)), exact, atol=0.02)
     c.x.array[:] = 1.0
     for _ in range(2):  # each time
-        with raises(ValueError, "the compliance of tie 0 was 0 when the problem was made"):
+        with raises(ValueError, r"the compliance of tie 0 \(.*\) was 0 when the problem was made"):
             p.solve()
 
 

@@ -18,8 +18,10 @@ from helpers import (
 )
 
 import dolfinx
+import meshes
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.mortar import fields, kernel
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (1, 2), (3, 1))
 NORMAL = np.array((-np.sin(np.radians(25)), np.cos(np.radians(25))))  # of the skew interface
@@ -96,8 +98,14 @@ def test_translation_on_a_ring(k, g, angle):
     gap, slip = tie.gap(*u)
     nodes = gap.function_space.tabulate_dof_coordinates()[gap.function_space.dofmap.list]
     jump = gap.x.array[gap.function_space.dofmap.list]
-    slide = slip.x.array.reshape(-1, 2)[slip.function_space.dofmap.list]
-    close(jump**2 + (slide**2).sum(-1), np.full(jump.shape, d @ d), 1e-12)
+    q = tie.quadrature(2 * (k + g))
+    exact = q.normal @ d
+    integral = np.concatenate([q.integrate(q.evaluate(f)) for f in (gap, slip)])
+    slide = d - exact[..., None] * q.normal
+    desired = np.append(q.integrate(exact), q.integrate(slide))
+    np.testing.assert_allclose(integral, desired, rtol=0, atol=1e-11)
+    if g == 1:
+        close(np.einsum("cpi->cp", q.evaluate(slip) ** 2) + q.evaluate(gap)[..., 0] ** 2, d @ d)
     # n is the radius to half an edge's angle
     radial = nodes[..., :2] / np.linalg.norm(nodes[..., :2], axis=-1, keepdims=True)
     half = angle / 6 / 2
@@ -238,3 +246,58 @@ def test_normals_at_gauss_points():
         assert largest(q.normal - radial) <= error
     q = Tie(*two_rings((6, 9))[::-1]).quadrature(4)
     assert (np.einsum("cpi,cpi->cp", q.normal, q.x) < 0).all()
+
+
+class Given:
+    """A problem that is solved: multipliers by hand."""
+
+    def __init__(self, values):
+        self.multipliers = lambda tie: values
+
+
+@pytest.mark.ranks(2)
+def test_cells_with_a_node_without_area():
+    """A hexahedron's corner of 180° over the edge of a plate: |N| = 0 at nodes of Σ.
+
+    λ and gaps are bounded there, and their integrals are those of ∂u/∂α, by the kernel's functions.
+    """
+    places = (
+        lambda x: x - (0, 0, 1),
+        lambda x: np.column_stack(
+            (x[:, 0] - x[:, 1] / 2, x[:, 1] - (1 + x[:, 1]) * x[:, 0] / 2 + 0.25, x[:, 2])
+        ),
+    )
+    sides = []
+    for n, tag, place in zip(
+        ((1, 4, 1), (2, 2, 1)), (meshes.FRONT, meshes.BACK), places, strict=True
+    ):
+        mesh, ft = meshes.block(comm, n, place, cell="hexahedron")
+        sides.append((fem.functionspace(mesh, ("Lagrange", 2)), ft.find(tag)))
+    tie = Tie(*sides[::-1])
+    domain, R = tie.domain, tie.constraint.R_A
+    element = kernel.GapElement.at(
+        domain.geometry, domain.element, domain.element.points, np.ones(domain.element.dim)
+    )
+    length = np.linalg.norm(
+        kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)[0], axis=2
+    )
+    least = (length.min(axis=1) / length.max(axis=1)).min(initial=1)
+    assert comm.allreduce(least, MPI.MIN) < 1e-13
+    here = slice(*R.getOwnershipRangeColumn())
+    values = np.random.default_rng(1).random(R.getSize()[1])[here, None]
+    λ = tie.traction(Given(values))
+    u = [interpolated(V, lambda x: x[0] * (1 + x[1])) for V in tie.spaces]
+    u[1].x.array[:] *= 2
+    gap, _ = tie.gap(*u)
+    nodal = fields.nodal_values(domain, R, values)
+    opened = [
+        fields.nodal_values(domain, P, fields.owned_values(v))
+        for P, v in zip(tie.constraint.R, u, strict=True)
+    ]
+    degree = 20
+    q, tables = tie.quadrature(degree), domain.quadrature(degree)
+    _, v = kernel.geometry_at_points(tables, domain.x, domain.alpha_vertices)
+    dphi = kernel.alpha_derivatives(tables, v)
+    for f, a, bound in ((λ, nodal, 100), (gap, sum(opened), 10)):
+        assert largest(f.x.array) < bound
+        close(q.integrate(q.evaluate(f)), q.integrate(dphi @ a), 1e-10)

@@ -217,7 +217,7 @@ def test_an_interface_tied_twice():
         dolfinx.mesh.locate_entities_boundary(W.mesh, 1, lambda x: np.isclose(x[1], 0)) for W in V
     ]
     again = Tie((V[1], facets[1]), (V[0], facets[0]))
-    with pytest.raises(InterfaceError, match="ties 0 and 1 tie the same facets"):
+    with pytest.raises(InterfaceError, match=r"ties 0 and 1 \(.*\) tie the same facets"):
         TiedProblem(a, L, bcs=bcs, ties=[tie, again])
     with pytest.raises(InterfaceError, match="Γ0 and Γ1 share"):
         Tie((V[0], facets[0]), (V[0], facets[0]))

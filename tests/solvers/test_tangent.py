@@ -25,11 +25,8 @@ def dense(entries, size):
 def test_pattern():
     """What a multiplier acts on is coupled, with what lies beside it; values come to places."""
     facets = np.array([[0, 1], [1, 2], [2, 3]])  # of Γ0; node 4 is Γ1's
-    a, node = pattern.unique_pairs(np.array([1, 1, 1]), np.array([4, 0, 0]), 5)
-    assert (a.tolist(), node.tolist()) == ([1, 1], [0, 4])
-    a, node = pattern.beside(a, node, facets, 5)
-    assert (a.tolist(), node.tolist()) == ([1, 1, 1], [0, 1, 4])
-    found = pattern.coupled(a, node, 5, 2, 2, 2)
+    a, node = np.array([1, 1, 1]), np.array([4, 0, 0])
+    found = pattern.coupled(a, node, (2, 5), 2, 2, facets)
     dofs, own = [0, 1, 2, 3, 8, 9], [11, 13]  # two dofs a node; p and q of multiplier 1
     there = np.zeros((14, 14), dtype=bool)
     there[np.ix_(dofs + own, dofs + own)] = True

@@ -351,7 +351,7 @@ def test_pieces_of_one_interface_and_what_touches():
     ]
     problem = TiedProblem([left.a, right.a], [None, None], bcs=bcs, ties=ties)
     assert len(problem._constraints.bodies) == 1
-    assert problem._pieces.names == ["ties 0 and 1"]
+    assert [name[:14] for name in problem._pieces.names] == ["ties 0 and 1 ("]
 
 
 def test_bad_input():
@@ -371,10 +371,12 @@ def test_bad_input():
         with raises(ValueError, f'^solver="{solver}" is not possible: .* mixed'):
             TiedProblem(a, L, ties=[tie], solver=solver)
     part = Tie((left.V.sub(0), f0), (right.V.sub(0), f1))
-    with raises(ValueError, "^Γ0 of tie 1 and another tie's side are on a field and on a compo"):
+    with raises(
+        ValueError, r"^Γ0 of tie 1 \(.*\) and another tie's side are on a field and on a compo"
+    ):
         TiedProblem(a, L, ties=[tie, part])
     again = Tie(right.side(LEFT), left.side(RIGHT))
-    with raises(InterfaceError, "^ties 0 and 1 tie the same facets to each other"):
+    with raises(InterfaceError, r"^ties 0 and 1 \(.*\) tie the same facets to each other"):
         TiedProblem(a, L, ties=[tie, again])
     other = fem.Function(mixed_space(left.mesh))
     with raises(ValueError, "^u0 is not on the space of Γ0"):
