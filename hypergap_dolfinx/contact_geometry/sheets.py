@@ -47,6 +47,8 @@ from hypergap_dolfinx.surface.moving import Sparse
 from hypergap_dolfinx.surface.search import along_curve
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
 
+entries_first = 1_000_000  # of a matrix: memory that isn't written to costs nothing
+
 
 @dataclass(frozen=True)
 class BodyTriangles:
@@ -217,7 +219,7 @@ class Faded:
 
 def _filled(num: int, add: Callable) -> Sequence[Sparse]:
     """Matrices to which a function of C adds entries, with as much room as they need."""
-    room = [1000] * num
+    room = [entries_first] * num
     while True:
         arrays = [(*np.empty((2, size), np.int32), np.empty(size)) for size in room]
         names = "rows", "columns", "values"
@@ -231,7 +233,7 @@ def _filled(num: int, add: Callable) -> Sequence[Sparse]:
             break
         room = [max(each.num, size) for each, size in zip(made, room, strict=True)]
     return [
-        Sparse(i[: each.num].astype(np.int64), j[: each.num].astype(np.int64), v[: each.num])
+        Sparse(i[: each.num].astype(np.int64), j[: each.num].astype(np.int64), v[: each.num].copy())
         for each, (i, j, v) in zip(made, arrays, strict=True)
     ]
 
