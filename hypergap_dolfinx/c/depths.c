@@ -8,22 +8,15 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
-#include "balls.h"
-#include "space.h"
+#include "depths.h"
 #include "vectors.h"
 
 #define SAME 1e-12 // relative difference of distances that are one: round-off
 
-// What is nearest to a point as far as is known.
-typedef struct {
-  const double *x, *point; // corners of triangles, (num, 3, 3)
-  const int *order;
-  double nearest, inside;  // distance, and that from the triangle's plane, positive inside
-} Nearest;
-
-// Distance from a triangle, and that from its plane.
-static double triangle_distance(const double *x, const double *point, double *inside)
+// Distance from a triangle; that from its plane; and what of it is nearest.
+static double triangle_distance(const double *x, const double *point, double *inside, int *corners)
 {
   double e[3][3], d[3][3], n[3], w[3], least = INFINITY;
   int within = 1;
@@ -41,8 +34,14 @@ static double triangle_distance(const double *x, const double *point, double *in
     double t = smaller(larger(dot(d[k], e[k]) / fmax(dot(e[k], e[k]), 1e-300), 0), 1), r[3];
     for (int i = 0; i < 3; ++i)
       r[i] = d[k][i] - t * e[k][i];
-    least = smaller(least, sqrt(dot(r, r)));
+    double far = sqrt(dot(r, r));
+    if (!(far < least))
+      continue;
+    least = far;
+    corners[0] = t < 1 ? k : (k + 1) % 3, corners[1] = t > 0 ? (k + 1) % 3 : k;
   }
+  if (within)
+    corners[0] = -1;
   return within ? fabs(*inside) : least;
 }
 
@@ -55,11 +54,15 @@ static void look_for(Nearest *found, int start, int end, const Ball *ball)
   int half = (start + end) / 2;
   if (half == start)
   {
-    double inside, far = triangle_distance(found->x + 9 * found->order[start], found->point, &inside);
+    int corners[2], triangle = found->order[start];
+    double inside, far = triangle_distance(found->x + 9 * triangle, found->point, &inside, corners);
     // At edges and corners the side on which the point is is that of the plane farthest away
     if (far < (1 - SAME) * found->nearest
         || (far <= (1 + SAME) * found->nearest && fabs(inside) > fabs(found->inside)))
-      found->nearest = far, found->inside = inside;
+    {
+      found->nearest = far, found->inside = inside, found->triangle = triangle;
+      memcpy(found->corners, corners, sizeof(corners));
+    }
     return;
   }
   const Ball *halves[2] = {ball + 1, ball + 2 * (half - start)};
@@ -73,6 +76,27 @@ static void look_for(Nearest *found, int start, int end, const Ball *ball)
     look_for(found, second ? half : start, second ? end : half, halves[second]);
 }
 
+int open_body(Body *body)
+{
+  int num = body->num_triangles;
+  int *vertices = malloc(3 * (size_t)num * sizeof(int));
+  body->balls = malloc((2 * (size_t)num + 1) * sizeof(Ball));
+  int can = vertices && body->balls;
+  for (int k = 0; can && k < 3 * num; ++k)
+    vertices[k] = k;
+  if (can)
+    put_balls(3, vertices, body->x, body->order, 0, num, body->balls);
+  free(vertices);
+  return can;
+}
+
+Nearest nearest_of(const Body *body, const double *point)
+{
+  Nearest found = {.x = body->x, .point = point, .order = body->order, .nearest = INFINITY};
+  look_for(&found, 0, body->num_triangles, body->balls);
+  return found;
+}
+
 // Depths of points in the body whose surface triangles are, negative outside.
 //
 // x       corners, counterclockwise from outside, (num_triangles, 3, 3)
@@ -81,19 +105,10 @@ static void look_for(Nearest *found, int start, int end, const Ball *ball)
 int find_depths(int num_triangles, const double *x, const int *order, int num,
                 const double *points, double *depths)
 {
-  int *vertices = malloc(3 * (size_t)num_triangles * sizeof(int));
-  Ball *balls = malloc((2 * (size_t)num_triangles + 1) * sizeof(Ball));
-  int can = vertices && balls;
-  for (int k = 0; can && k < 3 * num_triangles; ++k)
-    vertices[k] = k;
-  if (can)
-    put_balls(3, vertices, x, order, 0, num_triangles, balls);
+  Body body = {num_triangles, x, order, NULL};
+  int can = open_body(&body);
   for (int p = 0; can && p < num; ++p)
-  {
-    Nearest found = {x, points + 3 * p, order, INFINITY, 0};
-    look_for(&found, 0, num_triangles, balls);
-    depths[p] = found.inside < 0 ? -found.nearest : found.nearest;
-  }
-  free(vertices), free(balls);
+    depths[p] = depth_by(nearest_of(&body, points + 3 * p));
+  free(body.balls);
   return can ? DONE : NO_MEMORY;
 }

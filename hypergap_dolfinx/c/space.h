@@ -47,6 +47,34 @@ typedef struct {
   double *X;  // on the reference facet, (max, MOST_CORNERS, 2) both
 } Pieces;
 
+// Parts of Γ1's facets, one for each vertex, that see Γ0 in part (contact_geometry/sheets.py).
+typedef struct {
+  const Facets *sides;
+  const int *dofs[2];           // of facets, Γ1's behind Γ0's, (num_facets, num_dofs)
+  const double *corners;        // of Γ0's reference facet, around it, (num_corners, 2)
+  const double *planes;         // as for find_pieces
+  const double *parts;          // likewise
+  int num;                      // of Γ1's facets
+  const int *facets;            // (num)
+  const int *first;             // of each one's sheets, (num + 1)
+  const int *sheets;            // facets of Γ0
+  int num_points;               // of the rule on polygons: 1 or 3
+  const double *points;         // as for polygon_rule
+  double cosines[2], nearest[2], slack, sliver, least, last;
+  int num_triangles;            // of Γ0, for depths
+  const double *triangles;      // their corners, (num_triangles, 3, 3)
+  const int *order;             // them along a curve that fills space
+  int triangles_a_facet;
+  const double *triangle_at;    // corners on the reference facet, (triangles_a_facet, 3, 2)
+} Parts;
+
+// Entries of a matrix. num counts those without room, too.
+typedef struct {
+  int max, num;
+  int *rows, *columns;
+  double *values;
+} Triplets;
+
 int find_pieces(const Facets *sides, const int *order, const double *normals, const double *planes,
                 const double *reach, const double *parts, double leans, double sliver, double last,
                 Pieces *pieces);
@@ -68,6 +96,11 @@ void complete(int num, int n, double *blocks);
 void column_slips(const Rays *rays, const int *block, const double *e, const double *moves,
                   double *by_q);
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks);
+int find_parts(const Parts *parts, double *g, double *covered, Triplets *C,
+               Triplets *by_covered);
+int part_curvature(const Parts *parts, const double *p, const double *by_covered, Triplets *H);
+int part_slips(const Parts *parts, const double *moved, int across, Triplets *T);
+int part_slip_curvature(const Parts *parts, const double *q, Triplets *H);
 int merge_blocks(int num_rows, int num_columns, int num, int a, const int *rows, int b,
                  const int *columns, int size, double *values, int *first);
 

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Weighted gaps of Γ1's vertices in the plane from those of its edges' halves.
+r"""Weighted gaps of Γ1's vertices from those of its edges' halves, or its facets' parts in space.
 
 A vertex a has the halves e of its edges, and is covered by :math:`c_a = 1 - \prod_e (1 - c_e)`, 1
 where one of them lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
@@ -16,11 +16,12 @@ of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds 
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
-from hypergap_dolfinx.contact_geometry.rays import PlaneRays
 from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
@@ -29,39 +30,44 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass
 class Blended:
-    """Gaps and slips of vertices; derivatives are by both sides' dofs, Γ1's behind Γ0's."""
+    """Gaps of vertices; derivatives are by both sides' dofs, Γ1's behind Γ0's."""
 
-    rays: PlaneRays
+    rays: Any
+    """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`SpaceColumns` in space."""
     facets: npt.NDArray[np.int32]
-    """Vertices of Γ1's edges, ``(num_edges1, 2)``."""
-    lengths: Floats
-    """Chords of Γ1's edges, ``(num_edges1,)``."""
+    """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
+    whole: Floats
+    """Areas of halves, covered or not, ``(num_facets1, num_corners)``."""
     num: int
     """Number of Γ1's vertices."""
+    size: int
+    """Number of both sides' dofs, all components."""
 
     def __post_init__(self):
         """Find gaps and weights."""
-        halves, self.covered, slopes, self._by_covered = self.rays.gaps()
-        self._slopes = self._by_vertex(slopes)
-        left = np.ones((self.num, 2))  # of what halves leave uncovered, by end of an edge
-        for k, vertices in enumerate(self.facets.T):
-            left[vertices, k] = 1 - self.covered[:, k]
-        self._others = np.stack([left[v, 1 - k] for k, v in enumerate(self.facets.T)], axis=1)
-        self._c = 1 - left.prod(axis=1)
+        halves, self.covered, self._slopes, self._by_covered = self.rays.gaps()
+        left = np.ones(self.num)
+        np.multiply.at(left, self.facets, 1 - self.covered)
+        self._left = left
+        self._c = 1 - left
         self._g = self._sums(halves)
-        self.areas = self.covered * self.lengths[:, None] / 2
-        """Areas of halves, ``(num_edges1, 2)``."""
-        c, rest = self._c, 1 - self._c
+        self.areas = self.covered * self.whole
+        """Areas of halves, ``(num_facets1, num_corners)``."""
+        c, rest = self._c, left
         x = np.clip(c / HARD, 0, 1)
-        self._t, dt, ddt = x**2 * (3 - 2 * x), 6 * x * (1 - x) / HARD, (6 - 12 * x) / HARD**2
+        self.t, dt, ddt = x**2 * (3 - 2 * x), 6 * x * (1 - x) / HARD, (6 - 12 * x) / HARD**2
         ddt[(x <= 0) | (x >= 1)] = 0
         self._dt, self._ddt = dt, ddt
-        self._q = BLENDS * self._t * rest**2
-        self._dq = BLENDS * (dt * rest**2 - 2 * self._t * rest)
-        self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self._t)
+        self._q = BLENDS * self.t * rest**2
+        self._dq = BLENDS * (dt * rest**2 - 2 * self.t * rest)
+        self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self.t)
         hard = (c > 0) & (c < 1)
-        both = np.concatenate((self.facets, self.facets[:, ::-1]))
-        self._pairs = both[hard[both[:, 0]]].T
+        after = np.roll(self.facets, -1, axis=1)
+        both = np.stack((self.facets, after), axis=-1).reshape(-1, 2)
+        both = both[hard[both].any(axis=1)]
+        both = np.unique(np.concatenate((both, both[:, ::-1])), axis=0)
+        self.pairs = both[hard[both[:, 0]]].T
+        """Vertices that are covered in part, and others beside them, ``(2, num_pairs)``."""
 
     @cached_property
     def g(self) -> Floats:
@@ -81,18 +87,27 @@ class Blended:
     @cached_property
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
-        own = self._own(self._slopes)
-        if not len(self._hard):
-            return own
-        G, K, columns = self._dense(self._slopes, self._by_c)
-        extra, hard = self._q[:, None] * self._sums_beside(G, K), self._hard
-        rows = extra[hard] + self._by_own_c[hard, None] * K[hard]
-        return joined(own, _entries(rows, hard, columns))
+        S, g = self._slopes, self._g
+        return joined(self.spread(S), self.by_weights(g, g[self.pairs[1]]))
+
+    def by_weights(self, own: Floats, beside: Floats) -> Sparse:
+        """∂L/∂u times values.
+
+        Args:
+            own: Values of vertices, ``(num,)``.
+            beside: Those that are counted beside them, ``(num_pairs,)``.
+        """
+        a, b = self.pairs
+        if not len(a):
+            return Sparse.empty()
+        sums = np.bincount(a, self._c[b] * beside, self.num)
+        by = _scaled(self._dt * own + self._dq * sums, self._K)
+        return Sparse.from_scipy(by + self._matrix(a, b, self._q[a] * beside) @ self._K)
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
-        a, b = self._pairs
-        result = (self._t * p.T).T
+        a, b = self.pairs
+        result = (self.t * p.T).T
         np.add.at(result, b, ((self._q[a] * self._c[b]) * p[a].T).T)
         return result
 
@@ -103,7 +118,7 @@ class Blended:
             values: ``(..., num)``, or masks of such.
             gone: Mask of those vertices, ``(num,)``.
         """
-        a, b = self._pairs
+        a, b = self.pairs
         on = gone[a]
         a, b = a[on], b[on]
         result = np.where(gone, np.zeros_like(values), values)
@@ -116,39 +131,44 @@ class Blended:
 
     def blended(self, values: Floats) -> Floats:
         """L of values at vertices, ``(num,)``."""
-        return self._t * values + self._q * self._sums_of(values)
+        return self.t * values + self._q * self._sums_of(values)
 
     def curvature(self, p: Floats) -> Sparse:
         """Σ_a p_a ∂²ĝ_a/∂u²."""
-        a, b = self._pairs
+        a, b = self.pairs
         by_c = p * self._by_own_c
         np.add.at(by_c, b, p[a] * self._q[a] * self._g[b])
-        by_half = by_c[self.facets] * self._others
+        by_half = (by_c * self._left)[self.facets] * self._per_left
         H = self.rays.curvature(self.pressures(p)[self.facets], by_half)
         if not len(a) or not p[a].any():
             return H
-        G, K, columns = self._dense(self._slopes, self._by_c)
-        weights = np.zeros(self.num)
+        G, K = self.rows(self._slopes), self._K
+        weights = p * self._dt
         np.add.at(weights, b, p[a] * self._q[a])
-        hard = self._hard
-        weights += p * self._dt
-        dS = self._sums_beside(G, K)
-        M = (weights[:, None] * K).T @ G + ((p * self._dq)[hard, None] * K[hard]).T @ dS[hard]
+        S = self._matrix(a, b, self._c[b]) @ G + self._matrix(a, b, self._g[b]) @ K
+        M = _scaled(weights, K).T @ G + _scaled(p * self._dq, K).T @ S
         bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
-        M += (0.5 * (p * bends)[hard, None] * K[hard]).T @ K[hard]
-        ends = [self._dense_halves(k, columns) for k in range(2)]
-        M -= (by_c[:, None] * ends[0]).T @ ends[1]
-        return joined(H, _entries(M + M.T, columns, columns))
+        M += _scaled(0.5 * p * bends, K).T @ K
+        # Of the product of what halves leave uncovered: of each one's by those before it
+        before = sparse.csr_array(K.shape)
+        for halves in self._halves_of_c():
+            M -= _scaled(by_c * self._left, before).T @ halves
+            before = before + halves
+        return joined(H, Sparse.from_scipy(M + M.T))
 
     @cached_property
     def slips(self) -> Sparse:
         """L T: slips of vertices are L T Δu."""
-        return joined(self._own(self._T), self._beside(self._T))
+        return self.spread(self._T)
 
     @cached_property
     def parting(self) -> Sparse:
         """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
         T = self._by_vertex(self.rays.slips(across=True))
+        return self.spread(T)
+
+    def spread(self, T: Sparse) -> Sparse:
+        """L T."""
         return joined(self._own(T), self._beside(T))
 
     @cached_property
@@ -162,35 +182,25 @@ class Blended:
         Args:
             moved: Δu by both sides' dofs, all components.
         """
-        slopes = self._by_vertex(self.rays.slips(moved))
-        if not len(self._hard):
-            return self._own(slopes)
-        T = self._T
+        slopes, T = self._by_vertex(self.rays.slips(moved)), self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
-        S, K, columns = self._dense(slopes, self._by_c)
-        a, b = self._pairs
-        rows = np.zeros_like(S)
-        np.add.at(rows, a, self._q[a, None] * (self._c[b, None] * S[b] + s[b, None] * K[b]))
-        rows += (self._dt * s + self._dq * self._sums_of(s))[:, None] * K
-        hard = self._hard
-        return joined(self._own(slopes), _entries(rows[hard], hard, columns))
+        by_weights = self.by_weights(s, s[self.pairs[1]])
+        return joined(self.spread(slopes), by_weights)
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
         H = self.rays.slip_curvature(self.pressures(q)[self.facets])
-        a, b = self._pairs
-        if not len(a) or not q[a].any():
+        if not q[self.pairs[0]].any():
             return H
-        T, K, columns = self._dense(self._T, self._by_c)
-        by_a, by_b = q[a] * self._dq[a] * self._c[b], q[a] * self._q[a]
-        M = (by_a[:, None] * T[b]).T @ K[a] + (by_b[:, None] * T[b]).T @ K[b]
-        M += ((q * self._dt)[:, None] * T).T @ K
-        return joined(H, _entries(M, columns, columns))
+        return joined(H, Sparse.from_scipy(self.rows(self._T).T @ self.pressure_slopes(q)))
 
-    @cached_property
-    def _hard(self) -> npt.NDArray[np.intp]:
-        """Vertices that are covered in part, sorted."""
-        return np.unique(self._pairs[0])
+    def pressure_slopes(self, p: Floats) -> sparse.csr_array:
+        """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
+        a, b = self.pairs
+        own = self._dt * p
+        np.add.at(own, b, p[a] * self._q[a])
+        by = self._matrix(b, a, p[a] * self._dq[a] * self._c[b])
+        return by @ self._K + _scaled(own, self._K)
 
     @cached_property
     def _by_own_c(self) -> Floats:
@@ -199,7 +209,7 @@ class Blended:
 
     def _own(self, T: Sparse) -> Sparse:
         """Rows times t."""
-        return Sparse(T.i, T.j, T.values * self._t[T.i])
+        return Sparse(T.i, T.j, T.values * self.t[T.i])
 
     def _sums(self, halves: Floats) -> Floats:
         """Sums at vertices."""
@@ -207,15 +217,8 @@ class Blended:
 
     def _sums_of(self, values: Floats) -> Floats:
         """Σ_b c_b values_b beside vertices that are covered in part, 0 elsewhere."""
-        a, b = self._pairs
+        a, b = self.pairs
         return np.bincount(a, self._c[b] * values[b], self.num).astype(float)
-
-    def _sums_beside(self, G: Floats, K: Floats) -> Floats:
-        """∂S, from ∂g and ∂c, ``(num, num_columns)`` each."""
-        a, b = self._pairs
-        result = np.zeros_like(G)
-        np.add.at(result, a, self._c[b, None] * G[b] + self._g[b, None] * K[b])
-        return result
 
     def _by_vertex(self, halves: Sparse) -> Sparse:
         """Rows of vertices, sums of their halves'."""
@@ -223,56 +226,63 @@ class Blended:
 
     def _beside(self, T: Sparse) -> Sparse:
         """Rows q_a Σ_b c_b T_b."""
-        a, b = self._pairs
-        parts = [Sparse.empty()]
-        for row, other in zip(a.tolist(), b.tolist(), strict=True):
-            on = T.i == other
-            values = self._q[row] * self._c[other] * T.values[on]
-            parts.append(Sparse(np.full(on.sum(), row), T.j[on], values))
-        return joined(*parts)
+        a, b = self.pairs
+        if not len(a):
+            return Sparse.empty()
+        return Sparse.from_scipy(self._matrix(a, b, self.shares) @ self.rows(T))
 
     @cached_property
-    def _by_c(self) -> Sparse:
-        """∂c/∂u of vertices."""
-        K = self._by_covered
-        return self._by_vertex(Sparse(K.i, K.j, K.values * self._others.ravel()[K.i]))
+    def shares(self) -> Floats:
+        """q_a c_b of pairs."""
+        a, b = self.pairs
+        return self._q[a] * self._c[b]
+
+    def _matrix(self, i, j, values: Floats) -> sparse.csr_array:
+        """A matrix by vertices."""
+        return sparse.csr_array((values, (i, j)), shape=(self.num, self.num))
 
     @cached_property
-    def _near(self) -> npt.NDArray[np.bool_]:
+    def _per_left(self) -> Floats:
+        """1 over what a half leaves uncovered, 0 if that is nothing."""
+        left = 1 - self.covered
+        return np.divide(1, left, out=np.zeros_like(left), where=left > 0)
+
+    @cached_property
+    def _K(self) -> sparse.csr_array:
+        """∂c/∂u of vertices near to those that are covered in part."""
+        K, left = self._by_covered, 1 - self.covered
+        others = np.ones(self.num)  # of halves that leave anything
+        np.multiply.at(others, self.facets, np.where(left == 0, 1, left))
+        none = self._sums(left == 0)[self.facets] - (left == 0)
+        others = np.where(none > 0, 0, others[self.facets] / np.where(left == 0, 1, left))
+        return self.rows(self._by_vertex(Sparse(K.i, K.j, K.values * others.ravel()[K.i])))
+
+    @cached_property
+    def near(self) -> npt.NDArray[np.bool_]:
         """Mask of vertices that are covered in part and of those beside them, ``(num,)``."""
         near = np.zeros(self.num, dtype=bool)
-        near[self._pairs] = True
+        near[self.pairs] = True
         return near
 
-    def _dense(self, *parts: Sparse):
-        """Rows of vertices that are covered in part and of those beside them.
+    def rows(self, part: Sparse) -> sparse.csr_array:
+        """Rows of vertices that are covered in part and of those beside them."""
+        return part.some(self.near[part.i]).to_scipy((self.num, self.size))
 
-        Args:
-            parts: Rows of vertices.
-
-        Returns:
-            For each of them ``(num, num_columns)``; then the columns.
-        """
-        on = [self._near[part.i] for part in parts]
-        columns = np.unique(np.concatenate([part.j[use] for part, use in zip(parts, on)]))
-        found = []
-        for part, use in zip(parts, on, strict=True):
-            rows = np.zeros((self.num, len(columns)))
-            np.add.at(rows, (part.i[use], np.searchsorted(columns, part.j[use])), part.values[use])
-            found.append(rows)
-        return *found, columns
-
-    def _dense_halves(self, k: int, columns: npt.NDArray) -> Floats:
-        """∂c_e/∂u of the halves at one end of edges, by vertex, ``(num, num_columns)``."""
-        K = self._by_covered
-        vertex = self.facets.ravel()[K.i]
-        on = (K.i % 2 == k) & self._near[vertex]
-        rows = np.zeros((self.num, len(columns)))
-        np.add.at(rows, (vertex[on], np.searchsorted(columns, K.j[on])), K.values[on])
-        return rows
+    def _halves_of_c(self):
+        """∂c_e/∂u over 1 − c_e of one half after the other of each vertex, by vertex."""
+        K, vertices = self._by_covered, self.facets.ravel()
+        on = np.flatnonzero(self.near[vertices[K.i]])
+        halves, each = np.unique(K.i[on], return_inverse=True)
+        order = np.argsort(vertices[halves], kind="stable")
+        sorted_vertices, number = vertices[halves][order], np.empty(len(halves), dtype=np.intp)
+        number[order] = np.arange(len(halves)) - np.searchsorted(sorted_vertices, sorted_vertices)
+        values = K.values[on] * self._per_left.ravel()[K.i[on]]
+        for k in range(int(number.max(initial=-1)) + 1):
+            some = number[each] == k
+            at = vertices[K.i[on[some]]], K.j[on[some]]
+            yield Sparse(*at, values[some]).to_scipy((self.num, self.size))
 
 
-def _entries(rows: Floats, i: npt.NDArray, j: npt.NDArray) -> Sparse:
-    """A dense matrix with its numbers of rows and columns."""
-    a, b = np.nonzero(rows)
-    return Sparse(i[a].astype(np.int64), j[b], rows[a, b])
+def _scaled(factors: Floats, rows: sparse.csr_array) -> sparse.csr_array:
+    """Rows times factors."""
+    return sparse.diags_array(factors).tocsr() @ rows

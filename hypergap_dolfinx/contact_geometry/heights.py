@@ -160,43 +160,20 @@ class EdgeRays:
     weights: npt.NDArray[np.float64]
     normal: npt.NDArray[np.float64]
     """Out of the piece, of the length of the edge, in Γ1's reference facet, ``(num, 2)``."""
-    outline: npt.NDArray[np.bool_]
-    """Mask of points where Γ0 ends."""
-
-    def _motions(self) -> tuple[npt.NDArray, npt.NDArray]:
-        """Motion of edges on Γ1.
-
-        Returns:
-            Derivatives of motions along the normal by q, ``(num, 7, 3)``, and slopes of f along it
-            that Γ0 has beyond the edge less those before it if it is one plane, ``(num,)``.
-        """
-        motion, slopes = np.empty_like(self.rays.q), np.empty(len(self.rays.q))
-        call("column_edges", self.rays.pointer, doubles(self.normal), motion, slopes)
-        return motion, slopes
-
-    def add_slopes(self, blocks):
-        """Add what moving edges contribute to ∂∫f/∂u.
-
-        Args:
-            blocks: Blocks of pieces, ``(num_pieces, num_dofs, 3)``.
-        """
-        motion, moved = self._motions()[0], self.weights * self.rays.heights[0]
-        call("sum_by_dofs", self.rays.pointer, ints(self.piece), moved, motion, blocks)
 
     def add_kinks(self, block, factor, blocks):
         """Add what moving edges contribute to ∂²∫f/∂u²: jumps of f's derivatives.
-
-        At Γ0's outline f is treated as zero, as it is in contact.
 
         Args:
             block: As for :meth:`Rays.add_curvatures`.
             factor: Likewise.
             blocks: Likewise.
         """
-        motion, slope = self._motions()
-        half = ((self.outline - 0.5) * slope * factor)[:, None, None] * motion
-        if self.outline.any():
-            half += (self.outline * factor)[:, None, None] * self.rays.heights[2]
+        # Motions along normals, and slopes of f along them that Γ0 has beyond the edge less those
+        # before it if it is one plane
+        motion, slope = np.empty_like(self.rays.q), np.empty(len(self.rays.q))
+        call("column_edges", self.rays.pointer, doubles(self.normal), motion, slope)
+        half = (-0.5 * slope * factor)[:, None, None] * motion
         a, b = by_dofs = np.zeros((2, len(half), blocks.shape[1], 3))
         each = ints(np.arange(len(half))), np.ones(len(half))
         # a ⊗ b + b ⊗ a

@@ -30,7 +30,7 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
     Returns:
         ``(num_points, 2)``, ``(num_points,)`` and ``(num_points,)``.
     """
-    points, powers, inverse = _points(degree)
+    points, powers, inverse = standard_points(degree)
     inner = np.column_stack(basix.make_quadrature(basix.CellType.triangle, degree))
     at, weights = np.empty((len(X), len(points), 2)), np.empty((len(X), len(points)))
     polygons = *X.shape[:2], doubles(X), len(points), doubles(points), WIDTH**2
@@ -40,7 +40,7 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
 
 
 @cache
-def _points(degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+def standard_points(degree: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     """Points on circles where mean and standard deviations are 0 and 1, and their weights.
 
     Returns:

@@ -24,7 +24,6 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import (
     DRIFT,
-    FACING,
     LAST,
     NEWTON_CURVES,
     NEWTON_FACET,
@@ -33,7 +32,6 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct, structs
 from hypergap_dolfinx.surface.search import along_curve
-from hypergap_dolfinx.surface.tolerances import COVERED_SIDE
 from hypergap_dolfinx.surface.trace import Surface, around, lengths, tabulate
 
 
@@ -80,6 +78,12 @@ class Frames:
         return np.einsum("fki,f...i->f...k", self.dual[facet], x - origin.reshape(shape))
 
     @cached_property
+    def planes(self) -> npt.NDArray[np.float64]:
+        """Origins, dual bases and unit normals, ``(num_facets, 4, 3)``."""
+        axes = self.normal / lengths(self.normal)[:, None]
+        return np.concatenate((self.middle[:, None], self.dual, axes[:, None]), axis=1)
+
+    @cached_property
     def in_c(self) -> Any:
         """Γ0 and Γ1 for C; it lives as long as they do."""
         return structs("Facets", [surface.polynomials for surface in self.surfaces])
@@ -106,8 +110,8 @@ class FacetPieces:
 
     facets: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
     """Facets of Γ0 and of Γ1, ``(num_pieces,)`` each."""
-    vertex: npt.NDArray[np.intp]
-    """Vertex of Γ1 whose part of the facet it is in, ``(num_pieces,)``."""
+    part: npt.NDArray[np.intp]
+    """Part of Γ1's facet that it is in, ``(num_pieces,)``."""
     X: npt.NDArray[np.float64]
     """Corners in the reference facet of Γ1, counterclockwise, ``(num_pieces, num, 2)``; behind the
     last one they repeat it."""
@@ -122,9 +126,9 @@ class FacetPieces:
     def some(self, some) -> "FacetPieces":
         """A part of them, by numbers or a mask."""
         facets = self.facets[0][some], self.facets[1][some]
-        vertex, X, num, label = (part[some] for part in (self.vertex, self.X, self.num, self.label))
+        part, X, num, label = (of[some] for of in (self.part, self.X, self.num, self.label))
         bend = None if self.bend is None else self.bend[some]
-        return FacetPieces(facets, vertex, X, num, label, bend)
+        return FacetPieces(facets, part, X, num, label, bend)
 
     def _edges(self, piece, k) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Ends of straight edges, ``(num, 2, 2)``, and distances from these, ``(num, 3, 2)``."""
@@ -195,19 +199,28 @@ def polygon_areas(y) -> npt.NDArray[np.float64]:
     return 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
 
 
+@cache
+def parts_of(cell_type: basix.CellType) -> npt.NDArray[np.float64]:
+    """Parts of a reference facet, one for each vertex, from there counterclockwise.
+
+    Returns:
+        ``(num_corners, 4, 2)``.
+    """
+    own = reference_corners(cell_type)
+    middles = (own + np.roll(own, -1, axis=0)) / 2
+    centre = np.broadcast_to(own.mean(axis=0), own.shape)
+    return np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
+
+
 def find_pieces(frames: Frames) -> FacetPieces:
     """All pieces."""
     below, above = frames.surfaces
-    own = reference_corners(above.geometry.cell_type)
-    middles = (own + np.roll(own, -1, axis=0)) / 2
-    centre = np.broadcast_to(own.mean(axis=0), own.shape)
-    # (part, corner, 2), from the vertex counterclockwise
-    parts = np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
+    parts = parts_of(above.geometry.cell_type)
     f0, f1, part, count, edge, y, X = _cut(frames, parts)
     # Edge k of the corners as seen from the other side is edge num − 2 − k of the facet
     sides, num = below.facets.shape[1], parts.shape[1]
     label = np.where(edge < num, Label.INNER, (sides - 2 - edge + num) % sides)
-    pieces = FacetPieces((f0, f1), above.polygons[f1, part].astype(np.intp), X, count, label)
+    pieces = FacetPieces((f0, f1), part, X, count, label)
     if max(surface.geometry.degree for surface in frames.surfaces) > 1:
         pieces = _bent(frames, pieces, parts, part, y, edge)
     return pieces
@@ -227,11 +240,9 @@ def _cut(frames: Frames, parts):
     """
     below, above = frames.surfaces
     sides = frames.in_c
-    axes = frames.normal / lengths(frames.normal)[:, None]
-    planes = np.concatenate((frames.middle[:, None], frames.dual, axes[:, None]), axis=1)
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = ints(along_curve(below.x[below.facets].mean(axis=1)))
-    given = sides, order, *map(doubles, (below.normals, planes, reach, parts))
+    given = sides, order, *map(doubles, (below.normals, frames.planes, reach, parts))
     room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
     while True:
         numbers = np.empty((4, room), dtype=np.int32)
@@ -240,7 +251,7 @@ def _cut(frames: Frames, parts):
         of0, of1, part, count = numbers
         fields = {"facets": [of0, of1], "part": part, "count": count, "edge": edge}
         pieces = struct("Pieces", max=room, **fields, y=points[0], X=points[1])
-        if call("find_pieces", *given, FACING, ROUND_OFF_FACET, LAST, pieces):
+        if call("find_pieces", *given, 0.0, ROUND_OFF_FACET, LAST, pieces):
             raise MemoryError("no memory for the pieces of the gap domain")
         if pieces.num <= room:
             break
@@ -309,36 +320,6 @@ def _in_curved(frames: Frames, facet, y) -> npt.NDArray[np.float64]:
         if np.abs(step).max(initial=0) < LAST:
             break
     return X
-
-
-def stand_ins(surface: Surface, pieces: FacetPieces) -> npt.NDArray[np.intp]:
-    """The vertex of Γ1 that gets the pieces next to each one, ``(num_vertices,)``.
-
-    A vertex of which no facet is covered by more than :data:`COVERED_SIDE` has no multiplier: its
-    share goes to the nearest vertex that has one.
-    """
-    whole = polygon_areas(reference_corners(surface.geometry.cell_type)[None])[0]
-    covered = np.bincount(pieces.facets[1], pieces.area, len(surface.facets)) / whole
-    has = np.zeros(len(surface.x), dtype=bool)
-    has[surface.facets[covered > COVERED_SIDE]] = True
-    stand_in = np.arange(len(surface.x))
-    without = np.zeros_like(has)
-    without[pieces.vertex] = True
-    without &= ~has
-    facets = surface.facets
-    v, near = (part.ravel() for part in np.broadcast_arrays(facets[:, :, None], facets[:, None]))
-    use = without[v] & has[near]
-    v, near = v[use], near[use]
-    order = np.lexsort((near, lengths(surface.x[near] - surface.x[v]), v))
-    first = order[np.unique(v[order], return_index=True)[1]]
-    stand_in[v[first]] = near[first]
-    without[v] = False
-    for alone in np.flatnonzero(without).tolist():
-        near = np.flatnonzero(has)
-        if not len(near):  # nothing but a part of one facet
-            near, has[alone] = np.array([alone]), True
-        stand_in[alone] = near[lengths(surface.x[near] - surface.x[alone]).argmin()]
-    return stand_in
 
 
 @cache

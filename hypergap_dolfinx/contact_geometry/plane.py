@@ -101,7 +101,9 @@ class PlaneSegments(Segments[_Seen]):
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
         above = surfaces[1]
         chords = above.x[above.facets[:, 1]] - above.x[above.facets[:, 0]]
-        return _Seen(u, Blended(found, above.facets, lengths(chords), self.num_multipliers))
+        whole = np.repeat(lengths(chords)[:, None] / 2, 2, axis=1)
+        given = above.facets, whole, self.num_multipliers, 2 * self.num_dofs
+        return _Seen(u, Blended(found, *given))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

@@ -25,9 +25,8 @@ class Segments[State: Found](ABC):
     """Contact segments: Σ between two surfaces, with weights for each vertex of Γ1.
 
     A vertex a of Γ1 has the weighted gap g_a, the volume of its part of Σ, and the area m_a. Σ is
-    found anew wherever the bodies are, and derivatives are those of everything that moves. In the
-    plane g is continuous; in space it is but where a piece of Γ0 comes into sight or out of it.
-    The same on every rank.
+    found anew wherever the bodies are. g is continuous, and derivatives are those of everything
+    that moves. The same on every rank.
 
     Arrays of displacements are those at the dofs of Γ0 and of Γ1; in matrices by u Γ1's dofs are
     behind all of Γ0's, all components of a dof together. Slips are counted from displacements

@@ -64,6 +64,8 @@ class PlaneRays:
     """Struct ``Sigma`` of ``c/plane.h``."""
     points: npt.NDArray
     """``Point`` of ``c/plane.h``, ``(num_points,)``."""
+    vertices: npt.NDArray[np.int64]
+    """Vertex of each half, ``(num_halves,)``."""
 
     @property
     def num_halves(self) -> int:
@@ -71,11 +73,12 @@ class PlaneRays:
         return 2 * self.sigma.sides[1].num_edges
 
     def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, Sparse, Sparse]":
-        """Gaps and covered parts of halves, and their derivatives by both sides' dofs."""
+        """Gaps and covered parts of halves; ∂g/∂u, summed over vertices; and ∂covered/∂u."""
         g, covered = np.empty((2, self.num_halves))
         slopes = _Entries(self.num_halves), _Entries(self.num_halves)
         given = self.sigma, g, covered
         C, by_covered = _filled(slopes, lambda C, K: call("find_gaps", *given, C, K))
+        C = Sparse(self.vertices[C.i], C.j, C.values)
         return g.reshape(-1, 2), covered.reshape(-1, 2), C, by_covered
 
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
@@ -201,7 +204,8 @@ def cast(
             raise MemoryError(WRONG)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:
-            return PlaneRays(sigma, points[: sigma.num_points])
+            vertices = surfaces[1].facets.ravel().astype(np.int64)
+            return PlaneRays(sigma, points[: sigma.num_points], vertices)
         room = most
 
 

@@ -1,81 +1,247 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Which sheets of Γ0 the facets of Γ1 meet in space, where several lie one behind the other.
+r"""What parts of Γ1's facets in space see of Γ0, where sheets end, turn away or lie behind others.
 
-What lies behind a point of Γ1 is that of a body in which the point isn't, unless it is nearly as
-deep in Γ0's body by what of Γ0 is nearest: far sides and side walls of closed bodies aren't met.
-Of what is left the sheet that is farthest behind hides those in front of it.
+As in the plane (``rays.py``), with facets for edges and parts for halves: a sheet has the weight
+ω at a point, and hides those in front of it by that. With ω = 1 on all of a facet, as where one
+sheet of Γ0 lies opposite and reaches beyond it, that is the volume of columns, whose derivatives
+are simple (``heights.py``). Other facets, few in most scenes, are *faded*. There
+
+.. math:: \sum_k \omega_k h_k \prod_{j<k} (1 - \omega_j)
+   = \sum_S (-1)^{|S| + 1} \max_{k\in S} h_k \prod_{k\in S} \omega_k
+
+over all sets S of sheets, each integrated over the polygon in which all of S lie opposite the
+part, with the rule of ``moments.py``. Its corners move with both surfaces. Values and derivatives
+to the second order of all that are computed in C (``c/parts.c``).
 """
 
-from functools import cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.moments import rule
-from hypergap_dolfinx.contact_geometry.opposite import FacetPieces, Frames, Label, find_pieces
-from hypergap_dolfinx.contact_geometry.tolerances import COSINES, FACING, NEAREST, SLACK
-from hypergap_dolfinx.core.compiled import call, doubles, ints
+from hypergap_dolfinx.contact_geometry.heights import At, Rays
+from hypergap_dolfinx.contact_geometry.moments import standard_points
+from hypergap_dolfinx.contact_geometry.opposite import (
+    FacetPieces,
+    Frames,
+    cross,
+    polygon_areas,
+    reference_corners,
+)
+from hypergap_dolfinx.contact_geometry.tolerances import (
+    COSINES,
+    LAST,
+    NEAREST,
+    SLACK,
+    SLIVER,
+    WIDTH,
+)
+from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
 from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.surface.moving import Sparse
 from hypergap_dolfinx.surface.search import along_curve
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
 
-
-def find_met(frames: Frames) -> tuple[FacetPieces, npt.NDArray[np.bool_]]:
-    """The pieces that are met, and a mask of their edges beyond which Γ0 isn't, by corners."""
-    pieces = find_pieces(frames)
-    met = _visible(frames, pieces)
-    return pieces.some(met), _ends(frames, pieces, met)
+entries_first = 1_000_000  # of a matrix: memory that isn't written to costs nothing
 
 
-def _visible(frames: Frames, pieces: FacetPieces) -> npt.NDArray[np.bool_]:
-    """Mask of the pieces that are met, ``(num_pieces,)``."""
-    below, above = frames.surfaces
-    f0, f1 = pieces.facets
-    if not len(f0):
-        return np.ones(0, dtype=bool)
-    x = above.points(f1, rule(pieces.X, 1)[0])
-    other, normal = below.normals[f0], frames.normal[f1]
-    cos = -np.einsum("pi,pi->p", other, normal) / lengths(normal)
-    deep = np.einsum("pi,pi->p", other, below.x[below.facets[f0, 0]] - x)
-    met = _ramp(cos, COSINES)
-    slack = SLACK * above.size[f1]
+@dataclass(frozen=True)
+class BodyTriangles:
+    """Triangles of a surface, for depths in its body."""
+
+    corners: npt.NDArray[np.float64]
+    """``(num_triangles, 3, 3)``."""
+    at: npt.NDArray[np.float64]
+    """Corners of a facet's triangles on the reference facet, ``(triangles_a_facet, 3, 2)``."""
+
+    @classmethod
+    def of(cls, surface: Surface) -> "BodyTriangles":
+        """That of a surface; curved facets are taken as triangles between their nodes."""
+        points, triangles = _lattice(surface.geometry.cell_type, surface.geometry.degree)
+        corners = (tabulate(surface.geometry, points) @ surface.nodes)[:, triangles]
+        return cls(corners.reshape(-1, 3, 3), points[triangles])
+
+    @cached_property
+    def order(self) -> npt.NDArray[np.int32]:
+        """Triangles along a curve that fills space."""
+        return ints(along_curve(self.corners.mean(axis=1)))
+
+    def depths(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Depths of points by the nearest triangle, negative outside, ``(num,)``."""
+        depths = np.empty(len(x))
+        given = len(self.corners), doubles(self.corners), self.order, len(x), doubles(x)
+        if call("find_depths", *given, depths):
+            raise MemoryError("no memory for the depths of points")
+        return depths
+
+
+def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[np.float64]:
+    """Weights ω of sheets at rays.
+
+    Args:
+        frames: Γ0 and Γ1.
+        rays: Rays.
+        body: Γ0's.
+
+    Returns:
+        ``(num,)``.
+    """
+    q = rays.q
+    below, normal = cross(q[:, At.Z1], q[:, At.Z2]), cross(q[:, At.C1], q[:, At.C2])
+    size, length = np.maximum(lengths(below), 1e-300), lengths(normal)
+    cos = -np.einsum("pi,pi->p", below, normal) / (size * length)
+    deep = np.einsum("pi,pi->p", below, q[:, At.R]) / size
+    result = _ramp(cos, COSINES)
+    slack = SLACK * np.sqrt(length)
     # As deep as that by the nearest facet, for it isn't farther away than the sheet
-    near = deep <= slack / (NEAREST[1] + 1 / cos)
-    far = np.flatnonzero(~near)
-    depth = find_depths(below, x[far]) + slack[far]
-    met[far] *= _ramp(depth / deep[far], NEAREST)
-    on = np.flatnonzero(met >= 0.5)
-    on = on[_farthest_behind(frames, pieces.some(on), -deep[on] / cos[on])]
-    mask = np.zeros(len(f0), dtype=bool)
-    mask[on] = True
-    return mask
+    near = deep * (NEAREST[1] + 1 / np.where(result > 0, cos, 1)) <= slack
+    far = np.flatnonzero((result > 0) & ~near)
+    x = frames.surfaces[0].points(rays.facets[0][far], rays.xi[far]) - q[far, At.R]
+    result[far] *= _ramp((body.depths(x) + slack[far]) / deep[far], NEAREST)
+    return result
+
+
+def sort_out(
+    frames: Frames, pieces: FacetPieces, least, most, height
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which pieces are columns, and which are parts of faded facets.
+
+    Args:
+        frames: Γ0 and Γ1.
+        pieces: All pieces.
+        least: Least weight on each, ``(num_pieces,)``.
+        most: Largest one.
+        height: Height of each.
+
+    Returns:
+        Masks, ``(num_pieces,)`` each.
+    """
+    f1, seen = pieces.facets[1], most > 0
+    some = np.flatnonzero(seen)
+    first = np.zeros(len(f1), dtype=bool)
+    first[some[_farthest_behind(frames, pieces.some(some), height[some])]] = True
+    num = len(frames.middle)
+    whole = polygon_areas(reference_corners(frames.surfaces[1].geometry.cell_type)[None])[0]
+    area = np.bincount(f1[first], pieces.area[first], num)
+    faded = area < (1 - SLIVER) * whole
+    faded[f1[first & (least < 1)]] = True
+    return first & ~faded[f1], seen & faded[f1]
+
+
+class Faded:
+    """Parts of faded facets; all arrays of parts are ``(num_facets1 * num_corners,)``."""
+
+    def __init__(self, frames: Frames, pieces: FacetPieces, dofs, body: BodyTriangles, parts):
+        """Those that have some pieces.
+
+        Args:
+            frames: Γ0 and Γ1.
+            pieces: What these facets see.
+            dofs: Both sides' dofs by facet, Γ1's behind all of Γ0's.
+            body: Γ0's.
+            parts: Of Γ1's reference facet, ``(num_corners, 4, 2)``.
+        """
+        below, above = frames.surfaces
+        f0, f1 = pieces.facets
+        pairs = np.unique(f1 * len(below.facets) + f0)
+        self.facets, first = np.unique(pairs // len(below.facets), return_index=True)
+        corners = reference_corners(below.geometry.cell_type)
+        straight = all(surface.geometry.dim == 3 for surface in frames.surfaces)
+        points = standard_points(1 if straight else 2)[0]
+        self.num = parts.shape[0] * len(above.facets)
+        self._pointer = struct(
+            "Parts",
+            sides=frames.in_c,
+            dofs=[ints(part) for part in dofs],
+            corners=doubles(corners),
+            planes=frames.planes,
+            parts=doubles(parts),
+            num=len(self.facets),
+            facets=ints(self.facets),
+            first=ints(np.append(first, len(pairs))),
+            sheets=ints(pairs % len(below.facets)),
+            num_points=len(points),
+            points=points,
+            cosines=list(COSINES),
+            nearest=list(NEAREST),
+            slack=SLACK,
+            sliver=SLIVER,
+            least=WIDTH**2,
+            last=LAST,
+            num_triangles=len(body.corners),
+            triangles=doubles(body.corners),
+            order=body.order,
+            triangles_a_facet=len(body.at),
+            triangle_at=doubles(body.at),
+        )
+
+    def gaps(self, g, covered) -> tuple[Sparse, Sparse]:
+        """Add gaps and covered parts of parts; their derivatives."""
+        new = np.empty((2, self.num))
+
+        def find(*slopes):
+            new[:] = 0
+            return call("find_parts", self._pointer, *new, *slopes)
+
+        slopes = _filled(2, find)
+        g += new[0]
+        covered += new[1]
+        return slopes[0], slopes[1]
+
+    def curvature(self, p, by_covered) -> Sparse:
+        """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of parts."""
+        given = self._pointer, doubles(p), doubles(by_covered)
+        return _filled(1, lambda H: call("part_curvature", *given, H))[0]
+
+    def slips(self, moved=None) -> Sparse:
+        """T with the slips s = T Δu of parts, three components each; ∂s/∂u if Δu moves with u.
+
+        Args:
+            moved: Δu by both sides' dofs, ``(num_dofs, 3)``, if it moves with u.
+        """
+        given = self._pointer, None if moved is None else doubles(moved), False
+        return _filled(1, lambda T: call("part_slips", *given, T))[0]
+
+    def parting(self) -> Sparse:
+        """What displacements add to gaps of points that stay opposite to each other."""
+        return _filled(1, lambda C: call("part_slips", self._pointer, None, True, C))[0]
+
+    def slip_curvature(self, q) -> Sparse:
+        """Σ q ∂T/∂u, with tractions of parts, ``(num, 3)``; it isn't symmetric."""
+        given = self._pointer, doubles(q)
+        return _filled(1, lambda H: call("part_slip_curvature", *given, H))[0]
+
+
+def _filled(num: int, add: Callable) -> Sequence[Sparse]:
+    """Matrices to which a function of C adds entries, with as much room as they need."""
+    room = [entries_first] * num
+    while True:
+        arrays = [(*np.empty((2, size), np.int32), np.empty(size)) for size in room]
+        names = "rows", "columns", "values"
+        made: list[Any] = [
+            struct("Triplets", max=size, **dict(zip(names, part, strict=True)))
+            for size, part in zip(room, arrays, strict=True)
+        ]
+        if add(*made):
+            raise MemoryError("no memory for the derivatives of gaps")
+        if all(each.num <= size for each, size in zip(made, room, strict=True)):
+            break
+        room = [max(each.num, size) for each, size in zip(made, room, strict=True)]
+    return [
+        Sparse(i[: each.num].astype(np.int64), j[: each.num].astype(np.int64), v[: each.num].copy())
+        for each, (i, j, v) in zip(made, arrays, strict=True)
+    ]
 
 
 def _ramp(values, ends: tuple[float, float]) -> npt.NDArray[np.float64]:
     """A smooth step from 0 to 1 between two values."""
     t = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)
-
-
-def find_depths(surface: Surface, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Depths of points in a body by its nearest facet, negative outside.
-
-    Args:
-        surface: The body's surface; curved facets are taken as triangles between their nodes.
-        x: Points, ``(num, 3)``.
-
-    Returns:
-        ``(num,)``.
-    """
-    points, triangles = _lattice(surface.geometry.cell_type, surface.geometry.degree)
-    corners = (tabulate(surface.geometry, points) @ surface.nodes)[:, triangles].reshape(-1, 3, 3)
-    depths = np.empty(len(x))
-    order = ints(along_curve(corners.mean(axis=1)))
-    if call("find_depths", len(corners), doubles(corners), order, len(x), doubles(x), depths):
-        raise MemoryError("no memory for the depths of points")
-    return depths
 
 
 @cache
@@ -123,36 +289,3 @@ def _farthest_behind(frames: Frames, pieces: FacetPieces, height) -> npt.NDArray
     lowest = np.flatnonzero(mean <= least[facet])
     np.minimum.at(first, facet[lowest], lowest)
     return first[f1] == sheet
-
-
-def _ends(frames: Frames, pieces: FacetPieces, mask) -> npt.NDArray[np.bool_]:
-    """Mask of edges beyond which Γ0 isn't met.
-
-    Args:
-        frames: Γ0 and Γ1 where they are.
-        pieces: All pieces.
-        mask: Those that are met, ``(num_pieces,)``.
-
-    Returns:
-        Of the pieces that are met, by their labels, ``(num, num_corners)``.
-    """
-    below = frames.surfaces[0]
-    f0, f1 = pieces.facets
-    numbers = below.edge_numbers
-    pairs = np.full((int(numbers.max()) + 1, 2), -1)
-    sides = numbers.shape[1]
-    order = np.argsort(numbers.ravel(), kind="stable")
-    at = numbers.ravel()[order]
-    first = np.flatnonzero(np.append(True, at[1:] != at[:-1]))
-    pairs[at[first], 0] = order[first] // sides
-    last = np.append(first[1:], len(at)) - 1
-    pairs[at[last], 1] = order[last] // sides
-    behind = np.unique(f1[~mask] * len(below.facets) + f0[~mask])
-    f0, f1, label = f0[mask], f1[mask], pieces.label[mask]
-    both = pairs[numbers[f0[:, None], label]]
-    other = np.where(both[..., 0] == f0[:, None], both[..., 1], both[..., 0])
-    axis = frames.normal[f1] / lengths(frames.normal[f1])[:, None]
-    away = np.einsum("pki,pi->pk", below.normals[other], axis) >= -FACING
-    hidden = np.isin(f1[:, None] * len(below.facets) + other, behind)
-    end = below.is_outline[f0[:, None], label] | away | hidden
-    return end & (label != Label.INNER)

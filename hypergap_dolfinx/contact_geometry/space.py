@@ -4,9 +4,12 @@ r"""Contact segments in space: columns between pieces of Γ1 and Γ0.
 
 A column stands on a piece of a facet of Γ1, along the facet's normal, up to the facet of Γ0 there.
 The vertex of Γ1 next to it has all of its volume: :math:`g_a = \int f\,dX` over its pieces. So
-weights are never negative, and nothing jumps as nodes pass nodes. Columns fill the space between
-surfaces that touch. Pieces' edges move with Γ0; as f is continuous across them only those
-at Γ0's outline are in ∂g/∂u, and in ∂²g/∂u² the jumps of f's derivatives.
+weights are never negative, and nothing jumps as nodes pass nodes. Pieces' edges move with Γ0; as f
+is continuous across them they are not in ∂g/∂u, and in ∂²g/∂u² only as jumps of f's derivatives.
+
+That is so on facets of Γ1 all of which lies opposite one sheet of Γ0. On others sheets have weights
+(``sheets.py``); vertices that Γ0 covers in part have rows that are blended with their neighbours'
+(``blending.py``).
 """
 
 from dataclasses import dataclass
@@ -15,8 +18,10 @@ from typing import override
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 import basix
+from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.heights import (
     EdgeRays,
     Rays,
@@ -30,32 +35,207 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
     Label,
-    stand_ins,
+    find_pieces,
+    parts_of,
+    polygon_areas,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
-from hypergap_dolfinx.contact_geometry.sheets import find_met
+from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
+from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
+from hypergap_dolfinx.surface.trace import lengths
+
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass
-class _Columns(Found):
-    """Columns, and a rule's points on their pieces."""
+class SpaceColumns:
+    """Columns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
 
+    sides: Sides
     frames: Frames
     pieces: FacetPieces
-    at_end: npt.NDArray[np.bool_]
-    """Mask of the pieces' edges beyond which Γ0 isn't met, ``(num_pieces, num)``."""
-    vertex: npt.NDArray[np.intp]
-    """Vertex of Γ1 that has each piece, ``(num_pieces,)``."""
+    """Pieces on which columns stand."""
     rays: Rays
-    """Rays at the points."""
+    """Rays at a rule's points on these."""
     piece: npt.NDArray[np.intp]
     """Piece of each of them."""
-    weights: npt.NDArray[np.float64]
-    gap: tuple[npt.NDArray, npt.NDArray, Sparse] | None = None
-    """g, m and C, once they are needed."""
+    weights: Floats
+    faded: Faded | None
+    """None if there is none."""
+    shown: tuple[FacetPieces, Floats]
+    """All pieces that are seen, and heights of columns there, to look at."""
+
+    @classmethod
+    def between(cls, sides: Sides, u: Displacements) -> "SpaceColumns | None":
+        """Those at given displacements, None if nothing of Γ1 sees Γ0."""
+        frames = Frames.of(displaced(sides, u))
+        pieces, body = find_pieces(frames), BodyTriangles.of(frames.surfaces[0])
+        if not len(pieces.num):
+            return None
+        rays, piece, weights = _cast(frames, pieces)
+        seen = weights_of(frames, rays, body)
+        least, most = np.ones(len(pieces.num)), np.zeros(len(pieces.num))
+        np.minimum.at(least, piece, seen)
+        np.maximum.at(most, piece, seen)
+        parts = rays.heights[:2]
+        height, area = (np.bincount(piece, weights * f, len(least)) for f in parts)
+        height /= np.where(area > 0, area, 1)
+        own, faded = sort_out(frames, pieces, least, most, height)
+        some = None
+        if faded.any():
+            parts = parts_of(frames.surfaces[1].geometry.cell_type)
+            dofs = sides[0].at_facets, len(sides[0].dofs) + sides[1].at_facets
+            some = Faded(frames, pieces.some(faded), dofs, body, parts)
+        shown = pieces.some(own | faded), height[own | faded]
+        number, on = np.cumsum(own) - 1, np.flatnonzero(own[piece])
+        points = rays.some(on), number[piece[on]], weights[on]
+        return cls(sides, frames, pieces.some(own), *points, some, shown)
+
+    @cached_property
+    def facets(self) -> npt.NDArray[np.int32]:
+        """Vertices around Γ1's facets, ``(num_facets1, num_corners)``."""
+        return self.frames.surfaces[1].polygons
+
+    @cached_property
+    def vertex(self) -> npt.NDArray[np.intp]:
+        """Vertex of Γ1 that has each piece, ``(num_pieces,)``."""
+        return self.facets[self.pieces.facets[1], self.pieces.part].astype(np.intp)
+
+    @cached_property
+    def is_faded(self) -> npt.NDArray[np.bool_]:
+        """Mask of Γ1's vertices with faded facets, ``(num_vertices,)``."""
+        result = np.zeros(self.size[0], dtype=bool)
+        if self.faded:
+            result[self.facets[self.faded.facets]] = True
+        return result
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Numbers of Γ1's vertices and of both sides' dofs."""
+        return len(self.frames.surfaces[1].x), sum(len(side.dofs) for side in self.sides)
+
+    @cached_property
+    def whole(self) -> Floats:
+        """Areas of parts as seen along the normals, ``(num_facets1, num_corners)``."""
+        surface = self.frames.surfaces[1]
+        parts = parts_of(surface.geometry.cell_type)
+        facets, points = np.arange(len(surface.facets)), parts.reshape(-1, 2)
+        x = surface.points(np.repeat(facets, len(points)), np.tile(points, (len(facets), 1)))
+        y = self.frames.project(facets, x.reshape(len(facets), *parts.shape[:2], 3))
+        areas = polygon_areas(y.reshape(-1, *y.shape[2:])).reshape(y.shape[:2])
+        return np.abs(areas) * lengths(self.frames.normal)[:, None]
+
+    def gaps(self) -> tuple[Floats, Floats, Sparse, Sparse]:
+        """Gaps and covered shares of parts; ∂g/∂u, summed over vertices; ∂covered/∂u."""
+        shape = self.facets.shape
+        f1, part = self.pieces.facets[1], self.pieces.part
+        each, f = shape[1] * f1 + part, self.rays.heights[0]
+        g = np.bincount(each[self.piece], self.weights * f, self.facets.size).astype(float)
+        covered = np.zeros(self.facets.size)
+        covered[np.unique(each)] = 1
+        C, K = self._own_slopes, Sparse.empty()
+        if self.faded:
+            more, K = self.faded.gaps(g, covered)
+            C = joined(C, self._by_vertex(more))
+            covered = np.minimum(covered, 1)
+        return g.reshape(shape), covered.reshape(shape), C, K
+
+    @cached_property
+    def _own_slopes(self) -> Sparse:
+        """∂g/∂u of columns."""
+        dofs = self.dofs()
+        blocks = np.zeros((*dofs.shape, 3))  # of pieces
+        self.rays.add_by_dofs(self.piece, self.weights, self.rays.heights[2], blocks)
+        return merged(self.vertex[:, None], dofs, blocks[:, None, :, None], self.size)
+
+    def _by_vertex(self, parts: Sparse, num: int = 1) -> Sparse:
+        """Sums over parts of vertices, of each component."""
+        part, k = np.divmod(parts.i, num)
+        rows = num * self.facets.ravel()[part].astype(np.int64) + k
+        return Sparse(rows, parts.j, parts.values)
+
+    def parting(self) -> Sparse:
+        """What displacements add to gaps of vertices if opposite points stay so."""
+        C = self._own_slopes
+        return joined(C, self._by_vertex(self.faded.parting())) if self.faded else C
+
+    def curvature(self, p: Floats, by_covered: Floats) -> Sparse:
+        """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of parts."""
+        H = Sparse.empty()
+        if self.faded:
+            H = self.faded.curvature(p.ravel(), by_covered.ravel())
+        pressure = p[self.pieces.facets[1], self.pieces.part]
+        on = np.flatnonzero(pressure)
+        if not len(on):
+            return H
+        pair, facets = self.pairs(on)
+        dofs, points = self.dofs(*facets), self.on_some(on)
+        edges, piece = self._edges(pressure != 0), self.piece[points]
+        blocks = np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
+        factor = pressure[piece] * self.weights[points]
+        self.rays.some(points).add_curvatures(pair[piece], factor, blocks)
+        if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
+            factor = pressure[edges.piece] * edges.weights
+            edges.add_kinks(pair[edges.piece], factor, blocks)
+        return joined(H, merged(dofs, dofs, blocks, (self.size[1],) * 2, symmetric=True))
+
+    def slips(self, on, e, moved: Floats | None = None) -> Sparse:
+        """Slips of columns along directions: T, or ∂s/∂u if Δu moves with u.
+
+        Args:
+            on: Mask of Γ1's vertices whose columns count, ``(num,)``.
+            e: Directions of vertices, ``(num, k, 3)``.
+            moved: Δu by both sides' dofs, ``(num_dofs, 3)``, if it moves with u.
+
+        Returns:
+            Rows k a + i of vertices a.
+        """
+        num, num_e = e.shape[:2]
+        some = np.flatnonzero(on[self.vertex])
+        points, vertex = self.on_some(some), self.vertex[some]
+        number = np.zeros(len(self.vertex), dtype=np.intp)
+        number[some] = np.arange(len(some))
+        piece, weights = number[self.piece[points]], self.weights[points]
+        dofs = self.dofs(*(facet[some] for facet in self.pieces.facets))
+        moves = None if moved is None else moved[dofs]
+        along, rays = e[vertex], self.rays.some(points)
+        blocks = np.zeros((num_e * len(some), dofs.shape[1], 3))
+        for k in range(num_e):
+            by_q = rays.slips(piece, along[piece, k], moves)
+            rays.add_by_dofs(num_e * piece + k, weights, by_q, blocks)
+        rows = num_e * vertex[:, None] + np.arange(num_e)
+        blocks = blocks.reshape(*rows.shape, dofs.shape[1], 1, 3)
+        return merged(rows, dofs, blocks, (num_e * num, self.size[1]))
+
+    def vector_slips(self, on, moved: Floats | None = None) -> Sparse:
+        """Slips of some vertices' columns and all faded parts, three components a vertex.
+
+        Args:
+            on: As for :meth:`slips`.
+            moved: Likewise.
+        """
+        T = self.slips(on, np.tile(np.eye(3), (self.size[0], 1, 1)), moved)
+        if not self.faded:
+            return T
+        return joined(T, self._by_vertex(self.faded.slips(moved), 3))
+
+    def slip_curvature(self, traction: Floats) -> Sparse:
+        """∂(Tᵀq)/∂u from tractions of vertices, ``(num, 3)``; it isn't symmetric."""
+        H = Sparse.empty()
+        if self.faded:
+            H = self.faded.slip_curvature(traction[self.facets.ravel()])
+        own = traction[self.vertex]
+        on = np.flatnonzero(own.any(axis=1))
+        if not len(on):
+            return H
+        pair, facets = self.pairs(on)
+        dofs, points = self.dofs(*facets), self.on_some(on)
+        piece, blocks = self.piece[points], np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
+        forces = self.weights[points, None] * own[piece]
+        self.rays.some(points).add_slip_curvatures(pair[piece], forces, blocks)
+        return joined(H, merged(dofs, dofs, blocks, (self.size[1],) * 2))
 
     def on_some(self, on) -> npt.NDArray[np.intp]:
         """Numbers of the points on some pieces.
@@ -80,69 +260,83 @@ class _Columns(Found):
         pair[on] = np.cumsum(new) - 1
         return pair, (f0[new], f1[new])
 
-    @cached_property
-    def sizes(self) -> list[npt.NDArray[np.float64]]:
-        """Volumes of the columns, and areas as seen along the rays, ``(num_pieces,)`` each."""
-        parts = self.rays.heights[:2]
-        return [np.bincount(self.piece, self.weights * f, len(self.vertex)) for f in parts]
+    def _edges(self, which) -> EdgeRays:
+        """Points on the pieces' edges that lie on Γ0's.
+
+        Args:
+            which: Mask of the pieces, ``(num_pieces,)``.
+        """
+        pieces = self.pieces
+        there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
+        there &= which[:, None]
+        piece, k = np.nonzero(there)
+        curved = pieces.bend is not None
+        points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
+        along = pieces.along(piece, k, points[:, 0])
+        X, step = [part.reshape(-1, 2) for part in along]
+        num = len(points)
+        f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
+        return EdgeRays(
+            cast(self.frames, (f0, f1), X),
+            np.repeat(piece, num),
+            np.tile(weights, len(piece)),
+            np.column_stack((step[:, 1], -step[:, 0])),
+        )
+
+    def dofs(self, f0=None, f1=None) -> npt.NDArray[np.intp]:
+        """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``.
+
+        Args:
+            f0: Facets of Γ0, the pieces' by default.
+            f1: Facets of Γ1, likewise.
+        """
+        if f0 is None:
+            f0, f1 = self.pieces.facets
+        below, above = self.sides
+        return np.hstack((below.at_facets[f0], len(below.dofs) + above.at_facets[f1]))
 
 
 @dataclass
-class SpaceSegments(Segments[_Columns]):
-    """Contact segments in space: columns."""
+class _Opposite(Found):
+    """SpaceColumns and faded parts, and what vertices have of them."""
+
+    columns: SpaceColumns
+    gaps: Blended
+
+
+@dataclass
+class SpaceSegments(Segments[_Opposite]):
+    """Contact segments in space."""
 
     @override
-    def _find(self, u: Displacements) -> _Columns:
-        below, above = surfaces = displaced(self.sides, u)
-        frames = Frames.of(surfaces)
-        pieces, at_end = find_met(frames)
-        if not len(pieces.num):
+    def _find(self, u: Displacements) -> _Opposite:
+        found = SpaceColumns.between(self.sides, u)
+        if found is None or not len(found.shown[1]):
+            below, above = displaced(self.sides, u)
             raise NotFacingError(
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
-        vertex = stand_ins(above, pieces)[pieces.vertex]
-        rays, piece, weights = _cast(frames, pieces)
-        return _Columns(u, frames, pieces, at_end, vertex, rays, piece, weights)
+        sizes = self.num_multipliers, 3 * self.num_dofs
+        return _Opposite(u, found, Blended(found, found.facets, found.whole, *sizes))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        state = self._at(u)
-        if state.gap is not None:
-            return state.gap
-        dofs, rim = self._dofs(*state.pieces.facets), self._edges(state, outline=True)
-        num, vertex = self.num_multipliers, state.vertex
-        g, m = [np.bincount(vertex, part, num) for part in state.sizes]
-        blocks = np.zeros((*dofs.shape, 3))  # of pieces
-        state.rays.add_by_dofs(state.piece, state.weights, state.rays.heights[2], blocks)
-        if len(rim.piece):
-            rim.add_slopes(blocks)
-        blocks = blocks[:, None, :, None]
-        state.gap = g, m, merged(vertex[:, None], dofs, blocks, (num, self.num_dofs))
-        return state.gap
+        gaps = self._at(u).gaps
+        return gaps.g, gaps.m, gaps.C
+
+    @override
+    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
+        gaps = self._at(u).gaps
+        return gaps.g, gaps.m, gaps.spread(gaps.rays.parting())
 
     @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
-        state = self._at(u)
-        pressure = p[state.vertex]
-        on = np.flatnonzero(pressure)
-        if not len(on):
-            return Sparse.empty()
-        pair, facets = state.pairs(on)
-        dofs, points = self._dofs(*facets), state.on_some(on)
-        edges, piece = self._edges(state, pressure != 0), state.piece[points]
-        blocks = np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
-        factor = pressure[piece] * state.weights[points]
-        state.rays.some(points).add_curvatures(pair[piece], factor, blocks)
-        if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
-            factor = pressure[edges.piece] * edges.weights
-            edges.add_kinks(pair[edges.piece], factor, blocks)
-        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs), symmetric=True)
+        return self._at(u).gaps.curvature(p)
 
     @override
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
-        state = self._at(u)
-        return self._slips(state, target, np.arange(len(state.vertex)))
+        return self._slips(self._at(u), target)
 
     @override
     def slip_slopes(
@@ -153,114 +347,111 @@ class SpaceSegments(Segments[_Columns]):
         on: npt.NDArray[np.bool_],
     ) -> Sparse:
         state = self._at(u)
-        some = np.flatnonzero(on[state.vertex])
-        if not len(some):
-            return Sparse.empty()
-        return self._slips(state, target, some, since)
+        moved = np.concatenate([a - b for a, b in zip(state.u, since, strict=True)])
+        return self._slips(state, target, on, moved)
 
-    def _slips(self, state: _Columns, target, on, since: Displacements | None = None) -> Sparse:
-        """T of some pieces, or ∂s/∂u of slips since given displacements."""
-        points, vertex = state.on_some(on), state.vertex[on]
-        number = np.zeros(len(state.vertex), dtype=np.intp)
-        number[on] = np.arange(len(on))
-        piece, weights = number[state.piece[points]], state.weights[points]
-        dofs = self._dofs(*[facet[on] for facet in state.pieces.facets])
-        moves = None
-        if since is not None:
-            moves = np.concatenate([a - b for a, b in zip(state.u, since, strict=True)])[dofs]
-        e, rays = directions(state.frames)[target[vertex]], state.rays.some(points)
-        blocks = np.zeros((2 * len(on), dofs.shape[1], 3))
-        for k in (0, 1):
-            by_q = rays.slips(piece, e[piece, k], moves)
-            rays.add_by_dofs(2 * piece + k, weights, by_q, blocks)
-        rows = vertex[:, None] + self.num_multipliers * np.arange(2)
-        blocks = blocks.reshape(*rows.shape, -1, 1, 3)
-        return merged(rows, dofs, blocks, (2 * self.num_multipliers, self.num_dofs))
+    def _slips(
+        self,
+        state: _Opposite,
+        target,
+        on: npt.NDArray[np.bool_] | bool = True,
+        moved: Floats | None = None,
+    ) -> Sparse:
+        """T, or ∂s/∂u if Δu moves with u, of some vertices."""
+        columns, gaps, num = state.columns, state.gaps, self.num_multipliers
+        e = directions(columns.frames)[target]
+        mixed = columns.is_faded | gaps.near
+        T = columns.slips(~mixed & on, e, moved)
+        vertex, k = np.divmod(T.i, 2)
+        parts = [Sparse(num * k + vertex, T.j, T.values)]
+        if not mixed.any():
+            return parts[0]
+        # Others' by three components
+        own, (a, b) = np.flatnonzero(mixed), gaps.pairs
+        by_own, by_others = gaps.t[own, None, None] * e[own], gaps.shares[:, None, None] * e[a]
+        A = [_projection(num, *of) for of in ((own, own, by_own), (a, b, by_others))]
+        vectors = columns.vector_slips(mixed, moved).to_scipy((3 * num, 3 * self.num_dofs))
+        parts.append(Sparse.from_scipy((A[0] + A[1]) @ vectors))
+        if moved is not None:
+            T3 = columns.vector_slips(mixed).to_scipy(vectors.shape)
+            s = (T3 @ moved.ravel()).reshape(num, 3)
+            for way in range(2):
+                given = (e[:, way] * s).sum(axis=1), (e[a, way] * s[b]).sum(axis=1)
+                by = gaps.by_weights(*given)
+                parts.append(Sparse(num * way + by.i, by.j, by.values))
+        return joined(*parts)
 
     @override
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
     ) -> Sparse:
         state = self._at(u)
-        traction = np.einsum("ka,aki->ai", q, directions(state.frames)[target])[state.vertex]
-        on = np.flatnonzero(traction.any(axis=1))
-        if not len(on):
-            return Sparse.empty()
-        pair, facets = state.pairs(on)
-        dofs, points = self._dofs(*facets), state.on_some(on)
-        piece, blocks = state.piece[points], np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
-        forces = state.weights[points, None] * traction[piece]
-        state.rays.some(points).add_slip_curvatures(pair[piece], forces, blocks)
-        return merged(dofs, dofs, blocks, (self.num_dofs, self.num_dofs))
+        columns, gaps = state.columns, state.gaps
+        traction = np.einsum("ka,aki->ai", q, directions(columns.frames)[target])
+        H = columns.slip_curvature(gaps.pressures(traction))
+        if not traction[gaps.pairs[0]].any():
+            return H
+        shape = 3 * self.num_multipliers, 3 * self.num_dofs
+        T = columns.vector_slips(gaps.near).to_scipy(shape)
+        by = [T[i::3].T @ gaps.pressure_slopes(traction[:, i]) for i in range(3)]
+        return joined(H, Sparse.from_scipy(by[0] + by[1] + by[2]))
+
+    @override
+    def given_over(
+        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
+    ) -> npt.NDArray:
+        return self._at(u).gaps.given_over(values, gone)
 
     @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        # Half of each piece has its vertex' pressure, half the mean of its facet
-        state = self._at(u)
-        facet, area, num = state.pieces.facets[1], state.sizes[1], len(state.frames.middle)
-        force, size = (np.bincount(facet, w, num) for w in (area * p[state.vertex], area))
-        mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)[facet]
-        mean = 0.5 * (mean + p[state.vertex])
-        total, size = (
-            np.bincount(state.vertex, w, self.num_multipliers) for w in (area * mean, area)
-        )
-        return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
+        # Half of each part has its vertex' pressure, half the mean of its facet
+        gaps = self._at(u).gaps
+        p = gaps.pressures(p)[gaps.facets]
+        size = gaps.areas.sum(axis=1, keepdims=True)
+        force = (gaps.areas * p).sum(axis=1, keepdims=True)
+        mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)
+        forces = 0.5 * gaps.areas * (mean + p)
+        total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)
+        return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
     @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
         # Three tetrahedra for each triangle of a piece
         state = self._at(u)
-        pieces, surfaces = state.pieces, state.frames.surfaces
+        columns = state.columns
+        pieces, surfaces = columns.shown[0], columns.frames.surfaces
         piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
         facets = tuple(facet[piece] for facet in pieces.facets)
         ends = []
         for at in (0 * corner, corner + 1, corner + 2):
             X = pieces.X[piece, at]
-            xi = cast(state.frames, facets, X).xi
+            xi = cast(columns.frames, facets, X).xi
             ends.append([s.points(f, x) for s, f, x in zip(surfaces, facets, (xi, X), strict=True)])
         prism = np.stack([x for side in (1, 0) for x in (end[side] for end in ends)], axis=1)
         x = prism[:, [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]].reshape(-1, 4, 3)
-        cell, (volume, area) = np.repeat(piece, 3), state.sizes
+        cell = np.repeat(piece, 3)
+        vertex = columns.facets[pieces.facets[1], pieces.part]
         return OpenCells(
             x=x,
             rank=surfaces[1].owner[pieces.facets[1][cell]],
-            gap=(volume / area)[cell],
-            pressure=p[state.vertex][cell],
+            gap=columns.shown[1][cell],
+            pressure=state.gaps.pressures(p)[vertex[cell]],
         )
 
-    def _edges(self, state: _Columns, which=True, *, outline: bool = False) -> EdgeRays:
-        """Points on the pieces' edges that lie on Γ0's.
 
-        Args:
-            state: Columns.
-            which: Mask of the pieces, ``(num_pieces,)``.
-            outline: True for edges at Γ0's outline only.
-        """
-        pieces = state.pieces
-        there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
-        at_end = state.at_end
-        there &= np.broadcast_to(which, len(there))[:, None]
-        if outline:
-            there &= at_end
-        piece, k = np.nonzero(there)
-        curved = pieces.bend is not None
-        points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
-        along = pieces.along(piece, k, points[:, 0])
-        X, step = [part.reshape(-1, 2) for part in along]
-        num = len(points)
-        f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
-        return EdgeRays(
-            cast(state.frames, (f0, f1), X),
-            np.repeat(piece, num),
-            np.tile(weights, len(piece)),
-            np.column_stack((step[:, 1], -step[:, 0])),
-            np.repeat(at_end[piece, k], num),
-        )
+def _projection(num: int, rows, vertices, e) -> sparse.csr_array:
+    """Slips of rows from vectors of vertices.
 
-    def _dofs(self, f0, f1) -> npt.NDArray[np.intp]:
-        """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``."""
-        below, above = self.sides
-        return np.hstack((below.at_facets[f0], len(below.dofs) + above.at_facets[f1]))
+    Args:
+        num: Number of vertices.
+        rows: Of which slips in two directions are, ``(num_pairs,)``.
+        vertices: Whose vectors are taken, likewise.
+        e: Factors of their components, ``(num_pairs, 2, 3)``.
+    """
+    i = np.broadcast_to(rows[:, None, None] + num * np.arange(2)[:, None], e.shape)
+    j = np.broadcast_to(3 * vertices[:, None, None] + np.arange(3), e.shape)
+    at = i.ravel(), j.ravel()
+    return sparse.csr_array((e.ravel(), at), shape=(2 * num, 3 * num))
 
 
 def _cast(frames: Frames, pieces: FacetPieces):

@@ -30,8 +30,8 @@ HEADERS = {"plane": ("plane.h",), "space": ("surface.h", "gap_mesh.h", "space.h"
 SOURCES = {
     "plane": "gaps rays".split(),
     "space": (
-        "advance bases blocks check columns depths front heights moments pieces program project "
-        "slips surface swaps weights"
+        "advance bases blocks check columns depths front heights moments parts pieces program "
+        "project slips surface swaps weights"
     ).split(),
 }
 """Files of each library, in any order. They are compiled as one, so that short functions of one are

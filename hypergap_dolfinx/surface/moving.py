@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.trace import Surface, tabulate
@@ -99,6 +100,18 @@ class Sparse:
         found = cls(*(np.array(part) for part in triplets(matrix)))
         matrix.destroy()
         return found
+
+    @classmethod
+    def from_scipy(cls, matrix: sparse.sparray) -> "Sparse":
+        """Entries of a matrix of SciPy's that aren't zero."""
+        found = matrix.tocoo()
+        on = found.data != 0
+        i, j = (part[on].astype(np.int64) for part in found.coords)
+        return cls(i, j, found.data[on])
+
+    def to_scipy(self, shape: tuple[int, int]) -> sparse.csr_array:
+        """The same as a matrix of SciPy's."""
+        return sparse.csr_array((self.values, (self.i, self.j)), shape=shape)
 
     def some(self, use: npt.NDArray[np.bool_]) -> "Sparse":
         """The entries of a mask, ``(num_entries,)``."""

@@ -75,9 +75,3 @@ Measured: 1 and 80 change nothing in test_curved."""
 NEWTON_PROJECTION = 6
 """Newton steps for the projection on curved facets along normals.
 Measured: 3 and 60 change nothing in test_curved."""
-
-COVERED_SIDE = 0.95
-"""Part of a facet of Γ1 that Γ0 must reach for multipliers of contact on all its vertices; in the
-plane, if they had them.
-Measured: in the plane, flat punch, cut at 0.01 to 0.99: corner 2.2 to 4.9 times the mean, beyond
-it up to 8.5."""

@@ -24,6 +24,7 @@ from outlines import (
 
 from dolfinx import fem
 from dolfinx import mesh as meshing
+from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.errors import NotFacingError
@@ -202,13 +203,10 @@ def changes_in_space(cell, seed):
 
 
 @pytest.mark.parametrize(("cell", "seed"), SOLIDS)
-def test_jumps_in_space(cell, seed):
-    """As corners and edges of blocks pass: sheets are chosen there, so gaps and forces jump.
-
-    Without the choice by what is nearest gaps jump by 1.7 to 3.3, forces by 50 to 110.
-    """
-    gaps, forces = changes_in_space(cell, seed)
-    assert gaps.max() <= 0.15 and forces.max() <= 1.1
+def test_solids_are_continuous(cell, seed):
+    """As corners and edges of blocks pass: neither gaps nor forces jump."""
+    for change in changes_in_space(cell, seed):
+        assert change[-1] <= 1e-4, change
 
 
 @pytest.mark.parametrize(("name", "degree"), CASES)
@@ -373,15 +371,20 @@ def test_derivatives_on_paths(name, degree):
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_slopes_in_space(cell):
-    """C of blocks all around; where hexahedra's edges turn away it leaves out a little."""
+def test_derivatives_in_space(cell, monkeypatch):
+    """Of blocks all around: C, Σ p ∂²g and those of slips in directions that are given.
+
+    Where hexahedra's warped facets lie opposite as a whole, edges of their columns are taken as
+    straight on the reference facet.
+    """
     path, rng = Blocks(2, cell), np.random.default_rng(5)
-    found = [
-        errors_of_derivatives(
-            path.sides, tuple(u + 0.01 * rng.standard_normal(u.shape) for u in path.u(t)), rng
-        )
-        for t in np.linspace(0.2, 0.8, 6)
-    ]
-    smooth = [errors[0] for errors in found if errors is not None]
-    bound = 1e-9 if cell == meshing.CellType.tetrahedron else 0.03
-    assert len(smooth) >= 2 and max(smooth) <= bound, smooth
+    found = []
+    for t in np.linspace(0.2, 0.8, 6):
+        u = tuple(u + 0.01 * rng.standard_normal(u.shape) for u in path.u(t))
+        with monkeypatch.context() as patch:
+            fixed = columns.directions(segments_of(path.sides, u)._at(u).columns.frames)
+            patch.setattr(columns, "directions", lambda *_, fixed=fixed: fixed)
+            found.append(errors_of_derivatives(path.sides, u, rng))
+    smooth = [errors for errors in found if errors is not None]
+    bound = 1e-7 if cell == meshing.CellType.tetrahedron else 1e-3
+    assert len(smooth) >= 4 and np.max(smooth) <= bound, smooth

@@ -1,0 +1,912 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Weighted gaps and slips of parts of Γ1's facets that see Γ0 in part (contact_geometry/sheets.py),
+// and their derivatives by dofs: those of sums over points of polygons that move.
+//
+// With ω_k of sheets k, ω_k h_k Π_{j<k} (1 − ω_j), summed over k, is the sum over all sets S of sheets
+// of −(−1)^|S| Π ω h, with the h of the one in front; each is integrated over the polygon that all of
+// S has.
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "depths.h"
+#include "heights.h"
+#include "jets.h"
+#include "polygons.h"
+#include "space.h"
+#include "vectors.h"
+
+#define MOST_STACKED 3   // sheets one behind the other
+#define MOST_POINTS 3    // of the rule
+#define MOST_SIDES 4     // of a facet
+#define JETS 1500        // more than a set of sheets takes, and each of its corners
+#define JETS_OF_CORNER 400
+#define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
+// Slivers in the plane may have an area near zero on a curved facet's reference, and points anywhere:
+// parts of the one area over the other from which on they count, and do so fully
+static const double SPREAD[2] = {0.25, 0.5};
+#define STEPS_OF_RAY 10  // to where it meets Γ0, at most
+
+typedef struct {
+  Jet x[3];
+} Vec;
+
+// A point of a polygon, and where its ray meets the sheets.
+typedef struct {
+  int number; // of the point in the rule
+  double X[2], xi[MOST_STACKED][2], up[MOST_STACKED]; // heights over M
+  int leans, fades; // bits of the sheets whose weights depend on the cosine, on the depth
+  Nearest foot;
+} Spot;
+
+// A set of sheets over a part: the polygon that all of them have.
+typedef struct {
+  const Parts *of;
+  const Facets *below, *above;
+  const Body *body;
+  int facet, part, row;
+  int num, sheets[MOST_STACKED];
+  int count, edge[MOST_CUT];
+  double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
+  double whole;                           // how much of the polygon counts
+  int looks; // whether it isn't known yet what points see
+  int num_spots;
+  Spot spots[MOST_POINTS];
+  const double *origin;
+  int num_dofs, *dofs; // that it depends on, and numbers of facets' among them
+  int *own, *of_sheet[MOST_STACKED], *of_foot[MOST_POINTS];
+} Set;
+
+// Points of a set as jets.
+typedef struct {
+  Jet weight, visible;  // of the quadrature, with the sign; Π ω
+  Jet up, slope;        // height over M; N₁ · M
+  Jet xi[2], X[2];      // of the sheet in front
+  int front;
+} Seen;
+
+static Jet dotted(Tape *tape, const Vec *a, const Vec *b)
+{
+  Jet sum = product(tape, a->x[0], b->x[0]);
+  for (int i = 1; i < 3; ++i)
+    sum = combined(tape, 1, sum, 1, product(tape, a->x[i], b->x[i]));
+  return sum;
+}
+
+static Vec crossed(Tape *tape, const Vec *a, const Vec *b)
+{
+  Vec c;
+  for (int i = 0; i < 3; ++i)
+  {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    c.x[i] = combined(tape, 1, product(tape, a->x[j], b->x[k]), -1, product(tape, a->x[k], b->x[j]));
+  }
+  return c;
+}
+
+static Vec less(Tape *tape, const Vec *a, const Vec *b)
+{
+  Vec c;
+  for (int i = 0; i < 3; ++i)
+    c.x[i] = combined(tape, 1, a->x[i], -1, b->x[i]);
+  return c;
+}
+
+static Jet wedge(Tape *tape, Jet const *a, Jet const *b)
+{
+  return combined(tape, 1, product(tape, a[0], b[1]), -1, product(tape, a[1], b[0]));
+}
+
+static Jet power(Tape *tape, const double *a, double n)
+{
+  double f = pow(a[0], n);
+  return composed(tape, a, (double[]){f, n * f / a[0], n * (n - 1) * f / (a[0] * a[0])});
+}
+
+// A step from 0 to 1, once smooth, and its two derivatives.
+static void smoothed(double a, const double *ends, double *f)
+{
+  double width = ends[1] - ends[0], t = (a - ends[0]) / width;
+  f[0] = t >= 1, f[1] = f[2] = 0;
+  if (t > 0 && t < 1)
+    f[0] = t * t * (3 - 2 * t), f[1] = 6 * t * (1 - t) / width, f[2] = (6 - 12 * t) / (width * width);
+}
+
+static Jet step_of(Tape *tape, const double *a, const double *ends)
+{
+  double f[3];
+  smoothed(a[0], ends, f);
+  return composed(tape, a, f);
+}
+
+static double derivative(int power, int k, double x)
+{
+  double f = k > power ? 0 : 1;
+  for (int i = 0; i < k; ++i)
+    f *= power - i;
+  for (int i = k; i < power; ++i)
+    f *= x;
+  return f;
+}
+
+// Derivatives of a facet's terms and functions by both coordinates.
+static void functions_at(const Facets *facets, const double *X, int i, int j, double *terms,
+                         double *N)
+{
+  int n = facets->num_dofs;
+  memset(N, 0, n * sizeof(double));
+  for (int t = 0; t < facets->num_terms; ++t)
+  {
+    const int *powers = facets->powers + 2 * t;
+    terms[t] = derivative(powers[0], i, X[0] - facets->middle[0])
+               * derivative(powers[1], j, X[1] - facets->middle[1]);
+    for (int a = 0; a < n; ++a)
+      N[a] += terms[t] * facets->functions[n * t + a];
+  }
+}
+
+// A point of a facet, or its derivative by a coordinate, or displacements there.
+//
+// numbers  of its dofs in jets; NULL if they are none
+// X, moves its coordinates and these as jets; NULL if they stay
+// d        0, or number of the coordinate from 1
+// moved    displacements of dofs instead of positions, (num_dofs₀ + num_dofs₁, 3), or NULL
+static Vec point_on(Tape *tape, const Set *set, int side, int f, const int *numbers,
+                    const double *X, Jet const *moves, int d, const double *moved)
+{
+  static const int rows[6][2] = {{0, 0}, {1, 0}, {0, 1}, {2, 0}, {1, 1}, {0, 2}};
+  const Facets *facets = set->of->sides + side;
+  const int *dofs = set->of->dofs[side] + (size_t)facets->num_dofs * f;
+  int num = facets->num_terms, n = facets->num_dofs, order = tape->order;
+  int num_rows = order < 1 ? 1 : order < 2 ? 3 : 6;
+  double N[6][n], x[6][3];
+  memset(x, 0, sizeof(x));
+  for (int r = 0; r < num_rows; ++r)
+  {
+    double terms[num];
+    functions_at(facets, X, rows[r][0] + (d == 1), rows[r][1] + (d == 2), terms, N[r]);
+    const double *factors = facets->factors + (size_t)3 * num * f;
+    for (int t = 0; !moved && t < num; ++t)
+      for (int c = 0; c < 3; ++c)
+        x[r][c] += terms[t] * factors[3 * t + c];
+    for (int a = 0; moved && a < n; ++a)
+      for (int c = 0; c < 3; ++c)
+        x[r][c] += N[r][a] * moved[3 * dofs[a] + c];
+  }
+  Vec found;
+  for (int c = 0; c < 3; ++c)
+  {
+    Jet jet = constant(tape, x[0][c]), second = jet + 1 + tape->n;
+    if (!d && !moved)
+      jet[0] += facets->origins[3 * f + c] - set->origin[c];
+    for (size_t v = 1; moves && v < tape->size; ++v)
+      jet[v] = x[1][c] * moves[0][v] + x[2][c] * moves[1][v];
+    if (moves)
+    {
+      add_outer(tape, x[3][c] / 2, moves[0], moves[0], jet);
+      add_outer(tape, x[4][c], moves[0], moves[1], jet);
+      add_outer(tape, x[5][c] / 2, moves[1], moves[1], jet);
+    }
+    for (int a = 0; order > 0 && numbers && a < n; ++a)
+    {
+      int v = 3 * numbers[a] + c;
+      jet[1 + v] += N[0][a];
+      for (int w = 0; moves && order > 1 && w < tape->n; ++w)
+      {
+        int high = v > w ? v : w, low = v > w ? w : v;
+        double slope = N[1][a] * moves[0][1 + w] + N[2][a] * moves[1][1 + w];
+        second[high * (high + 1) / 2 + low] += (v == w ? 2 : 1) * slope;
+      }
+    }
+    found.x[c] = jet;
+  }
+  return found;
+}
+
+// The plane across the normal of Γ1's facet as jets.
+typedef struct {
+  Vec middle, normal, by[2];
+  Jet square; // of the normal
+} Plane;
+
+static Plane plane_of(Tape *tape, const Set *set)
+{
+  const double *X = set->above->middle;
+  Plane plane;
+  Vec t[2];
+  plane.middle = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
+  for (int k = 0; k < 2; ++k)
+    t[k] = point_on(tape, set, 1, set->facet, set->own, X, NULL, k + 1, NULL);
+  plane.normal = crossed(tape, t, t + 1);
+  plane.square = dotted(tape, &plane.normal, &plane.normal);
+  plane.by[0] = crossed(tape, t + 1, &plane.normal);
+  plane.by[1] = crossed(tape, &plane.normal, t);
+  return plane;
+}
+
+static void seen_in(Tape *tape, const Plane *plane, const Vec *x, Jet *y)
+{
+  Vec d = less(tape, x, &plane->middle);
+  for (int k = 0; k < 2; ++k)
+    y[k] = quotient(tape, dotted(tape, plane->by + k, &d), plane->square);
+}
+
+// The ends of a polygon's edge as they are seen.
+static void ends_of(Tape *tape, const Set *set, const Plane *plane, int edge, Jet (*y)[2])
+{
+  int num = set->below->num_corners;
+  for (int e = 0; e < 2; ++e)
+  {
+    Vec x;
+    if (edge < PART)
+    {
+      const double *X = set->of->parts + 2 * (PART * set->part + (edge + e) % PART);
+      x = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
+    }
+    else
+    { // seen from the other side
+      int s = (edge - PART) / MOST_SIDES, k = num - 1 - ((edge - PART) % MOST_SIDES + e) % num;
+      const double *X = set->of->corners + 2 * k;
+      x = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], X, NULL, 0, NULL);
+    }
+    seen_in(tape, plane, &x, y[e]);
+  }
+}
+
+// Corner k of a polygon in the plane, where an edge ends and the next one starts.
+static void corner_in_plane(Tape *tape, const Set *set, const Plane *plane, int k, Jet *y)
+{
+  int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
+  int num = set->below->num_corners;
+  Jet a[2][2], b[2][2], c[2], d[2], from[2];
+  ends_of(tape, set, plane, f, b);
+  if (e >= PART && f >= PART && (e - PART) / MOST_SIDES == (f - PART) / MOST_SIDES
+      && (f - e + num) % num == 1)
+  {
+    memcpy(y, b[0], sizeof(b[0]));
+    return;
+  }
+  ends_of(tape, set, plane, e, a);
+  for (int i = 0; i < 2; ++i)
+  {
+    c[i] = combined(tape, 1, a[1][i], -1, a[0][i]);
+    d[i] = combined(tape, 1, b[1][i], -1, b[0][i]);
+    from[i] = combined(tape, 1, b[0][i], -1, a[0][i]);
+  }
+  Jet det = wedge(tape, c, d);
+  double size = hypot(c[0][0], c[1][0]) * hypot(d[0][0], d[1][0]);
+  Jet t;
+  if (fabs(det[0]) > PARALLEL * size)
+    t = quotient(tape, wedge(tape, from, d), det);
+  else
+    t = constant(tape, fabs(det[0]) > 0 ? smaller(larger(wedge(tape, from, d)[0] / det[0], 0), 1) : 0.5);
+  for (int i = 0; i < 2; ++i)
+    y[i] = combined(tape, 1, a[0][i], 1, product(tape, t, c[i]));
+}
+
+// Corner k of a polygon on Γ1's reference facet.
+static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int k, Jet *X)
+{
+  const double *parts = set->of->parts + 2 * PART * set->part;
+  int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
+  for (int i = 0; i < 2; ++i)
+    X[i] = constant(tape, set->X[k][i]);
+  if (tape->order < 1 || (e < PART && f < PART))
+    return;
+  Jet y[2];
+  corner_in_plane(tape, set, plane, k, y);
+  if (set->above->num_terms == 3)
+  {
+    for (int i = 0; i < 2; ++i)
+    {
+      y[i][0] = set->X[k][i];
+      X[i] = y[i];
+    }
+    return;
+  }
+  // Where a bilinear map has that point, by Newton's method from its value
+  Jet own[PART][2], c[PART][2], s[2];
+  double with[4][2];
+  bilinear((const Point *)parts, with);
+  for (int v = 0; v < PART; ++v)
+  {
+    Vec x = point_on(tape, set, 1, set->facet, set->own, parts + 2 * v, NULL, 0, NULL);
+    seen_in(tape, plane, &x, own[v]);
+  }
+  for (int i = 0; i < 2; ++i)
+  {
+    s[i] = constant(tape, set->at[k][i]);
+    c[0][i] = own[0][i];
+    c[1][i] = combined(tape, 1, own[1][i], -1, own[0][i]);
+    c[2][i] = combined(tape, 1, own[3][i], -1, own[0][i]);
+    c[3][i] = combined(tape, -1, c[1][i], 1, combined(tape, 1, own[2][i], -1, own[3][i]));
+  }
+  for (int it = 0; it < tape->order; ++it)
+  {
+    Jet rest[2], both = product(tape, s[0], s[1]);
+    double p[2], q[2];
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet at = combined(tape, 1, c[0][i], 1, product(tape, c[1][i], s[0]));
+      at = combined(tape, 1, at, 1, product(tape, c[2][i], s[1]));
+      at = combined(tape, 1, at, 1, product(tape, c[3][i], both));
+      rest[i] = combined(tape, 1, y[i], -1, at);
+      p[i] = c[1][i][0] + c[3][i][0] * s[1][0];
+      q[i] = c[2][i][0] + c[3][i][0] * s[0][0];
+    }
+    double det = p[0] * q[1] - p[1] * q[0];
+    Jet moves[2] = {combined(tape, q[1] / det, rest[0], -q[0] / det, rest[1]),
+                    combined(tape, p[0] / det, rest[1], -p[1] / det, rest[0])};
+    for (int i = 0; i < 2; ++i)
+    {
+      s[i] = combined(tape, 1, s[i], 1, moves[i]);
+      s[i][0] = set->at[k][i];
+    }
+  }
+  Jet both = product(tape, s[0], s[1]);
+  for (int i = 0; i < 2; ++i)
+  {
+    X[i] = combined(tape, with[1][i], s[0], with[2][i], s[1]);
+    X[i] = combined(tape, 1, X[i], with[3][i], both);
+    X[i][0] = set->X[k][i];
+  }
+}
+
+// Points and weights on a polygon: as moments.c has them for degrees 1 and 2.
+//
+// points   (num_points, 2)
+// Returns the weight, the same for all.
+static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*points)[2])
+{
+  int n = set->count, num = set->of->num_points;
+  Jet X[n][2], area = NULL, first[2], second[3];
+  for (int k = 0; k < n; ++k)
+  {
+    corner_on_facet(tape, set, plane, k, X[k]);
+    for (int i = 0; k && i < 2; ++i)
+      X[k][i] = combined(tape, 1, X[k][i], -1, X[0][i]);
+  }
+  for (int t = 1; t + 1 < n; ++t)
+  {
+    Jet *a = X[t], *b = X[t + 1], twice = wedge(tape, a, b), sum[2];
+    area = area ? combined(tape, 1, area, 0.5, twice) : scaled(tape, 0.5, twice);
+    for (int i = 0; i < 2; ++i)
+    {
+      sum[i] = combined(tape, 1, a[i], 1, b[i]);
+      Jet part = scaled(tape, 1. / 6, product(tape, twice, sum[i]));
+      first[i] = t > 1 ? combined(tape, 1, first[i], 1, part) : part;
+    }
+    for (int k = 0; num > 1 && k < 3; ++k)
+    { // ∫ x xᵀ over a triangle with a corner at 0
+      int i = k == 2, j = k > 0;
+      Jet part = combined(tape, 1, product(tape, a[i], a[j]), 1, product(tape, b[i], b[j]));
+      part = combined(tape, 1, part, 1, product(tape, sum[i], sum[j]));
+      part = scaled(tape, 1. / 24, product(tape, twice, part));
+      second[k] = t > 1 ? combined(tape, 1, second[k], 1, part) : part;
+    }
+  }
+  for (int i = 0; i < 2; ++i)
+    first[i] = quotient(tape, first[i], area);
+  if (num > 1)
+  {
+    for (int k = 0; k < 3; ++k)
+      second[k] = combined(tape, 1, quotient(tape, second[k], area), -1,
+                           product(tape, first[k == 2], first[k > 0]));
+    double least = set->of->least * (second[0][0] + second[2][0]) + 1e-300;
+    Jet c = second[0][0] > least ? power(tape, second[0], 0.5) : constant(tape, sqrt(least));
+    Jet d = quotient(tape, second[1], c);
+    Jet e = combined(tape, 1, second[2], -1, product(tape, d, d));
+    e = e[0] > least ? power(tape, e, 0.5) : constant(tape, sqrt(least));
+    for (int p = 0; p < num; ++p)
+    {
+      const double *y = set->of->points + 2 * p;
+      Jet by = combined(tape, y[0], d, y[1], e);
+      points[p][0] = combined(tape, 1, combined(tape, 1, X[0][0], 1, first[0]), y[0], c);
+      points[p][1] = combined(tape, 1, combined(tape, 1, X[0][1], 1, first[1]), 1, by);
+    }
+  }
+  else
+    for (int i = 0; i < 2; ++i)
+      points[0][i] = combined(tape, 1, X[0][i], 1, first[i]);
+  return scaled(tape, (set->num % 2 ? set->whole : -set->whole) / num, area);
+}
+
+// Where the ray from a point of Γ1 meets a sheet, by Newton's method: each step gives one order of
+// derivatives.
+//
+// xi, up   values to start from
+// at       reference coordinates and the height over the normal
+static void meet(Tape *tape, const Set *set, int s, const Plane *plane, const Vec *x1,
+                 const double *xi, double up, Jet *at)
+{
+  double step = INFINITY, last = set->of->last;
+  for (int k = 0; k < 3; ++k)
+    at[k] = constant(tape, k < 2 ? xi[k] : up);
+  int steps = set->looks ? STEPS_OF_RAY : tape->order;
+  for (int it = 0; it < steps && !(step < last); ++it)
+  {
+    double X[2] = {at[0][0], at[1][0]}, z[3][3], w[3][3], jet[3][3];
+    Vec x0 = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], X, at, 0, NULL), rest;
+    jet_on(set->below, set->sheets[s], X, 3, jet);
+    memcpy(z, jet + 1, 2 * sizeof(z[0]));
+    for (int i = 0; i < 3; ++i)
+    {
+      z[2][i] = -plane->normal.x[i][0];
+      rest.x[i] = combined(tape, 1, x0.x[i], -1, x1->x[i]);
+      rest.x[i] = combined(tape, 1, rest.x[i], -1, product(tape, at[2], plane->normal.x[i]));
+    }
+    for (int k = 0; k < 3; ++k)
+      cross(z[(k + 1) % 3], z[(k + 2) % 3], w[k]);
+    double det = dot(z[0], w[0]);
+    step = 0;
+    for (int k = 0; k < 3; ++k)
+    {
+      Jet sum = combined(tape, w[k][0] / det, rest.x[0], w[k][1] / det, rest.x[1]);
+      sum = combined(tape, 1, sum, w[k][2] / det, rest.x[2]);
+      at[k] = combined(tape, 1, at[k], -1, sum);
+      step = k < 2 ? larger(step, fabs(sum[0])) : step;
+    }
+    if (!set->looks)
+      step = INFINITY;
+  }
+}
+
+// Depth of a point in Γ0's body by what is nearest.
+static Jet depth_of(Tape *tape, const Set *set, const Spot *spot, const Vec *x1)
+{
+  const Parts *parts = set->of;
+  const Nearest *foot = &spot->foot;
+  if (set->looks)
+    return constant(tape, depth_by(*foot));
+  int facet = foot->triangle / parts->triangles_a_facet;
+  const double *at = parts->triangle_at + 6 * (foot->triangle % parts->triangles_a_facet);
+  const int *numbers = set->of_foot[spot - set->spots];
+  Vec corners[3], e[2], d;
+  int whole = foot->corners[0] < 0;
+  for (int k = 0; k < 3; ++k)
+    corners[k] = point_on(tape, set, 0, facet, numbers, at + 2 * k, NULL, 0, NULL);
+  if (whole)
+  {
+    for (int k = 0; k < 2; ++k)
+      e[k] = less(tape, corners + k + 1, corners);
+    Vec n = crossed(tape, e, e + 1);
+    d = less(tape, corners, x1);
+    return product(tape, dotted(tape, &n, &d), power(tape, dotted(tape, &n, &n), -0.5));
+  }
+  d = less(tape, x1, corners + foot->corners[0]);
+  Jet square = dotted(tape, &d, &d);
+  if (foot->corners[0] != foot->corners[1])
+  {
+    e[0] = less(tape, corners + foot->corners[1], corners + foot->corners[0]);
+    Jet along = dotted(tape, &d, e);
+    along = quotient(tape, product(tape, along, along), dotted(tape, e, e));
+    square = combined(tape, 1, square, -1, along);
+  }
+  if (!(square[0] > 0))
+    return constant(tape, 0);
+  return scaled(tape, foot->inside < 0 ? -1 : 1, power(tape, square, 0.5));
+}
+
+// What the set's sheets weigh at a point of Γ1, and where its ray meets them. If it looks it finds
+// out what these depend on; NULL for ``visible`` if a weight is zero then.
+static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, Jet weight,
+                   Jet const *X)
+{
+  const Parts *parts = set->of;
+  int looks = set->looks;
+  Seen seen = {.weight = weight, .X = {X[0], X[1]}};
+  const double at_X[2] = {X[0][0], X[1][0]};
+  Vec t[2], x1 = point_on(tape, set, 1, set->facet, set->own, at_X, X, 0, NULL);
+  for (int k = 0; k < 2; ++k)
+    t[k] = point_on(tape, set, 1, set->facet, set->own, at_X, X, k + 1, NULL);
+  Vec n1 = crossed(tape, t, t + 1);
+  seen.slope = dotted(tape, &n1, &plane->normal);
+  Jet depth = NULL, visible = constant(tape, 1);
+  for (int s = 0; s < set->num; ++s)
+  {
+    Jet at[3], part;
+    meet(tape, set, s, plane, &x1, spot->xi[s], spot->up[s], at);
+    double xi[2] = {at[0][0], at[1][0]};
+    memcpy(spot->xi[s], xi, sizeof(xi));
+    spot->up[s] = at[2][0];
+    if (!seen.up || at[2][0] > seen.up[0])
+    {
+      seen.up = at[2], seen.front = s;
+      memcpy(seen.xi, at, sizeof(seen.xi));
+    }
+    if (!looks && !((spot->leans | spot->fades) >> s & 1))
+      continue;
+    for (int k = 0; k < 2; ++k)
+      t[k] = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], xi, at, k + 1, NULL);
+    Vec n0 = crossed(tape, t, t + 1);
+    // − cos times the length of M
+    Jet lean = product(tape, dotted(tape, &n0, &plane->normal),
+                       power(tape, dotted(tape, &n0, &n0), -0.5));
+    if (looks || spot->leans >> s & 1)
+    {
+      Jet cos = product(tape, lean, power(tape, plane->square, -0.5));
+      part = step_of(tape, scaled(tape, -1, cos), parts->cosines);
+      spot->leans |= (part[0] < 1) << s;
+      visible = product(tape, visible, part);
+    }
+    if (looks ? at[2][0] < 0 && visible[0] > 0 : spot->fades >> s & 1)
+    {
+      if (!depth)
+      {
+        if (looks)
+        {
+          double x[3];
+          for (int i = 0; i < 3; ++i)
+            x[i] = x1.x[i][0] + set->origin[i];
+          spot->foot = nearest_of(set->body, x);
+        }
+        depth = depth_of(tape, set, spot, &x1);
+        depth = combined(tape, 1, depth, parts->slack, power(tape, plane->square, 0.25));
+      }
+      Jet ratio = quotient(tape, depth, product(tape, at[2], lean));
+      part = step_of(tape, ratio, parts->nearest);
+      spot->fades |= (part[0] < 1) << s;
+      visible = product(tape, visible, part);
+    }
+    if (looks && !(visible[0] > 0))
+      return seen;
+  }
+  seen.visible = visible;
+  return seen;
+}
+
+// What is made of the points.
+typedef struct {
+  int order;
+  double *g, *covered;
+  Triplets *C, *by_covered;
+  const double *p, *by; // or Σ p ∂²g + Σ by ∂²covered
+  Triplets *H;
+  const double *moved; // or slips, if T isn't NULL
+  int across;
+  Triplets *T;
+  const double *q; // or forces of tractions
+} Work;
+
+static void add_triplet(Triplets *to, int row, int column, double value)
+{
+  int k = to->num++;
+  if (k < to->max)
+    to->rows[k] = row, to->columns[k] = column, to->values[k] = value;
+}
+
+static void put_row(const Set *set, int row, double factor, const double *jet, Triplets *to)
+{
+  for (int k = 0; k < 3 * set->num_dofs; ++k)
+    if (jet[1 + k] != 0)
+      add_triplet(to, row, 3 * set->dofs[k / 3] + k % 3, factor * jet[1 + k]);
+}
+
+static void put_square(const Set *set, const double *jet, Triplets *to)
+{
+  int n = 3 * set->num_dofs;
+  const double *second = jet + 1 + n;
+  for (int v = 0; v < n; ++v)
+    for (int w = 0; w <= v; ++w, ++second)
+    {
+      int i = 3 * set->dofs[v / 3] + v % 3, j = 3 * set->dofs[w / 3] + w % 3;
+      if (*second == 0)
+        continue;
+      add_triplet(to, i, j, *second);
+      if (v != w)
+        add_triplet(to, j, i, *second);
+    }
+}
+
+// Slips of a point: components of κ P D, and their derivatives.
+static void add_slips(Tape *tape, const Set *set, const Plane *plane, const Seen *seen,
+                     const Work *work)
+{
+  const double *X[2] = {(double[]){seen->xi[0][0], seen->xi[1][0]},
+                        (double[]){seen->X[0][0], seen->X[1][0]}};
+  int f[2] = {set->sheets[seen->front], set->facet};
+  const int *numbers[2] = {set->of_sheet[seen->front], set->own};
+  Jet const *moves[2] = {seen->xi, seen->X};
+  Jet size = product(tape, seen->slope, power(tape, plane->square, -0.5));
+  size = product(tape, size, product(tape, seen->weight, seen->visible));
+  Vec D;
+  if (work->moved)
+  {
+    Vec ends[2];
+    for (int side = 0; side < 2; ++side)
+      ends[side] = point_on(tape, set, side, f[side], numbers[side], X[side], moves[side], 0,
+                            work->moved);
+    D = less(tape, ends + 1, ends);
+  }
+  else
+    for (int i = 0; i < 3; ++i)
+      D.x[i] = constant(tape, work->q ? work->q[3 * set->row + i] : 0);
+  if (work->moved || work->q)
+  {
+    Jet up = quotient(tape, dotted(tape, &plane->normal, &D), plane->square);
+    for (int i = 0; i < 3; ++i)
+    {
+      D.x[i] = combined(tape, 1, D.x[i], -1, product(tape, up, plane->normal.x[i]));
+      D.x[i] = product(tape, D.x[i], size);
+      if (work->moved)
+        put_row(set, 3 * set->row + i, 1, D.x[i], work->T);
+    }
+  }
+  for (int side = 0; !work->moved && side < 2; ++side)
+  {
+    const Facets *facets = set->of->sides + side;
+    int n = facets->num_dofs;
+    const int *dofs = set->of->dofs[side] + (size_t)n * f[side];
+    double terms[facets->num_terms], N[3][n], sign = side ? 1 : -1;
+    for (int r = 0; r < 3; ++r)
+      functions_at(facets, X[side], r == 1, r == 2, terms, N[r]);
+    for (int a = 0; a < n; ++a)
+      for (int i = 0; i < 3; ++i)
+      {
+        for (int j = 0; work->across && i == 0 && j < 3; ++j)
+        {
+          double up = plane->normal.x[j][0] / sqrt(plane->square[0]);
+          add_triplet(work->T, set->row, 3 * dofs[a] + j, -sign * N[0][a] * size[0] * up);
+        }
+        for (int j = 0; !work->across && !work->q && j < 3; ++j)
+        {
+          double flat = (i == j) - plane->normal.x[i][0] * plane->normal.x[j][0] / plane->square[0];
+          add_triplet(work->T, 3 * set->row + i, 3 * dofs[a] + j, sign * N[0][a] * size[0] * flat);
+        }
+        if (!work->q)
+          continue;
+        Jet by = combined(tape, N[1][a], moves[side][0], N[2][a], moves[side][1]);
+        by[0] = N[0][a];
+        put_row(set, 3 * dofs[a] + i, sign, product(tape, by, D.x[i]), work->H);
+      }
+  }
+}
+
+// Number of a dof among a set's; it gets one if it has none.
+static void number_facet(Set *set, int side, int f, int *numbers)
+{
+  int n = set->of->sides[side].num_dofs;
+  const int *dofs = set->of->dofs[side] + (size_t)n * f;
+  for (int a = 0; a < n; ++a)
+  {
+    int k = 0;
+    while (k < set->num_dofs && set->dofs[k] != dofs[a])
+      ++k;
+    if (k == set->num_dofs)
+      set->dofs[set->num_dofs++] = dofs[a];
+    numbers[a] = k;
+  }
+}
+
+static int make_room(Tape *tape, int n, int order, int count, size_t *room)
+{
+  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0;
+  size_t needed = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
+  if (needed <= *room)
+    return 1;
+  free(tape->memory);
+  tape->memory = malloc(needed * sizeof(double));
+  *room = tape->memory ? needed : 0;
+  return tape->memory != NULL;
+}
+
+// Area of a part of a reference facet.
+static double part_area(const Facets *facets)
+{
+  return 1. / (facets->num_corners == 3 ? 6 : 4);
+}
+
+// Add what a set has; 0 without memory.
+static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
+{
+  int num = set->of->num_points;
+  Jet points[MOST_POINTS][2], weight;
+  if (!make_room(tape, 0, 0, set->count, room))
+    return 0;
+  Plane plane = plane_of(tape, set);
+  weight = points_of(tape, set, &plane, points);
+  set->looks = 1, set->num_spots = 0;
+  size_t used = tape->used;
+  for (int k = 0; k < num; ++k, tape->used = used)
+  {
+    Spot *spot = set->spots + set->num_spots;
+    *spot = (Spot){.number = k};
+    for (int s = 0; s < set->num; ++s)
+      memcpy(spot->xi[s], set->below->middle, sizeof(spot->xi[s]));
+    set->num_spots += ray_at(tape, set, &plane, spot, weight, points[k]).visible != NULL;
+  }
+  if (!set->num_spots)
+    return 1;
+  set->looks = set->num_dofs = 0;
+  number_facet(set, 1, set->facet, set->own);
+  for (int s = 0; s < set->num; ++s)
+    number_facet(set, 0, set->sheets[s], set->of_sheet[s]);
+  for (int k = 0; k < set->num_spots; ++k)
+    if (set->spots[k].fades)
+      number_facet(set, 0, set->spots[k].foot.triangle / set->of->triangles_a_facet,
+                   set->of_foot[k]);
+  if (!make_room(tape, 3 * set->num_dofs, work->order, set->count, room))
+    return 0;
+  plane = plane_of(tape, set);
+  weight = points_of(tape, set, &plane, points);
+  double whole = part_area(set->above);
+  Jet sum = constant(tape, 0), covered = constant(tape, 0);
+  used = tape->used;
+  for (int k = 0; k < set->num_spots; ++k, tape->used = used)
+  {
+    Spot *spot = set->spots + k;
+    Seen seen = ray_at(tape, set, &plane, spot, weight, points[spot->number]);
+    if (work->T || work->q)
+    {
+      add_slips(tape, set, &plane, &seen, work);
+      continue;
+    }
+    Jet part = product(tape, seen.weight, seen.visible);
+    Jet volume = product(tape, part, product(tape, seen.up, seen.slope));
+    for (size_t v = 0; v < tape->size; ++v)
+      sum[v] += volume[v], covered[v] += part[v] / whole;
+  }
+  if (work->g)
+  {
+    work->g[set->row] += sum[0], work->covered[set->row] += covered[0];
+    put_row(set, set->row, 1, sum, work->C);
+    put_row(set, set->row, 1, covered, work->by_covered);
+  }
+  else if (work->p)
+    put_square(set, combined(tape, work->p[set->row], sum, work->by[set->row], covered), work->H);
+  return 1;
+}
+
+// Sets of sheets over a part that a polygon has, with those behind a sheet in their list.
+typedef struct {
+  int num;              // of sheets
+  const int *sheets;
+  const Point *seen;    // their corners, (num, MOST_SIDES)
+  Point own[PART];
+  double area;          // of the part
+  Tape *tape;
+  size_t *room;
+  const Work *work;
+} Stack;
+
+static int add_sets(const Stack *stack, Set *set, int from, int count, const Point *polygon,
+                    const int *edges)
+{
+  const Parts *parts = set->of;
+  int num = set->below->num_corners, level = set->num;
+  for (int k = from; k < stack->num; ++k)
+  {
+    Point y[MOST_CUT];
+    int edge[MOST_CUT];
+    memcpy(y, polygon, count * sizeof(Point));
+    memcpy(edge, edges, count * sizeof(int));
+    const Point *by = stack->seen + MOST_SIDES * k;
+    if (!boxes_meet(num, by, count, y))
+      continue;
+    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level);
+    if (left < 3 || !(area_of(left, y) > parts->sliver * stack->area))
+      continue;
+    set->sheets[level] = stack->sheets[k], set->num = level + 1, set->count = left;
+    memcpy(set->edge, edge, left * sizeof(int));
+    for (int c = 0; c < left; ++c)
+      if (set->above->num_terms == 3)
+        for (int i = 0; i < 2; ++i)
+          set->X[c][i] = set->above->middle[i] + y[c][i];
+      else
+        map_to(stack->own, (const Point *)parts->parts + PART * set->part, parts->last, y[c],
+               set->at[c], set->X[c]);
+    double counts[3], whole = part_area(set->above);
+    smoothed(area_of(left, set->X) / whole / (area_of(left, y) / stack->area), SPREAD, counts);
+    set->whole = counts[0];
+    if (!(set->whole > 0))
+      continue;
+    if (!add_set(set, stack->tape, stack->room, stack->work))
+      return 0;
+    set->num = level + 1;
+    // A weight of zero at all points is one for all sets with this sheet
+    if (set->num_spots && level + 1 < MOST_STACKED
+        && !add_sets(stack, set, k + 1, left, y, edge))
+      return 0;
+  }
+  set->num = level;
+  return 1;
+}
+
+static int for_sets(const Parts *parts, const Work *work)
+{
+  const Facets *below = parts->sides, *above = below + 1;
+  int most = 0, n0 = below->num_dofs, n1 = above->num_dofs, can;
+  for (int k = 0; k < parts->num; ++k)
+    most = parts->first[k + 1] - parts->first[k] > most ? parts->first[k + 1] - parts->first[k] : most;
+  Point *seen = malloc((most + 1) * MOST_SIDES * sizeof(Point));
+  int groups = MOST_STACKED + MOST_POINTS;
+  int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
+  Body body = {parts->num_triangles, parts->triangles, parts->order, NULL};
+  Tape tape = {0};
+  size_t room = 0;
+  can = open_body(&body) && seen && numbers;
+  Set set = {.of = parts, .below = below, .above = above, .body = &body};
+  set.dofs = numbers, set.own = numbers + n1 + groups * n0;
+  for (int k = 0; k < groups; ++k)
+    *(k < MOST_STACKED ? set.of_sheet + k : set.of_foot + k - MOST_STACKED) = set.own + n1 + k * n0;
+  for (int k = 0; can && k < parts->num; ++k)
+  {
+    int f = parts->facets[k], edge[PART];
+    const double *plane = parts->planes + 12 * f, *origin = above->origins + 3 * f;
+    Stack stack = {.num = parts->first[k + 1] - parts->first[k],
+                   .sheets = parts->sheets + parts->first[k],
+                   .seen = seen,
+                   .tape = &tape,
+                   .room = &room,
+                   .work = work};
+    for (int s = 0; s < stack.num; ++s)
+      for (int c = 0; c < below->num_corners; ++c)
+      {
+        double x[3];
+        int v = below->vertices[below->num_corners * (stack.sheets[s] + 1) - 1 - c];
+        minus(below->x + 3 * v, plane, x);
+        see(plane + 3, x, seen[MOST_SIDES * s + c]);
+      }
+    set.facet = f, set.origin = origin;
+    for (int part = 0; can && part < above->num_corners; ++part)
+    {
+      set.part = part, set.row = above->num_corners * f + part, set.num = 0;
+      const double *p = work->p, *by = work->by, *q = work->q + 3 * set.row;
+      if ((p && p[set.row] == 0 && by[set.row] == 0) || (work->q && !q[0] && !q[1] && !q[2]))
+        continue;
+      for (int c = 0; c < PART; ++c)
+      {
+        double x[3];
+        jet_on(above, f, parts->parts + 2 * (PART * part + c), 1, &x);
+        for (int i = 0; i < 3; ++i)
+          x[i] += origin[i] - plane[i];
+        see(plane + 3, x, stack.own[c]);
+      }
+      stack.area = fabs(area_of(PART, stack.own));
+      can = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
+    }
+  }
+  free(seen), free(numbers), free(body.balls), free(tape.memory);
+  return can ? DONE : NO_MEMORY;
+}
+
+// Weighted gaps of parts.
+//
+// g, covered      of parts, added, (num_facets₁, num_corners); covered as a part of them
+// C, by_covered   ∂g/∂u, ∂covered/∂u
+int find_parts(const Parts *parts, double *g, double *covered, Triplets *C,
+               Triplets *by_covered)
+{
+  C->num = by_covered->num = 0;
+  return for_sets(parts, &(Work){.order = 1, .g = g, 
+                                 .covered = covered, .C = C, .by_covered = by_covered});
+}
+
+// Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of parts.
+int part_curvature(const Parts *parts, const double *p, const double *by_covered, Triplets *H)
+{
+  H->num = 0;
+  return for_sets(parts, &(Work){.order = 2, .p = p, .by = by_covered, .H = H});
+}
+
+// Weighted slips of parts s = T Δu, three components each: T; if they are given Δu, by dofs,
+// T + ∂T/∂u Δu instead. Across: what Δu adds to gaps of points that stay opposite to each other.
+int part_slips(const Parts *parts, const double *moved, int across, Triplets *T)
+{
+  T->num = 0;
+  return for_sets(parts,
+                  &(Work){.order = moved != NULL, .moved = moved, .across = across, .T = T});
+}
+
+// Σ q ∂T/∂u, with tractions of parts, (num_facets₁, num_corners, 3); it isn't symmetric.
+int part_slip_curvature(const Parts *parts, const double *q, Triplets *H)
+{
+  H->num = 0;
+  return for_sets(parts, &(Work){.order = 1, .q = q, .H = H});
+}
