@@ -16,14 +16,16 @@ of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds 
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD
 from hypergap_dolfinx.surface.moving import Sparse, joined
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 Floats = npt.NDArray[np.float64]
 
@@ -150,7 +152,7 @@ class Blended:
         bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
         M += _scaled(0.5 * p * bends, K).T @ K
         # Of the product of what halves leave uncovered: of each one's by those before it
-        before = sparse.csr_array(K.shape)
+        before = Sparse.empty().to_scipy(K.shape)
         for halves in self._halves_of_c():
             M -= _scaled(by_c * self._left, before).T @ halves
             before = before + halves
@@ -194,7 +196,7 @@ class Blended:
             return H
         return joined(H, Sparse.from_scipy(self.rows(self._T).T @ self.pressure_slopes(q)))
 
-    def pressure_slopes(self, p: Floats) -> sparse.csr_array:
+    def pressure_slopes(self, p: Floats) -> "sparse.csr_array":
         """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
         a, b = self.pairs
         own = self._dt * p
@@ -237,9 +239,9 @@ class Blended:
         a, b = self.pairs
         return self._q[a] * self._c[b]
 
-    def _matrix(self, i, j, values: Floats) -> sparse.csr_array:
+    def _matrix(self, i, j, values: Floats) -> "sparse.csr_array":
         """A matrix by vertices."""
-        return sparse.csr_array((values, (i, j)), shape=(self.num, self.num))
+        return Sparse(i, j, values).to_scipy((self.num, self.num))
 
     @cached_property
     def _per_left(self) -> Floats:
@@ -248,7 +250,7 @@ class Blended:
         return np.divide(1, left, out=np.zeros_like(left), where=left > 0)
 
     @cached_property
-    def _K(self) -> sparse.csr_array:
+    def _K(self) -> "sparse.csr_array":
         """∂c/∂u of vertices near to those that are covered in part."""
         K, left = self._by_covered, 1 - self.covered
         others = np.ones(self.num)  # of halves that leave anything
@@ -264,7 +266,7 @@ class Blended:
         near[self.pairs] = True
         return near
 
-    def rows(self, part: Sparse) -> sparse.csr_array:
+    def rows(self, part: Sparse) -> "sparse.csr_array":
         """Rows of vertices that are covered in part and of those beside them."""
         return part.some(self.near[part.i]).to_scipy((self.num, self.size))
 
@@ -283,6 +285,6 @@ class Blended:
             yield Sparse(*at, values[some]).to_scipy((self.num, self.size))
 
 
-def _scaled(factors: Floats, rows: sparse.csr_array) -> sparse.csr_array:
+def _scaled(factors: Floats, rows: "sparse.csr_array") -> "sparse.csr_array":
     """Rows times factors."""
-    return sparse.diags_array(factors).tocsr() @ rows
+    return rows.multiply(factors[:, None]).tocsr()

@@ -14,11 +14,10 @@ That is so on facets of Γ1 all of which lies opposite one sheet of Γ0. On othe
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import override
+from typing import TYPE_CHECKING, override
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 import basix
 from hypergap_dolfinx.contact_geometry.blending import Blended
@@ -45,6 +44,9 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
 from hypergap_dolfinx.surface.trace import lengths
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 Floats = npt.NDArray[np.float64]
 
@@ -439,7 +441,7 @@ class SpaceSegments(Segments[_Opposite]):
         )
 
 
-def _projection(num: int, rows, vertices, e) -> sparse.csr_array:
+def _projection(num: int, rows, vertices, e) -> "sparse.csr_array":
     """Slips of rows from vectors of vertices.
 
     Args:
@@ -450,8 +452,7 @@ def _projection(num: int, rows, vertices, e) -> sparse.csr_array:
     """
     i = np.broadcast_to(rows[:, None, None] + num * np.arange(2)[:, None], e.shape)
     j = np.broadcast_to(3 * vertices[:, None, None] + np.arange(3), e.shape)
-    at = i.ravel(), j.ravel()
-    return sparse.csr_array((e.ravel(), at), shape=(2 * num, 3 * num))
+    return Sparse(i.ravel(), j.ravel(), e.ravel()).to_scipy((2 * num, 3 * num))
 
 
 def _cast(frames: Frames, pieces: FacetPieces):

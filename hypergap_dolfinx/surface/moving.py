@@ -4,15 +4,18 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.trace import Surface, tabulate
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True)
@@ -102,15 +105,17 @@ class Sparse:
         return found
 
     @classmethod
-    def from_scipy(cls, matrix: sparse.sparray) -> "Sparse":
+    def from_scipy(cls, matrix: "sparse.sparray") -> "Sparse":
         """Entries of a matrix of SciPy's that aren't zero."""
         found = matrix.tocoo()
         on = found.data != 0
         i, j = (part[on].astype(np.int64) for part in found.coords)
         return cls(i, j, found.data[on])
 
-    def to_scipy(self, shape: tuple[int, int]) -> sparse.csr_array:
+    def to_scipy(self, shape: tuple[int, int]) -> "sparse.csr_array":
         """The same as a matrix of SciPy's."""
+        from scipy import sparse  # takes .15 s
+
         return sparse.csr_array((self.values, (self.i, self.j)), shape=shape)
 
     def some(self, use: npt.NDArray[np.bool_]) -> "Sparse":

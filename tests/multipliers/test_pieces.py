@@ -293,7 +293,10 @@ def test_messages_name_the_users_ties():
     ties = [Tie((bodies[0].V, a), (bodies[1].V, b)) for a, b in zip(*halves, strict=True)]
     other = rectangle((3, 2), (0, 2), (1, 3))
     ties.append(tie([bodies[1], other], (0, TOP), (1, BOTTOM)))
-    with pytest.raises(ValueError, match=r"^Γ1 of tie 2 is on a space that is in no form"):
+    with pytest.raises(
+        ValueError,
+        match=r"^Γ1 of tie 2 \(4 and 3 facets around \(0.5, 2\)\) is on a space that is in no form",
+    ):
         problem(bodies, ties, [], [])
     with pytest.raises(ValueError, match="ties has a tuple: make each with Tie"):
         problem(bodies, [(bodies[0].V, bodies[1].V)], [], [])
