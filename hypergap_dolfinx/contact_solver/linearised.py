@@ -127,11 +127,13 @@ class LinearisedContact:
             if found.is_guess:
                 return found
             negative = self._tangent.negative
-            is_positive = negative is None or negative <= num
+            is_positive = negative is not None and negative <= num
             if found.is_solved:
                 free = [np.where(on, 0, dx) for on, dx in zip(held, found.changes, strict=False)]
                 if is_positive or self._tangent.work(free) > 0:
                     break
+            elif negative is None:  # of LU, with friction
+                is_positive = True
             if is_positive and nearness:
                 near = near / SHORTENED or nearness()
             else:
