@@ -25,8 +25,6 @@
 #define MOST_STACKED 3   // sheets one behind the other
 #define MOST_POINTS 3    // of the rule
 #define MOST_SIDES 4     // of a facet
-#define JETS 1500        // more than a set of sheets takes, and each of its corners
-#define JETS_OF_CORNER 400
 #define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
 // Slivers in the plane may have an area near zero on a curved facet's reference, and points anywhere:
 // parts of the one area over the other from which on they count, and do so fully
@@ -684,18 +682,6 @@ static void number_facet(Set *set, int side, int f, int *numbers)
   }
 }
 
-static int make_room(Tape *tape, int n, int order, int count, size_t *room)
-{
-  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0;
-  size_t needed = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
-  if (needed <= *room)
-    return 1;
-  free(tape->memory);
-  tape->memory = malloc(needed * sizeof(double));
-  *room = tape->memory ? needed : 0;
-  return tape->memory != NULL;
-}
-
 // Area of a part of a reference facet.
 static double part_area(const Facets *facets)
 {
@@ -703,11 +689,11 @@ static double part_area(const Facets *facets)
 }
 
 // Add what a set has; 0 without memory.
-static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
+static int add_set(Set *set, Tape *tape, const Work *work)
 {
   int num = set->of->num_points;
   Jet points[MOST_POINTS][2], weight;
-  if (!make_room(tape, 0, 0, set->count, room))
+  if (!start_tape(tape, 0, 0))
     return 0;
   Plane plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
@@ -721,8 +707,8 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
       memcpy(spot->xi[s], set->below->middle, sizeof(spot->xi[s]));
     set->num_spots += ray_at(tape, set, &plane, spot, weight, points[k]).visible != NULL;
   }
-  if (!set->num_spots)
-    return 1;
+  if (tape->failed || !set->num_spots)
+    return !tape->failed;
   set->looks = set->num_dofs = 0;
   number_facet(set, 1, set->facet, set->own);
   for (int s = 0; s < set->num; ++s)
@@ -731,7 +717,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
     if (set->spots[k].fades)
       number_facet(set, 0, set->spots[k].foot.triangle / set->of->triangles_a_facet,
                    set->of_foot[k]);
-  if (!make_room(tape, 3 * set->num_dofs, work->order, set->count, room))
+  if (!start_tape(tape, 3 * set->num_dofs, work->order))
     return 0;
   plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
@@ -760,7 +746,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
   }
   else if (work->p)
     put_square(set, combined(tape, work->p[set->row], sum, work->by[set->row], covered), work->H);
-  return 1;
+  return !tape->failed;
 }
 
 // Sets of sheets over a part that a polygon has, with those behind a sheet in their list.
@@ -771,7 +757,6 @@ typedef struct {
   Point own[PART];
   double area;          // of the part
   Tape *tape;
-  size_t *room;
   const Work *work;
 } Stack;
 
@@ -806,7 +791,7 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     set->whole = counts[0];
     if (!(set->whole > 0))
       continue;
-    if (!add_set(set, stack->tape, stack->room, stack->work))
+    if (!add_set(set, stack->tape, stack->work))
       return 0;
     set->num = level + 1;
     // A weight of zero at all points is one for all sets with this sheet
@@ -829,7 +814,6 @@ static int for_sets(const Parts *parts, const Work *work)
   int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
   Body body = {parts->num_triangles, parts->triangles, parts->order, NULL};
   Tape tape = {0};
-  size_t room = 0;
   can = open_body(&body) && seen && numbers;
   Set set = {.of = parts, .below = below, .above = above, .body = &body};
   set.dofs = numbers, set.own = numbers + n1 + groups * n0;
@@ -843,7 +827,6 @@ static int for_sets(const Parts *parts, const Work *work)
                    .sheets = parts->sheets + parts->first[k],
                    .seen = seen,
                    .tape = &tape,
-                   .room = &room,
                    .work = work};
     for (int s = 0; s < stack.num; ++s)
       for (int c = 0; c < below->num_corners; ++c)
@@ -872,7 +855,7 @@ static int for_sets(const Parts *parts, const Work *work)
       can = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
     }
   }
-  free(seen), free(numbers), free(body.balls), free(tape.memory);
+  free(seen), free(numbers), free(body.balls), close_tape(&tape);
   return can ? DONE : NO_MEMORY;
 }
 
