@@ -22,7 +22,6 @@
 #include "space.h"
 #include "vectors.h"
 
-#define MOST_STACKED 3   // sheets one behind the other
 #define MOST_POINTS 3    // of the rule
 #define MOST_SIDES 4     // of a facet
 #define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
@@ -760,6 +759,7 @@ typedef struct {
   const Work *work;
 } Stack;
 
+// Returns STUCK where there are too many, or too many corners.
 static int add_sets(const Stack *stack, Set *set, int from, int count, const Point *polygon,
                     const int *edges)
 {
@@ -774,9 +774,13 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     const Point *by = stack->seen + MOST_SIDES * k;
     if (!boxes_meet(num, by, count, y))
       continue;
-    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level);
+    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level), status;
+    if (left > MOST_CUT)
+      return STUCK;
     if (left < 3 || !(area_of(left, y) > parts->sliver * stack->area))
       continue;
+    if (level == MOST_STACKED)
+      return STUCK;
     set->sheets[level] = stack->sheets[k], set->num = level + 1, set->count = left;
     memcpy(set->edge, edge, left * sizeof(int));
     for (int c = 0; c < left; ++c)
@@ -792,21 +796,20 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     if (!(set->whole > 0))
       continue;
     if (!add_set(set, stack->tape, stack->work))
-      return 0;
+      return NO_MEMORY;
     set->num = level + 1;
     // A weight of zero at all points is one for all sets with this sheet
-    if (set->num_spots && level + 1 < MOST_STACKED
-        && !add_sets(stack, set, k + 1, left, y, edge))
-      return 0;
+    if (set->num_spots && (status = add_sets(stack, set, k + 1, left, y, edge)) != DONE)
+      return status;
   }
   set->num = level;
-  return 1;
+  return DONE;
 }
 
 static int for_sets(const Parts *parts, const Work *work)
 {
   const Facets *below = parts->sides, *above = below + 1;
-  int most = 0, n0 = below->num_dofs, n1 = above->num_dofs, can;
+  int most = 0, n0 = below->num_dofs, n1 = above->num_dofs, status;
   for (int k = 0; k < parts->num; ++k)
     most = parts->first[k + 1] - parts->first[k] > most ? parts->first[k + 1] - parts->first[k] : most;
   Point *seen = malloc((most + 1) * MOST_SIDES * sizeof(Point));
@@ -814,12 +817,12 @@ static int for_sets(const Parts *parts, const Work *work)
   int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
   Body body = {parts->num_triangles, parts->triangles, parts->order, NULL};
   Tape tape = {0};
-  can = open_body(&body) && seen && numbers;
+  status = open_body(&body) && seen && numbers ? DONE : NO_MEMORY;
   Set set = {.of = parts, .below = below, .above = above, .body = &body};
   set.dofs = numbers, set.own = numbers + n1 + groups * n0;
   for (int k = 0; k < groups; ++k)
     *(k < MOST_STACKED ? set.of_sheet + k : set.of_foot + k - MOST_STACKED) = set.own + n1 + k * n0;
-  for (int k = 0; can && k < parts->num; ++k)
+  for (int k = 0; status == DONE && k < parts->num; ++k)
   {
     int f = parts->facets[k], edge[PART];
     const double *plane = parts->planes + 12 * f, *origin = above->origins + 3 * f;
@@ -837,7 +840,7 @@ static int for_sets(const Parts *parts, const Work *work)
         see(plane + 3, x, seen[MOST_SIDES * s + c]);
       }
     set.facet = f, set.origin = origin;
-    for (int part = 0; can && part < above->num_corners; ++part)
+    for (int part = 0; status == DONE && part < above->num_corners; ++part)
     {
       set.part = part, set.row = above->num_corners * f + part, set.num = 0;
       const double *p = work->p, *by = work->by, *q = work->q + 3 * set.row;
@@ -852,11 +855,11 @@ static int for_sets(const Parts *parts, const Work *work)
         see(plane + 3, x, stack.own[c]);
       }
       stack.area = fabs(area_of(PART, stack.own));
-      can = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
+      status = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
     }
   }
   free(seen), free(numbers), free(body.balls), close_tape(&tape);
-  return can ? DONE : NO_MEMORY;
+  return status;
 }
 
 // Weighted gaps of parts.
