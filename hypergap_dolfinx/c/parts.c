@@ -209,13 +209,14 @@ static Vec point_on(Tape *tape, const Set *set, int side, int f, const int *numb
 // The plane across the normal of Γ1's facet as jets.
 typedef struct {
   Vec middle, normal, by[2];
-  Jet square; // of the normal
+  Jet square;   // of the normal
+  Jet ends[PART + MOST_SIDES * MOST_STACKED][2]; // corners of the part and of sheets there; NULL: not yet
 } Plane;
 
 static Plane plane_of(Tape *tape, const Set *set)
 {
   const double *X = set->above->middle;
-  Plane plane;
+  Plane plane = {0};
   Vec t[2];
   plane.middle = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
   for (int k = 0; k < 2; ++k)
@@ -224,6 +225,10 @@ static Plane plane_of(Tape *tape, const Set *set)
   plane.square = dotted(tape, &plane.normal, &plane.normal);
   plane.by[0] = crossed(tape, t + 1, &plane.normal);
   plane.by[1] = crossed(tape, &plane.normal, t);
+  Jet inverse = power(tape, plane.square, -1);
+  for (int k = 0; k < 2; ++k)
+    for (int i = 0; i < 3; ++i)
+      plane.by[k].x[i] = product(tape, plane.by[k].x[i], inverse);
   return plane;
 }
 
@@ -231,33 +236,44 @@ static void seen_in(Tape *tape, const Plane *plane, const Vec *x, Jet *y)
 {
   Vec d = less(tape, x, &plane->middle);
   for (int k = 0; k < 2; ++k)
-    y[k] = quotient(tape, dotted(tape, plane->by + k, &d), plane->square);
+    y[k] = dotted(tape, plane->by + k, &d);
+}
+
+// Corner k of the part (s < 0) or of a sheet as it is seen.
+static const Jet *seen_at(Tape *tape, const Set *set, Plane *plane, int s, int k)
+{
+  Jet *y = plane->ends[s < 0 ? k : PART + MOST_SIDES * s + k];
+  if (y[0])
+    return y;
+  const double *X = set->of->parts + 2 * (PART * set->part + k);
+  if (s < 0 && set->above->num_terms == 3)
+  { // an affine facet in its own plane
+    for (int i = 0; i < 2; ++i)
+      y[i] = constant(tape, X[i] - set->above->middle[i]);
+    return y;
+  }
+  Vec x = s < 0 ? point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL)
+                : point_on(tape, set, 0, set->sheets[s], set->of_sheet[s],
+                           set->of->corners + 2 * k, NULL, 0, NULL);
+  seen_in(tape, plane, &x, y);
+  return y;
 }
 
 // The ends of a polygon's edge as they are seen.
-static void ends_of(Tape *tape, const Set *set, const Plane *plane, int edge, Jet (*y)[2])
+static void ends_of(Tape *tape, const Set *set, Plane *plane, int edge, Jet (*y)[2])
 {
   int num = set->below->num_corners;
   for (int e = 0; e < 2; ++e)
-  {
-    Vec x;
-    if (edge < PART)
-    {
-      const double *X = set->of->parts + 2 * (PART * set->part + (edge + e) % PART);
-      x = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
-    }
-    else
-    { // seen from the other side
-      int s = (edge - PART) / MOST_SIDES, k = num - 1 - ((edge - PART) % MOST_SIDES + e) % num;
-      const double *X = set->of->corners + 2 * k;
-      x = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], X, NULL, 0, NULL);
-    }
-    seen_in(tape, plane, &x, y[e]);
+  { // a sheet's are seen from the other side
+    int s = edge < PART ? -1 : (edge - PART) / MOST_SIDES;
+    int k = edge < PART ? (edge + e) % PART
+                        : num - 1 - ((edge - PART) % MOST_SIDES + e) % num;
+    memcpy(y[e], seen_at(tape, set, plane, s, k), sizeof(y[e]));
   }
 }
 
 // Corner k of a polygon in the plane, where an edge ends and the next one starts.
-static void corner_in_plane(Tape *tape, const Set *set, const Plane *plane, int k, Jet *y)
+static void corner_in_plane(Tape *tape, const Set *set, Plane *plane, int k, Jet *y)
 {
   int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
   int num = set->below->num_corners;
@@ -288,7 +304,7 @@ static void corner_in_plane(Tape *tape, const Set *set, const Plane *plane, int 
 }
 
 // Corner k of a polygon on Γ1's reference facet.
-static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int k, Jet *X)
+static void corner_on_facet(Tape *tape, const Set *set, Plane *plane, int k, Jet *X)
 {
   const double *parts = set->of->parts + 2 * PART * set->part;
   int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
@@ -302,8 +318,8 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
   {
     for (int i = 0; i < 2; ++i)
     {
-      y[i][0] = set->X[k][i];
-      X[i] = y[i];
+      X[i] = scaled(tape, 1, y[i]); // the other one may be kept
+      X[i][0] = set->X[k][i];
     }
     return;
   }
@@ -312,10 +328,7 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
   double with[4][2];
   bilinear((const Point *)parts, with);
   for (int v = 0; v < PART; ++v)
-  {
-    Vec x = point_on(tape, set, 1, set->facet, set->own, parts + 2 * v, NULL, 0, NULL);
-    seen_in(tape, plane, &x, own[v]);
-  }
+    memcpy(own[v], seen_at(tape, set, plane, -1, v), sizeof(own[v]));
   for (int i = 0; i < 2; ++i)
   {
     s[i] = constant(tape, set->at[k][i]);
@@ -359,7 +372,7 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
 //
 // points   (num_points, 2)
 // Returns the weight, the same for all.
-static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*points)[2])
+static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
 {
   int n = set->count, num = set->of->num_points;
   Jet X[n][2], area = NULL, first[2], second[3];
