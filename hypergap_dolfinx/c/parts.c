@@ -25,9 +25,6 @@
 #define MOST_POINTS 3    // of the rule
 #define MOST_SIDES 4     // of a facet
 #define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
-// Slivers in the plane may have an area near zero on a curved facet's reference, and points anywhere:
-// parts of the one area over the other from which on they count, and do so fully
-static const double SPREAD[2] = {0.25, 0.5};
 #define STEPS_OF_RAY 10  // to where it meets Γ0, at most
 
 typedef struct {
@@ -51,7 +48,6 @@ typedef struct {
   int num, sheets[MOST_STACKED];
   int count, edge[MOST_CUT];
   double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
-  double whole;                           // how much of the polygon counts
   int looks; // whether it isn't known yet what points see
   int num_spots;
   Spot spots[MOST_POINTS];
@@ -424,7 +420,7 @@ static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
   else
     for (int i = 0; i < 2; ++i)
       points[0][i] = combined(tape, 1, X[0][i], 1, first[i]);
-  return scaled(tape, (set->num % 2 ? set->whole : -set->whole) / num, area);
+  return scaled(tape, (set->num % 2 ? 1. : -1.) / num, area);
 }
 
 // Where the ray from a point of Γ1 meets a sheet, by Newton's method: each step gives one order of
@@ -803,10 +799,8 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
       else
         map_to(stack->own, (const Point *)parts->parts + PART * set->part, parts->last, y[c],
                set->at[c], set->X[c]);
-    double counts[3], whole = part_area(set->above);
-    smoothed(area_of(left, set->X) / whole / (area_of(left, y) / stack->area), SPREAD, counts);
-    set->whole = counts[0];
-    if (!(set->whole > 0))
+    // On a curved facet's reference slivers may have none
+    if (!(area_of(left, set->X) > parts->sliver * part_area(set->above)))
       continue;
     if (!add_set(set, stack->tape, stack->work))
       return NO_MEMORY;
