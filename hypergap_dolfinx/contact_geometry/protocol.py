@@ -13,7 +13,7 @@ from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse
 
-STUCK = 1  # as in c/vectors.h
+stuck = 1  # as in c/vectors.h
 
 
 def check(status: int, most: int = 0):
@@ -28,7 +28,7 @@ def check(status: int, most: int = 0):
             count as surfaces that don't face each other.)
         MemoryError: There is no memory.
     """
-    if status == STUCK:
+    if status == stuck:
         raise SolveError(
             f"a normal of Γ1 meets more than {most} sheets of Γ0 one behind the other, or facets "
             "are folded: leave out of Γ0 what can't touch."
