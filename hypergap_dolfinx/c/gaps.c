@@ -15,8 +15,6 @@
 #include "vectors.h"
 
 #define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 2) + 2)
-#define JETS_OF_POINT 90 // more than a point takes, and each of its sheets
-#define JETS_OF_SHEET 60
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
 typedef struct {
@@ -317,23 +315,15 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
   return ray;
 }
 
-// A tape that has room for any point.
-static int open_tape(const Sigma *sigma, int order, Tape *tape)
-{
-  int num = 0, sheets = 0, dofs = sigma->sides[0].num_dofs;
-  for (int p = 0; p < sigma->num_points; ++p)
-    sheets = sigma->points[p].num > sheets ? sigma->points[p].num : sheets;
-  num = 2 * (sigma->sides[1].num_dofs + (sheets + 1) * dofs + 2);
-  *tape = (Tape){.order = order, .size = jet_size(num, order)};
-  tape->memory = malloc((JETS_OF_POINT + sheets * JETS_OF_SHEET) * tape->size * sizeof(double));
-  return tape->memory != NULL;
-}
-
-static Ray next_ray(Tape *tape, const Sigma *sigma, const Point *point, Local *local)
+// Find a point's ray; 0 without memory.
+static int next_ray(Tape *tape, int order, const Sigma *sigma, const Point *point, Local *local,
+                    Ray *ray)
 {
   gather(sigma, point, local);
-  tape->n = 2 * local->num, tape->size = jet_size(tape->n, tape->order), tape->used = 0;
-  return ray_at(tape, sigma, point, local);
+  if (!start_tape(tape, 2 * local->num, order))
+    return 0;
+  *ray = ray_at(tape, sigma, point, local);
+  return !tape->failed;
 }
 
 static int component_of(const Local *local, int k)
@@ -366,16 +356,16 @@ static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
 int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered)
 {
   Local local;
-  Tape tape;
-  if (!open_tape(sigma, 1, &tape))
-    return NO_MEMORY;
+  Tape tape = {0};
+  int can = 1;
+  Ray ray;
   memset(g, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
   memset(covered, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
-  for (int p = 0; p < sigma->num_points; ++p)
+  for (int p = 0; can && p < sigma->num_points; ++p)
   {
     const Point *point = sigma->points + p;
-    Ray ray = next_ray(&tape, sigma, point, &local);
-    for (int e = 0; e < 2; ++e)
+    can = next_ray(&tape, 1, sigma, point, &local, &ray);
+    for (int e = 0; can && e < 2; ++e)
     {
       if (point->part == 1 - e)
         continue;
@@ -386,24 +376,27 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entrie
       add_row(&local, row, scaled(&tape, 2, part), by_covered);
     }
   }
-  free(tape.memory);
-  return DONE;
+  can = can && !tape.failed;
+  close_tape(&tape);
+  return can ? DONE : NO_MEMORY;
 }
 
 // Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of the halves.
 int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H)
 {
   Local local;
-  Tape tape;
-  if (!open_tape(sigma, 2, &tape))
-    return NO_MEMORY;
-  for (int k = 0; k < sigma->num_points; ++k)
+  Tape tape = {0};
+  int can = 1;
+  Ray ray;
+  for (int k = 0; can && k < sigma->num_points; ++k)
   {
     const Point *point = sigma->points + k;
     const double *own = p + 2 * point->edge, *by = by_covered + 2 * point->edge;
     if (own[0] == 0 && own[1] == 0 && by[0] == 0 && by[1] == 0)
       continue;
-    Ray ray = next_ray(&tape, sigma, point, &local);
+    can = next_ray(&tape, 2, sigma, point, &local, &ray);
+    if (!can)
+      break;
     Jet sum = constant(&tape, 0);
     for (int e = 0; e < 2; ++e)
       if (point->part != 1 - e)
@@ -423,8 +416,9 @@ int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered,
           add(H, j, i, *second);
       }
   }
-  free(tape.memory);
-  return DONE;
+  can = can && !tape.failed;
+  close_tape(&tape);
+  return can ? DONE : NO_MEMORY;
 }
 
 // Slip of Γ1 on Γ0 along a point's chord, against its direction, or what parts them across it: by
@@ -473,19 +467,19 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
 {
   const Side *below = sigma->sides, *above = below + 1;
   Local local;
-  Tape tape;
+  Tape tape = {0};
+  int can = 1;
+  Ray ray;
   slip.local = &local, slip.tape = &tape;
-  if (!open_tape(sigma, order, &tape))
-    return NO_MEMORY;
-  for (int p = 0; p < sigma->num_points; ++p)
+  for (int p = 0; can && p < sigma->num_points; ++p)
   {
     const Point *point = sigma->points + p;
     if (slip.q && slip.q[2 * point->edge] == 0 && slip.q[2 * point->edge + 1] == 0)
       continue;
-    Ray ray = next_ray(&tape, sigma, point, &local);
+    can = next_ray(&tape, order, sigma, point, &local, &ray);
     size_t used = tape.used;
     slip.ray = &ray;
-    for (int k = 0; k < point->num; ++k)
+    for (int k = 0; can && k < point->num; ++k)
       for (int i = 0; i < 2; ++i)
       {
         for (int a = 0; a < below->num_dofs; ++a, tape.used = used)
@@ -496,8 +490,9 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
                slip_by(&tape, &ray, &ray.curve, ray.s, a, i, k, -1, slip.across));
       }
   }
-  free(tape.memory);
-  return DONE;
+  can = can && !tape.failed;
+  close_tape(&tape);
+  return can ? DONE : NO_MEMORY;
 }
 
 // Weighted slips of the halves s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.

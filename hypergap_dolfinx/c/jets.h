@@ -10,17 +10,23 @@
 #define HYPERGAP_JETS_H
 
 #include <stddef.h>
+#include <stdlib.h>
 #include <string.h>
+
+#define JETS_OF_BLOCK 64
 
 // A value, n first derivatives, and the lower triangle of the second ones, row by row.
 typedef double *Jet;
 
-// Memory for jets; they are all given back at once.
+// Memory for jets; they are all given back at once. It grows in blocks, so jets stay where they are.
 typedef struct {
   int n, order; // of variables, and of the derivatives that are computed: 0, 1 or 2
   size_t size;  // of a jet
-  double *memory;
-  size_t used;
+  size_t used;  // number of jets
+  size_t room;  // of a jet in the blocks, at least ``size``
+  size_t num_blocks;
+  double **blocks;
+  int failed; // whether there was no memory for a jet: the values of all are invalid
 } Tape;
 
 static inline size_t jet_size(int n, int order)
@@ -28,11 +34,46 @@ static inline size_t jet_size(int n, int order)
   return 1 + (order > 0 ? n : 0) + (order > 1 ? n * (n + 1) / 2 : 0);
 }
 
+static int add_block(Tape *tape)
+{
+  double **blocks = realloc(tape->blocks, (tape->num_blocks + 1) * sizeof(double *));
+  if (!blocks)
+    return 0;
+  tape->blocks = blocks;
+  blocks[tape->num_blocks] = malloc(JETS_OF_BLOCK * tape->room * sizeof(double));
+  return blocks[tape->num_blocks] && ++tape->num_blocks;
+}
+
+static void close_tape(Tape *tape)
+{
+  for (size_t k = 0; k < tape->num_blocks; ++k)
+    free(tape->blocks[k]);
+  free(tape->blocks);
+  *tape = (Tape){0};
+}
+
+// Give all jets back, for others in n variables. Returns 0 without memory, now or before.
+static int start_tape(Tape *tape, int n, int order)
+{
+  size_t size = jet_size(n, order);
+  if (tape->failed)
+    return 0;
+  if (size > tape->room)
+  {
+    close_tape(tape);
+    tape->room = size;
+  }
+  tape->n = n, tape->order = order, tape->size = size, tape->used = 0;
+  return tape->num_blocks || add_block(tape);
+}
+
+// Without memory it is any jet of the tape, which has ``failed`` then.
 static inline Jet new_jet(Tape *tape)
 {
-  Jet jet = tape->memory + tape->used;
-  tape->used += tape->size;
-  return jet;
+  size_t block = tape->used / JETS_OF_BLOCK;
+  if (block == tape->num_blocks && !add_block(tape))
+    tape->failed = 1, tape->used = block = 0;
+  return tape->blocks[block] + tape->size * (tape->used++ % JETS_OF_BLOCK);
 }
 
 static inline Jet constant(Tape *tape, double value)

@@ -22,15 +22,9 @@
 #include "space.h"
 #include "vectors.h"
 
-#define MOST_STACKED 3   // sheets one behind the other
 #define MOST_POINTS 3    // of the rule
 #define MOST_SIDES 4     // of a facet
-#define JETS 1500        // more than a set of sheets takes, and each of its corners
-#define JETS_OF_CORNER 400
 #define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
-// Slivers in the plane may have an area near zero on a curved facet's reference, and points anywhere:
-// parts of the one area over the other from which on they count, and do so fully
-static const double SPREAD[2] = {0.25, 0.5};
 #define STEPS_OF_RAY 10  // to where it meets Γ0, at most
 
 typedef struct {
@@ -54,7 +48,6 @@ typedef struct {
   int num, sheets[MOST_STACKED];
   int count, edge[MOST_CUT];
   double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
-  double whole;                           // how much of the polygon counts
   int looks; // whether it isn't known yet what points see
   int num_spots;
   Spot spots[MOST_POINTS];
@@ -212,13 +205,14 @@ static Vec point_on(Tape *tape, const Set *set, int side, int f, const int *numb
 // The plane across the normal of Γ1's facet as jets.
 typedef struct {
   Vec middle, normal, by[2];
-  Jet square; // of the normal
+  Jet square;   // of the normal
+  Jet ends[PART + MOST_SIDES * MOST_STACKED][2]; // corners of the part and of sheets there; NULL: not yet
 } Plane;
 
 static Plane plane_of(Tape *tape, const Set *set)
 {
   const double *X = set->above->middle;
-  Plane plane;
+  Plane plane = {0};
   Vec t[2];
   plane.middle = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
   for (int k = 0; k < 2; ++k)
@@ -227,6 +221,10 @@ static Plane plane_of(Tape *tape, const Set *set)
   plane.square = dotted(tape, &plane.normal, &plane.normal);
   plane.by[0] = crossed(tape, t + 1, &plane.normal);
   plane.by[1] = crossed(tape, &plane.normal, t);
+  Jet inverse = power(tape, plane.square, -1);
+  for (int k = 0; k < 2; ++k)
+    for (int i = 0; i < 3; ++i)
+      plane.by[k].x[i] = product(tape, plane.by[k].x[i], inverse);
   return plane;
 }
 
@@ -234,33 +232,44 @@ static void seen_in(Tape *tape, const Plane *plane, const Vec *x, Jet *y)
 {
   Vec d = less(tape, x, &plane->middle);
   for (int k = 0; k < 2; ++k)
-    y[k] = quotient(tape, dotted(tape, plane->by + k, &d), plane->square);
+    y[k] = dotted(tape, plane->by + k, &d);
+}
+
+// Corner k of the part (s < 0) or of a sheet as it is seen.
+static const Jet *seen_at(Tape *tape, const Set *set, Plane *plane, int s, int k)
+{
+  Jet *y = plane->ends[s < 0 ? k : PART + MOST_SIDES * s + k];
+  if (y[0])
+    return y;
+  const double *X = set->of->parts + 2 * (PART * set->part + k);
+  if (s < 0 && set->above->num_terms == 3)
+  { // an affine facet in its own plane
+    for (int i = 0; i < 2; ++i)
+      y[i] = constant(tape, X[i] - set->above->middle[i]);
+    return y;
+  }
+  Vec x = s < 0 ? point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL)
+                : point_on(tape, set, 0, set->sheets[s], set->of_sheet[s],
+                           set->of->corners + 2 * k, NULL, 0, NULL);
+  seen_in(tape, plane, &x, y);
+  return y;
 }
 
 // The ends of a polygon's edge as they are seen.
-static void ends_of(Tape *tape, const Set *set, const Plane *plane, int edge, Jet (*y)[2])
+static void ends_of(Tape *tape, const Set *set, Plane *plane, int edge, Jet (*y)[2])
 {
   int num = set->below->num_corners;
   for (int e = 0; e < 2; ++e)
-  {
-    Vec x;
-    if (edge < PART)
-    {
-      const double *X = set->of->parts + 2 * (PART * set->part + (edge + e) % PART);
-      x = point_on(tape, set, 1, set->facet, set->own, X, NULL, 0, NULL);
-    }
-    else
-    { // seen from the other side
-      int s = (edge - PART) / MOST_SIDES, k = num - 1 - ((edge - PART) % MOST_SIDES + e) % num;
-      const double *X = set->of->corners + 2 * k;
-      x = point_on(tape, set, 0, set->sheets[s], set->of_sheet[s], X, NULL, 0, NULL);
-    }
-    seen_in(tape, plane, &x, y[e]);
+  { // a sheet's are seen from the other side
+    int s = edge < PART ? -1 : (edge - PART) / MOST_SIDES;
+    int k = edge < PART ? (edge + e) % PART
+                        : num - 1 - ((edge - PART) % MOST_SIDES + e) % num;
+    memcpy(y[e], seen_at(tape, set, plane, s, k), sizeof(y[e]));
   }
 }
 
 // Corner k of a polygon in the plane, where an edge ends and the next one starts.
-static void corner_in_plane(Tape *tape, const Set *set, const Plane *plane, int k, Jet *y)
+static void corner_in_plane(Tape *tape, const Set *set, Plane *plane, int k, Jet *y)
 {
   int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
   int num = set->below->num_corners;
@@ -291,7 +300,7 @@ static void corner_in_plane(Tape *tape, const Set *set, const Plane *plane, int 
 }
 
 // Corner k of a polygon on Γ1's reference facet.
-static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int k, Jet *X)
+static void corner_on_facet(Tape *tape, const Set *set, Plane *plane, int k, Jet *X)
 {
   const double *parts = set->of->parts + 2 * PART * set->part;
   int e = set->edge[(k + set->count - 1) % set->count], f = set->edge[k];
@@ -305,8 +314,8 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
   {
     for (int i = 0; i < 2; ++i)
     {
-      y[i][0] = set->X[k][i];
-      X[i] = y[i];
+      X[i] = scaled(tape, 1, y[i]); // the other one may be kept
+      X[i][0] = set->X[k][i];
     }
     return;
   }
@@ -315,10 +324,7 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
   double with[4][2];
   bilinear((const Point *)parts, with);
   for (int v = 0; v < PART; ++v)
-  {
-    Vec x = point_on(tape, set, 1, set->facet, set->own, parts + 2 * v, NULL, 0, NULL);
-    seen_in(tape, plane, &x, own[v]);
-  }
+    memcpy(own[v], seen_at(tape, set, plane, -1, v), sizeof(own[v]));
   for (int i = 0; i < 2; ++i)
   {
     s[i] = constant(tape, set->at[k][i]);
@@ -362,7 +368,7 @@ static void corner_on_facet(Tape *tape, const Set *set, const Plane *plane, int 
 //
 // points   (num_points, 2)
 // Returns the weight, the same for all.
-static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*points)[2])
+static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
 {
   int n = set->count, num = set->of->num_points;
   Jet X[n][2], area = NULL, first[2], second[3];
@@ -414,7 +420,7 @@ static Jet points_of(Tape *tape, const Set *set, const Plane *plane, Jet (*point
   else
     for (int i = 0; i < 2; ++i)
       points[0][i] = combined(tape, 1, X[0][i], 1, first[i]);
-  return scaled(tape, (set->num % 2 ? set->whole : -set->whole) / num, area);
+  return scaled(tape, (set->num % 2 ? 1. : -1.) / num, area);
 }
 
 // Where the ray from a point of Γ1 meets a sheet, by Newton's method: each step gives one order of
@@ -684,18 +690,6 @@ static void number_facet(Set *set, int side, int f, int *numbers)
   }
 }
 
-static int make_room(Tape *tape, int n, int order, int count, size_t *room)
-{
-  tape->n = n, tape->order = order, tape->size = jet_size(n, order), tape->used = 0;
-  size_t needed = tape->size * (JETS + JETS_OF_CORNER * (size_t)count);
-  if (needed <= *room)
-    return 1;
-  free(tape->memory);
-  tape->memory = malloc(needed * sizeof(double));
-  *room = tape->memory ? needed : 0;
-  return tape->memory != NULL;
-}
-
 // Area of a part of a reference facet.
 static double part_area(const Facets *facets)
 {
@@ -703,11 +697,11 @@ static double part_area(const Facets *facets)
 }
 
 // Add what a set has; 0 without memory.
-static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
+static int add_set(Set *set, Tape *tape, const Work *work)
 {
   int num = set->of->num_points;
   Jet points[MOST_POINTS][2], weight;
-  if (!make_room(tape, 0, 0, set->count, room))
+  if (!start_tape(tape, 0, 0))
     return 0;
   Plane plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
@@ -721,8 +715,8 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
       memcpy(spot->xi[s], set->below->middle, sizeof(spot->xi[s]));
     set->num_spots += ray_at(tape, set, &plane, spot, weight, points[k]).visible != NULL;
   }
-  if (!set->num_spots)
-    return 1;
+  if (tape->failed || !set->num_spots)
+    return !tape->failed;
   set->looks = set->num_dofs = 0;
   number_facet(set, 1, set->facet, set->own);
   for (int s = 0; s < set->num; ++s)
@@ -731,7 +725,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
     if (set->spots[k].fades)
       number_facet(set, 0, set->spots[k].foot.triangle / set->of->triangles_a_facet,
                    set->of_foot[k]);
-  if (!make_room(tape, 3 * set->num_dofs, work->order, set->count, room))
+  if (!start_tape(tape, 3 * set->num_dofs, work->order))
     return 0;
   plane = plane_of(tape, set);
   weight = points_of(tape, set, &plane, points);
@@ -760,7 +754,7 @@ static int add_set(Set *set, Tape *tape, size_t *room, const Work *work)
   }
   else if (work->p)
     put_square(set, combined(tape, work->p[set->row], sum, work->by[set->row], covered), work->H);
-  return 1;
+  return !tape->failed;
 }
 
 // Sets of sheets over a part that a polygon has, with those behind a sheet in their list.
@@ -771,10 +765,10 @@ typedef struct {
   Point own[PART];
   double area;          // of the part
   Tape *tape;
-  size_t *room;
   const Work *work;
 } Stack;
 
+// Returns STUCK where there are too many, or too many corners.
 static int add_sets(const Stack *stack, Set *set, int from, int count, const Point *polygon,
                     const int *edges)
 {
@@ -789,9 +783,13 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     const Point *by = stack->seen + MOST_SIDES * k;
     if (!boxes_meet(num, by, count, y))
       continue;
-    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level);
+    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level), status;
+    if (left > MOST_CUT)
+      return STUCK;
     if (left < 3 || !(area_of(left, y) > parts->sliver * stack->area))
       continue;
+    if (level == MOST_STACKED)
+      return STUCK;
     set->sheets[level] = stack->sheets[k], set->num = level + 1, set->count = left;
     memcpy(set->edge, edge, left * sizeof(int));
     for (int c = 0; c < left; ++c)
@@ -801,27 +799,24 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
       else
         map_to(stack->own, (const Point *)parts->parts + PART * set->part, parts->last, y[c],
                set->at[c], set->X[c]);
-    double counts[3], whole = part_area(set->above);
-    smoothed(area_of(left, set->X) / whole / (area_of(left, y) / stack->area), SPREAD, counts);
-    set->whole = counts[0];
-    if (!(set->whole > 0))
+    // On a curved facet's reference slivers may have none
+    if (!(area_of(left, set->X) > parts->sliver * part_area(set->above)))
       continue;
-    if (!add_set(set, stack->tape, stack->room, stack->work))
-      return 0;
+    if (!add_set(set, stack->tape, stack->work))
+      return NO_MEMORY;
     set->num = level + 1;
     // A weight of zero at all points is one for all sets with this sheet
-    if (set->num_spots && level + 1 < MOST_STACKED
-        && !add_sets(stack, set, k + 1, left, y, edge))
-      return 0;
+    if (set->num_spots && (status = add_sets(stack, set, k + 1, left, y, edge)) != DONE)
+      return status;
   }
   set->num = level;
-  return 1;
+  return DONE;
 }
 
 static int for_sets(const Parts *parts, const Work *work)
 {
   const Facets *below = parts->sides, *above = below + 1;
-  int most = 0, n0 = below->num_dofs, n1 = above->num_dofs, can;
+  int most = 0, n0 = below->num_dofs, n1 = above->num_dofs, status;
   for (int k = 0; k < parts->num; ++k)
     most = parts->first[k + 1] - parts->first[k] > most ? parts->first[k + 1] - parts->first[k] : most;
   Point *seen = malloc((most + 1) * MOST_SIDES * sizeof(Point));
@@ -829,13 +824,12 @@ static int for_sets(const Parts *parts, const Work *work)
   int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
   Body body = {parts->num_triangles, parts->triangles, parts->order, NULL};
   Tape tape = {0};
-  size_t room = 0;
-  can = open_body(&body) && seen && numbers;
+  status = open_body(&body) && seen && numbers ? DONE : NO_MEMORY;
   Set set = {.of = parts, .below = below, .above = above, .body = &body};
   set.dofs = numbers, set.own = numbers + n1 + groups * n0;
   for (int k = 0; k < groups; ++k)
     *(k < MOST_STACKED ? set.of_sheet + k : set.of_foot + k - MOST_STACKED) = set.own + n1 + k * n0;
-  for (int k = 0; can && k < parts->num; ++k)
+  for (int k = 0; status == DONE && k < parts->num; ++k)
   {
     int f = parts->facets[k], edge[PART];
     const double *plane = parts->planes + 12 * f, *origin = above->origins + 3 * f;
@@ -843,7 +837,6 @@ static int for_sets(const Parts *parts, const Work *work)
                    .sheets = parts->sheets + parts->first[k],
                    .seen = seen,
                    .tape = &tape,
-                   .room = &room,
                    .work = work};
     for (int s = 0; s < stack.num; ++s)
       for (int c = 0; c < below->num_corners; ++c)
@@ -854,7 +847,7 @@ static int for_sets(const Parts *parts, const Work *work)
         see(plane + 3, x, seen[MOST_SIDES * s + c]);
       }
     set.facet = f, set.origin = origin;
-    for (int part = 0; can && part < above->num_corners; ++part)
+    for (int part = 0; status == DONE && part < above->num_corners; ++part)
     {
       set.part = part, set.row = above->num_corners * f + part, set.num = 0;
       const double *p = work->p, *by = work->by, *q = work->q + 3 * set.row;
@@ -869,11 +862,11 @@ static int for_sets(const Parts *parts, const Work *work)
         see(plane + 3, x, stack.own[c]);
       }
       stack.area = fabs(area_of(PART, stack.own));
-      can = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
+      status = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
     }
   }
-  free(seen), free(numbers), free(body.balls), free(tape.memory);
-  return can ? DONE : NO_MEMORY;
+  free(seen), free(numbers), free(body.balls), close_tape(&tape);
+  return status;
 }
 
 // Weighted gaps of parts.

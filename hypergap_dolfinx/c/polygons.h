@@ -15,7 +15,7 @@
 #include "space.h"
 #include "vectors.h"
 
-#define MOST_CUT 96   // corners of a part that is cut with three facets
+#define MOST_CUT 96   // corners of a part that is cut: with two facets of any form, or many convex ones
 #define PART 4        // corners of a part of a facet
 #define QUAD_STEPS 20 // of Newton's method in a quadrilateral
 #define BEYOND 0.01   // how far beyond it the map between quadrilaterals still has an inverse
@@ -41,11 +41,11 @@ static inline int start_part(int *edge)
 
 // Cut a polygon with a convex one, both counterclockwise.
 //
-// y       corners, then of what is left; with room for half as many more for each cut
+// y       corners, then of what is left, (MOST_CUT)
 // edge    which edge each edge is on, likewise
 // by      corners of the convex one, (num)
 // first   number of its first edge
-// Returns the number of corners that are left.
+// Returns the number of corners that are left, MOST_CUT + 1 if there is no room for them.
 static inline int clip(Point *y, int *edge, int count, int num, const Point *by, int first)
 {
   for (int k = 0; k < num && count; ++k)
@@ -61,6 +61,8 @@ static inline int clip(Point *y, int *edge, int count, int num, const Point *by,
     for (int i = 0; i < count; ++i)
     {
       int after = (i + 1) % count, inside = d[i] >= 0;
+      if (left + 2 > MOST_CUT)
+        return MOST_CUT + 1;
       if (inside)
       {
         memcpy(y[left], old[i], sizeof(Point));

@@ -52,6 +52,7 @@ typedef struct {
   Facing *facing;
   Break *breaks;
   int num_facing, num_breaks, edge;
+  int lost; // whether a ray saw more sheets than there is room for
   int order[MOST_DOFS]; // of the nodes of Γ0's edges, from start to end
   Frame frame;
 } Cast;
@@ -308,13 +309,13 @@ static double find_foot(const Side *side, const int *order, const double *x, Poi
 //
 // point  its start on Γ1 is known; what of Γ0 is nearest is set
 // hits   (MOST_SHEETS)
-static int see(const Cast *cast, double xi, Point *point, Hit *hits)
+static int see(Cast *cast, double xi, Point *point, Hit *hits)
 {
   const Sigma *sigma = cast->sigma;
   const Frame *frame = &cast->frame;
   Curve x = curve_at(cast->above, cast->edge, point->s, (double[]){0, 0});
   double start = above(frame, x.x[0]), step[3], depth = NAN;
-  int num = 0, fades = 0;
+  int num = 0, fades = 0, lost = 0;
   for (int k = 0; k < cast->num_facing; ++k)
   {
     const Facing *facing = cast->facing + k;
@@ -340,6 +341,7 @@ static int see(const Cast *cast, double xi, Point *point, Hit *hits)
     int at = num;
     while (at > 0 && hits[at - 1].height > hit.height)
       --at;
+    lost |= num == MOST_SHEETS;
     if (at == MOST_SHEETS)
       continue;
     num = num < MOST_SHEETS ? num + 1 : num;
@@ -349,6 +351,7 @@ static int see(const Cast *cast, double xi, Point *point, Hit *hits)
   for (int k = 0; k < num; ++k)
     if (hits[k].weight >= 1)
       num = k + 1; // hides the others
+  cast->lost |= lost && hits[num - 1].weight < 1;
   for (int k = 0; k < num; ++k)
     fades |= hits[k].sheet.fades;
   if (!fades)
@@ -368,7 +371,7 @@ static void emit(Sigma *sigma, Point point, const Hit *hits, int num)
 }
 
 // Add a point of a piece if its ray sees something; the number of sheets.
-static int add_point(const Cast *cast, Sigma *sigma, Point *point, double xi, Hit *hits)
+static int add_point(Cast *cast, Sigma *sigma, Point *point, double xi, Hit *hits)
 {
   point->s = meet(&cast->frame, cast->above, cast->edge, 0, 1, xi);
   point->foot = -1;
@@ -382,7 +385,7 @@ static int add_point(const Cast *cast, Sigma *sigma, Point *point, double xi, Hi
 }
 
 // Points of one piece of an edge: one point, if it is exact.
-static void add_piece(const Cast *cast, Sigma *sigma, const Break *from, const Break *to)
+static void add_piece(Cast *cast, Sigma *sigma, const Break *from, const Break *to)
 {
   Hit hits[MOST_SHEETS];
   int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2;
@@ -430,6 +433,7 @@ static void end(Cast *cast)
 }
 
 // Find points and sheets. If there are more than there is room for, their numbers are larger.
+// Returns STUCK where a ray sees more than MOST_SHEETS.
 int cast_rays(Sigma *sigma)
 {
   Cast cast;
@@ -448,7 +452,7 @@ int cast_rays(Sigma *sigma)
     }
   }
   end(&cast);
-  return can ? DONE : NO_MEMORY;
+  return !can ? NO_MEMORY : cast.lost ? STUCK : DONE;
 }
 
 // Columns between both sides, to look at: pieces of Γ1's edges and what lies opposite.

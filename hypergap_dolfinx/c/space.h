@@ -10,6 +10,7 @@
 #define HYPERGAP_SPACE_H
 
 #define MOST_CORNERS 19 // of a quadrilateral, convex or not, that is cut four times
+#define MOST_STACKED 8  // sheets of Γ0 one behind the other, opposite a part of a facet of Γ1
 
 // A side where it is. Facets are polynomials of the reference coordinates from the middle.
 typedef struct {

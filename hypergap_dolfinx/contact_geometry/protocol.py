@@ -10,7 +10,31 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
+from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse
+
+stuck = 1  # as in c/vectors.h
+
+
+def check(status: int, most: int = 0):
+    """Raise if the C couldn't find gaps or their derivatives; the same on every rank.
+
+    Args:
+        status: What its function returned.
+        most: Number of sheets for which it has room.
+
+    Raises:
+        SolveError: There are more, so that gaps would be wrong. (An :class:`InterfaceError` would
+            count as surfaces that don't face each other.)
+        MemoryError: There is no memory.
+    """
+    if status == stuck:
+        raise SolveError(
+            f"a normal of Γ1 meets more than {most} sheets of Γ0 one behind the other, or facets "
+            "are folded: leave out of Γ0 what can't touch."
+        )
+    if status:
+        raise MemoryError("no memory for gaps and their derivatives")
 
 
 @dataclass

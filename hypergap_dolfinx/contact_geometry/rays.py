@@ -44,6 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import COSINES, NEAREST, SHARED, SLACK
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
@@ -53,7 +54,6 @@ from hypergap_dolfinx.surface.trace import Surface
 
 points_an_edge = 4  # room at first; with more they are found anew
 entries_a_row = 32  # likewise
-WRONG = "no memory for the gap domain"
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,7 @@ def cast(
         points, sheets = np.empty(room, dtype("Point")), np.empty(room, dtype("Sheet"))
         given = {"points": points, "sheets": sheets, "max_points": room, "max_sheets": room}
         sigma = struct("Sigma", **fields, **given)
-        if call("cast_rays", sigma):
-            raise MemoryError(WRONG)
+        check(call("cast_rays", sigma), library("plane").lib.MOST_SHEETS)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:
             vertices = surfaces[1].facets.ravel().astype(np.int64)
@@ -229,8 +228,7 @@ class _Entries:
 def _filled(matrices: Sequence[_Entries], add: Callable) -> list[Sparse]:
     """Matrices to which a function of C added entries, with as much room as they need."""
     while True:
-        if add(*(matrix.struct() for matrix in matrices)):
-            raise MemoryError(WRONG)
+        check(add(*(matrix.struct() for matrix in matrices)))
         if all(matrix.made.num <= matrix.room for matrix in matrices):
             break
         for matrix in matrices:

@@ -33,6 +33,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     polygon_areas,
     reference_corners,
 )
+from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import (
     COSINES,
     LAST,
@@ -41,7 +42,7 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     SLIVER,
     WIDTH,
 )
-from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
+from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.moving import Sparse
 from hypergap_dolfinx.surface.search import along_curve
@@ -227,8 +228,7 @@ def _filled(num: int, add: Callable) -> Sequence[Sparse]:
             struct("Triplets", max=size, **dict(zip(names, part, strict=True)))
             for size, part in zip(room, arrays, strict=True)
         ]
-        if add(*made):
-            raise MemoryError("no memory for the derivatives of gaps")
+        check(add(*made), library("space").lib.MOST_STACKED)
         if all(each.num <= size for each, size in zip(made, room, strict=True)):
             break
         room = [max(each.num, size) for each, size in zip(made, room, strict=True)]

@@ -36,7 +36,7 @@ SOURCES = {
 }
 """Files of each library, in any order. They are compiled as one, so that short functions of one are
 inlined in others."""
-FLAGS = ["-O2", "-g0", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden"]
+FLAGS = ["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden"]
 MORE_FLAGS = "HYPERGAP_CFLAGS"
 """Environment variable with more flags, which compiler and linker get."""
 DTYPES: dict[str, np.dtype] = {

@@ -9,6 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from helpers import close, raises, skew, two_blocks, two_rings
+from outlines import side as outline_side
 
 import basix
 import meshes
@@ -17,7 +18,7 @@ from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_solver import active_set
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, SolveError
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
@@ -209,6 +210,22 @@ def test_branches():
     wrong = sides[0], MovingSurface(replace(surface, facets=facets))
     with raises(InterfaceError, "Γ1 branches at .* one contact for each branch"):
         PlaneSegments.between(wrong, u)
+
+
+@pytest.mark.parametrize("num", (6, 7))
+def test_too_many_sheets(num):
+    """More sheets that turn away than there is room for are an error, no wrong gaps."""
+    ends = np.array([(0.25, 0.0), (0.0, -1.0)])  # cosine between normals .24: weight .43
+    x = np.concatenate([ends - (0, 1.2 * k) for k in range(num)])
+    below = outline_side(x, 1, "Γ0", lambda middles: np.arange(len(middles)) % 2 == 0)
+    first = np.array([(-0.5, 1.0), (0.75, 1.0), (0.1, 2.0)])
+    two = below, outline_side(first, 1, "Γ1", lambda middles: middles[:, 1] == 1)
+    u = tuple(np.zeros((len(each.dofs), 2)) for each in two)
+    if num == 6:
+        assert PlaneSegments.between(two, u).gap(u)[0].sum() > 0
+        return
+    with raises(SolveError, "more than 6 sheets"):
+        PlaneSegments.between(two, u)
 
 
 def test_degree():

@@ -18,6 +18,7 @@ from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
 from hypergap_dolfinx.contact_geometry import moments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
+from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
@@ -282,25 +283,35 @@ def test_rule_on_slivers(degree):
     assert (np.bincount(each, np.abs(weights)) <= 3 * some).all()
 
 
-def test_nearest_sheet():
-    """Of sheets one behind the other only the nearest one counts, also where it ends."""
+def stacked(num):
+    """Sheets of Γ0 one behind the other, of which Γ1 reaches over two ends, and the first alone."""
     below, above = (side.reference for side in sides((lambda x, y: 0 * x,) * 2, offset=0.31))
-    num = len(below.x)
-    second = below.x - (0, 0, 0.4)
-    both = replace(
+    down = np.array([(0, 0, -0.4 * k) for k in range(num)])
+    dofs = below.dofs.max() + 1
+    all_of_them = replace(
         below,
-        x=np.vstack((second, below.x)),
-        facets=np.vstack((below.facets, below.facets + num)),
-        nodes=np.concatenate((second[below.facets], below.nodes)),
-        dofs=np.vstack((below.dofs + below.dofs.max() + 1, below.dofs)),
+        x=np.concatenate([below.x + part for part in down]),
+        facets=np.vstack([below.facets + len(below.x) * k for k in range(num)]),
+        nodes=np.concatenate([below.nodes + part for part in down]),
+        dofs=np.vstack([below.dofs + dofs * k for k in range(num)]),
     )
-    two, alone = (MovingSurface(both), MovingSurface(above)), MovingSurface(below)
-    u = [np.zeros((len(side.dofs), 3)) for side in two]
-    _, g, areas = seen(two, u)
-    _, *expected = seen((alone, two[1]), u)
-    assert abs(areas.sum() - 0.69**2) <= 1e-12
-    assert np.abs(g - expected[0]).max() <= 1e-15
-    close(areas, expected[1], 1e-12)
+    return [(MovingSurface(each), MovingSurface(above)) for each in (all_of_them, below)]
+
+
+@pytest.mark.parametrize("num", (2, 4, 8))
+def test_nearest_sheet(num):
+    """Of sheets one behind the other only the nearest one counts, also where it ends."""
+    found = [seen(two, at_rest(two)) for two in stacked(num)]
+    assert abs(found[0][2].sum() - 0.69**2) <= 1e-12
+    assert np.abs(found[0][1] - found[1][1]).max() <= 1e-13
+    close(found[0][2], found[1][2], 1e-12)
+
+
+def test_too_many_sheets():
+    """More sheets than there is room for are an error, no wrong gaps."""
+    two = stacked(9)[0]
+    with raises(SolveError, "more than 8 sheets"):
+        seen(two, at_rest(two))
 
 
 def test_not_facing():
