@@ -570,7 +570,7 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
 // What is made of the points.
 typedef struct {
   int order;
-  double *g, *covered;
+  double *g, *covered, *areas;
   Triplets *C, *by_covered;
   const double *p, *by; // or Σ p ∂²g + Σ by ∂²covered
   Triplets *H;
@@ -731,6 +731,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
   weight = points_of(tape, set, &plane, points);
   double whole = part_area(set->above);
   Jet sum = constant(tape, 0), covered = constant(tape, 0);
+  double area = 0;
   used = tape->used;
   for (int k = 0; k < set->num_spots; ++k, tape->used = used)
   {
@@ -743,12 +744,14 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     }
     Jet part = product(tape, seen.weight, seen.visible);
     Jet volume = product(tape, part, product(tape, seen.up, seen.slope));
+    area += part[0] * seen.slope[0] / sqrt(plane.square[0]);
     for (size_t v = 0; v < tape->size; ++v)
       sum[v] += volume[v], covered[v] += part[v] / whole;
   }
   if (work->g)
   {
     work->g[set->row] += sum[0], work->covered[set->row] += covered[0];
+    work->areas[set->row] += area;
     put_row(set, set->row, 1, sum, work->C);
     put_row(set, set->row, 1, covered, work->by_covered);
   }
@@ -871,14 +874,15 @@ static int for_sets(const Parts *parts, const Work *work)
 
 // Weighted gaps of parts.
 //
-// g, covered      of parts, added, (num_facets₁, num_corners); covered as a part of them
+// g, covered      of parts, added, (num_facets₁, num_corners); covered as a part of the reference's
+// areas           covered, as seen along the normal, added
 // C, by_covered   ∂g/∂u, ∂covered/∂u
-int find_parts(const Parts *parts, double *g, double *covered, Triplets *C,
+int find_parts(const Parts *parts, double *g, double *covered, double *areas, Triplets *C,
                Triplets *by_covered)
 {
   C->num = by_covered->num = 0;
-  return for_sets(parts, &(Work){.order = 1, .g = g, 
-                                 .covered = covered, .C = C, .by_covered = by_covered});
+  return for_sets(parts, &(Work){.order = 1, .g = g, .covered = covered, .areas = areas,
+                                 .C = C, .by_covered = by_covered});
 }
 
 // Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of parts.

@@ -97,7 +97,7 @@ void complete(int num, int n, double *blocks);
 void column_slips(const Rays *rays, const int *block, const double *e, const double *moves,
                   double *by_q);
 void slip_curvatures(const Rays *rays, const int *block, const double *traction, double *blocks);
-int find_parts(const Parts *parts, double *g, double *covered, Triplets *C,
+int find_parts(const Parts *parts, double *g, double *covered, double *areas, Triplets *C,
                Triplets *by_covered);
 int part_curvature(const Parts *parts, const double *p, const double *by_covered, Triplets *H);
 int part_slips(const Parts *parts, const double *moved, int across, Triplets *T);

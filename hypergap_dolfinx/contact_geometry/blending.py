@@ -38,8 +38,6 @@ class Blended:
     """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`SpaceColumns` in space."""
     facets: npt.NDArray[np.int32]
     """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
-    whole: Floats
-    """Areas of halves, covered or not, ``(num_facets1, num_corners)``."""
     num: int
     """Number of Γ1's vertices."""
     size: int
@@ -47,14 +45,12 @@ class Blended:
 
     def __post_init__(self):
         """Find gaps and weights."""
-        halves, self.covered, self._slopes, self._by_covered = self.rays.gaps()
+        halves, self.covered, self.areas, self._slopes, self._by_covered = self.rays.gaps()
         left = np.ones(self.num)
         np.multiply.at(left, self.facets, 1 - self.covered)
         self._left = left
         self._c = 1 - left
         self._g = self._sums(halves)
-        self.areas = self.covered * self.whole
-        """Areas of halves, ``(num_facets1, num_corners)``."""
         c, rest = self._c, left
         x = np.clip(c / HARD, 0, 1)
         self.t, dt, ddt = x**2 * (3 - 2 * x), 6 * x * (1 - x) / HARD, (6 - 12 * x) / HARD**2
@@ -83,7 +79,7 @@ class Blended:
 
     @cached_property
     def sizes(self) -> Floats:
-        """Areas of vertices, ``(num,)``."""
+        """Covered areas of vertices, ``(num,)``."""
         return self._sums(self.areas)
 
     @cached_property

@@ -99,11 +99,8 @@ class PlaneSegments(Segments[_Seen]):
             if self._last is None:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        above = surfaces[1]
-        chords = above.x[above.facets[:, 1]] - above.x[above.facets[:, 0]]
-        whole = np.repeat(lengths(chords)[:, None] / 2, 2, axis=1)
-        given = above.facets, whole, self.num_multipliers, 2 * self.num_dofs
-        return _Seen(u, Blended(found, *given))
+        sizes = self.num_multipliers, 2 * self.num_dofs
+        return _Seen(u, Blended(found, surfaces[1].facets, *sizes))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

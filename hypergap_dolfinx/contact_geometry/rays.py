@@ -50,7 +50,7 @@ from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
-from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.trace import Surface, lengths
 
 points_an_edge = 4  # room at first; with more they are found anew
 entries_a_row = 32  # likewise
@@ -64,22 +64,24 @@ class PlaneRays:
     """Struct ``Sigma`` of ``c/plane.h``."""
     points: npt.NDArray
     """``Point`` of ``c/plane.h``, ``(num_points,)``."""
-    vertices: npt.NDArray[np.int64]
-    """Vertex of each half, ``(num_halves,)``."""
+    above: Surface
+    """Γ1 where it is."""
 
     @property
     def num_halves(self) -> int:
         """Number of halves of Γ1's edges."""
         return 2 * self.sigma.sides[1].num_edges
 
-    def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, Sparse, Sparse]":
-        """Gaps and covered parts of halves; ∂g/∂u, summed over vertices; and ∂covered/∂u."""
+    def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, npt.NDArray, Sparse, Sparse]":
+        """Gaps, covered shares and lengths of halves; ∂g/∂u, summed over vertices; ∂covered/∂u."""
         g, covered = np.empty((2, self.num_halves))
         slopes = _Entries(self.num_halves), _Entries(self.num_halves)
         given = self.sigma, g, covered
         C, by_covered = _filled(slopes, lambda C, K: call("find_gaps", *given, C, K))
-        C = Sparse(self.vertices[C.i], C.j, C.values)
-        return g.reshape(-1, 2), covered.reshape(-1, 2), C, by_covered
+        C = Sparse(self.above.facets.ravel().astype(np.int64)[C.i], C.j, C.values)
+        ends, share = self.above.x[self.above.facets], covered.reshape(-1, 2)
+        chords = lengths(ends[:, 1] - ends[:, 0])
+        return g.reshape(-1, 2), share, share * chords[:, None] / 2, C, by_covered
 
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
@@ -203,8 +205,7 @@ def cast(
         check(call("cast_rays", sigma), library("plane").lib.MOST_SHEETS)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:
-            vertices = surfaces[1].facets.ravel().astype(np.int64)
-            return PlaneRays(sigma, points[: sigma.num_points], vertices)
+            return PlaneRays(sigma, points[: sigma.num_points], surfaces[1])
         room = most
 
 

@@ -181,17 +181,17 @@ class Faded:
             triangle_at=doubles(body.at),
         )
 
-    def gaps(self, g, covered) -> tuple[Sparse, Sparse]:
-        """Add gaps and covered parts of parts; their derivatives."""
-        new = np.empty((2, self.num))
+    def gaps(self, *values: npt.NDArray[np.float64]) -> tuple[Sparse, Sparse]:
+        """Add gaps, covered shares and covered areas of parts; derivatives of the first two."""
+        new = np.empty((3, self.num))
 
         def find(*slopes):
             new[:] = 0
             return call("find_parts", self._pointer, *new, *slopes)
 
         slopes = _filled(2, find)
-        g += new[0]
-        covered += new[1]
+        for value, more in zip(values, new, strict=True):
+            value += more
         return slopes[0], slopes[1]
 
     def curvature(self, p, by_covered) -> Sparse:

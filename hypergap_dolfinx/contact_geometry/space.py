@@ -36,14 +36,12 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     Label,
     find_pieces,
     parts_of,
-    polygon_areas,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
-from hypergap_dolfinx.surface.trace import lengths
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -118,31 +116,23 @@ class SpaceColumns:
         """Numbers of Γ1's vertices and of both sides' dofs."""
         return len(self.frames.surfaces[1].x), sum(len(side.dofs) for side in self.sides)
 
-    @cached_property
-    def whole(self) -> Floats:
-        """Areas of parts as seen along the normals, ``(num_facets1, num_corners)``."""
-        surface = self.frames.surfaces[1]
-        parts = parts_of(surface.geometry.cell_type)
-        facets, points = np.arange(len(surface.facets)), parts.reshape(-1, 2)
-        x = surface.points(np.repeat(facets, len(points)), np.tile(points, (len(facets), 1)))
-        y = self.frames.project(facets, x.reshape(len(facets), *parts.shape[:2], 3))
-        areas = polygon_areas(y.reshape(-1, *y.shape[2:])).reshape(y.shape[:2])
-        return np.abs(areas) * lengths(self.frames.normal)[:, None]
-
-    def gaps(self) -> tuple[Floats, Floats, Sparse, Sparse]:
-        """Gaps and covered shares of parts; ∂g/∂u, summed over vertices; ∂covered/∂u."""
+    def gaps(self) -> tuple[Floats, Floats, Floats, Sparse, Sparse]:
+        """Gaps, covered shares and areas of parts; ∂g/∂u, summed over vertices; ∂covered/∂u."""
         shape = self.facets.shape
         f1, part = self.pieces.facets[1], self.pieces.part
-        each, f = shape[1] * f1 + part, self.rays.heights[0]
-        g = np.bincount(each[self.piece], self.weights * f, self.facets.size).astype(float)
+        each = shape[1] * f1 + part
+        g, areas = (
+            np.bincount(each[self.piece], self.weights * f, self.facets.size).astype(float)
+            for f in self.rays.heights[:2]
+        )
         covered = np.zeros(self.facets.size)
         covered[np.unique(each)] = 1
         C, K = self._own_slopes, Sparse.empty()
         if self.faded:
-            more, K = self.faded.gaps(g, covered)
+            more, K = self.faded.gaps(g, covered, areas)
             C = joined(C, self._by_vertex(more))
             covered = np.minimum(covered, 1)
-        return g.reshape(shape), covered.reshape(shape), C, K
+        return g.reshape(shape), covered.reshape(shape), areas.reshape(shape), C, K
 
     @cached_property
     def _own_slopes(self) -> Sparse:
@@ -320,7 +310,7 @@ class SpaceSegments(Segments[_Opposite]):
                 "along its normals; check the tags."
             )
         sizes = self.num_multipliers, 3 * self.num_dofs
-        return _Opposite(u, found, Blended(found, found.facets, found.whole, *sizes))
+        return _Opposite(u, found, Blended(found, found.facets, *sizes))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
