@@ -119,12 +119,9 @@ class Slab:
 
     @property
     def rank(self) -> npt.NDArray[np.int32]:
-        """Owner of a facet beside each cell, ``(num_cells,)``."""
-        facet = np.where(self.bases[0] >= 0, self.bases[0], self.beside[0])
-        rank = self.sides[0].surface.owner[self.sides[0].facets[facet]]
-        on1 = np.flatnonzero(self.bases[1] >= 0)
-        rank[on1] = self.sides[1].surface.owner[self.sides[1].facets[self.bases[1][on1]]]
-        return rank
+        """Owner of the facet of Γ1 at each cell: other owners of Γ0's don't cut Σ into pieces."""
+        facet = np.where(self.bases[1] >= 0, self.bases[1], self.beside[1])
+        return self.sides[1].surface.owner[self.sides[1].facets[facet]]
 
     def hosts(self, points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
         """Positions of points of the reference tetrahedron on both surfaces.

@@ -25,7 +25,7 @@ from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
-from hypergap_dolfinx.surface.quadrilaterals import middle_rows
+from hypergap_dolfinx.surface.quadrilaterals import on_triangles
 from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface, tabulate, thinness
 
@@ -327,13 +327,13 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     Returns:
         Point, global dof (block) and value of each nonzero entry.
     """
-    values = tabulate(surface.element, X)
     if surface.facets.shape[1] == 4:
         face = basix.create_element(
             nodes.family, basix.CellType.triangle, nodes.degree, nodes.lagrange_variant
         )
-        for place, row in zip(*middle_rows(surface.element, face), strict=True):
-            values[(weight > 1 - NOUGHT) & (np.abs(X - place).max(axis=1) < SAME_NODE)] = row
+        values = on_triangles(surface.element, face, X)
+    else:
+        values = tabulate(surface.element, X)
     values *= weight[:, None]
     # A node of Σ that is a dof of the body has a single 1 in its row, and round-off beside it
     point, local = np.nonzero(np.abs(values) > NOUGHT)

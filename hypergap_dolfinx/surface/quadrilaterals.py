@@ -35,23 +35,34 @@ HALVES = SQUARE_CORNERS, np.array([(0, 1, 3), (0, 3, 2)])
 """The same with two triangles, for facets that are cut."""
 
 
-@lru_cache(maxsize=64)
-def middle_rows(
-    element: basix.finite_element.FiniteElement, nodes: basix.finite_element.FiniteElement
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Values at nodes of the four triangles that differ from interpolation.
+def on_triangles(
+    element: basix.finite_element.FiniteElement,
+    nodes: basix.finite_element.FiniteElement,
+    X: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
+    """I v of a facet's basis functions v at points, ``(num_points, num_dofs)``.
 
     Args:
         element: The facet's Lagrange element, of degree k.
-        nodes: Lagrange element of the triangles, of degree m ≥ k.
-
-    Returns:
-        The nodes' places in the reference facet, ``(num_nodes, 2)``, and the weights of the facet's
-        dofs there, ``(num_nodes, num_dofs)``. No nodes if interpolation is exact.
+        nodes: Lagrange element of the triangles, of degree m ≥ k; the same functions if m ≥ 2k.
+        X: Points of the reference facet, ``(num_points, 2)``.
     """
+    if nodes.degree >= 2 * element.degree:
+        return tabulate(element, X)
+    x, y = X.T - 0.5
+    triangle = np.argmax((-y, x, y, -x), axis=0)  # in the order of QUARTERS
+    corners = QUARTERS[0][QUARTERS[1]]
+    J = corners[:, 1:] - corners[:, :1]
+    xi = np.einsum("pi,pij->pj", X - corners[triangle, 0], np.linalg.inv(J)[triangle])
+    return np.einsum("pa,pab->pb", tabulate(nodes, xi), _rows(element, nodes)[triangle])
+
+
+@lru_cache(maxsize=64)
+def _rows(
+    element: basix.finite_element.FiniteElement, nodes: basix.finite_element.FiniteElement
+) -> npt.NDArray[np.float64]:
+    """I v of the facet's basis functions at the triangles' nodes, ``(4, num_nodes, num_dofs)``."""
     k, m = element.degree, nodes.degree
-    if m >= 2 * k:
-        return np.empty((0, 2)), np.empty((0, element.dim))
     exponents = np.indices((k + 1, k + 1)).reshape(2, -1)
     exponents = exponents[:, exponents.sum(axis=0) <= max(1, k - 1)]
 
@@ -63,6 +74,7 @@ def middle_rows(
     rule, weights = basix.make_quadrature(nodes.cell_type, m + k)
     shape = tabulate(nodes, rule)
     places, M = np.empty((0, 2)), np.empty((exponents.shape[1], 0))  # of the nodes so far
+    numbers = []
     for v in QUARTERS[0][QUARTERS[1]]:
         J = v[1:] - v[0]
         own = moments(v[0] + rule @ J, weights * np.linalg.det(J), shape)
@@ -72,10 +84,11 @@ def middle_rows(
                 at, places = np.array([len(places)]), np.vstack((places, place))
                 M = np.column_stack((M, np.zeros(len(M))))
             M[:, at[0]] += column
+            numbers.append(at[0])
     points, weights = basix.make_quadrature(element.cell_type, 2 * k)
     exact = moments(points, weights, tabulate(element, points))
     values = tabulate(element, places)
     dofs = np.abs(places[:, None] - element.points).max(axis=2).min(axis=1) < SAME_NODE
     inside = (np.minimum(places, 1 - places).min(axis=1) > SAME_NODE) & ~dofs
-    change = np.linalg.pinv(M[:, inside]) @ (exact - M @ values)
-    return places[inside], values[inside] + change
+    values[inside] += np.linalg.pinv(M[:, inside]) @ (exact - M @ values)
+    return values[numbers].reshape(len(QUARTERS[1]), nodes.dim, element.dim)

@@ -8,7 +8,7 @@ import numpy as np
 import patch_test_3d
 import pressurised_sphere as sphere
 import pytest
-from helpers import close, comm, sweep
+from helpers import close, comm, interpolated, residual, sweep
 from test_solids_interfaces import NOTHING, NU, linear, stress, tied
 
 import basix
@@ -20,7 +20,7 @@ from hypergap_dolfinx import Tie, TiedProblem
 from hypergap_dolfinx.gap_mesh import slab
 from hypergap_dolfinx.mortar.domain import unevenness
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS, middle_rows
+from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS, on_triangles
 from hypergap_dolfinx.surface.tolerances import SAME_NODE
 from hypergap_dolfinx.surface.trace import create_surface, tabulate
 
@@ -42,15 +42,11 @@ def on_pieces(element, nodes, pieces, rule):
     Returns:
         Points, weights, and values ``(num_points, num_dofs)``.
     """
-    places, rows = middle_rows(element, nodes)
     points, weights, values = [], [], []
     X, w = basix.make_quadrature(basix.CellType.triangle, rule)
     for v in pieces[0][pieces[1]]:
         J = v[1:] - v[0]
-        at = v[0] + nodes.points @ J
-        nodal = tabulate(element, at)
-        for place, row in zip(places, rows, strict=True):
-            nodal[np.abs(at - place).max(axis=1) < SAME_NODE] = row
+        nodal = on_triangles(element, nodes, v[0] + nodes.points @ J)
         points.append(v[0] + X @ J)
         weights.append(w * np.linalg.det(J))
         values.append(tabulate(nodes, X) @ nodal)
@@ -90,15 +86,25 @@ def test_what_triangles_have_stays(k, m):
 
 
 def test_values_at_dofs_stay():
-    """And interpolation is exact on bilinear facets: their middle is the corners' mean."""
+    """If they are nodes of the triangles; and the mean of the corners in the middle."""
     for k, m in CASES:
         element, nodes = elements(k, m)
-        places, rows = middle_rows(element, nodes)
-        distance = np.linalg.norm(places[:, None] - element.points, axis=2)
-        assert (distance > SAME_NODE).all() and len(places) == len(rows)
-        assert len(places) == 0 or (places.min() > 0 and places.max() < 1)
+        at = [v[0] + nodes.points @ (v[1:] - v[0]) for v in QUARTERS[0][QUARTERS[1]]]
+        at = np.concatenate(at)
+        apart = np.abs(at[:, None] - element.points).max(axis=2)
+        found = on_triangles(element, nodes, at)
+        node, dof = np.nonzero(apart < SAME_NODE)
+        close(found[node], np.eye(element.dim)[dof], 1e-12)
         if k == 1:
-            close(rows, tabulate(element, places))
+            close(found[(at == 0.5).all(axis=1)], 0.25)
+
+
+@pytest.mark.parametrize(("k", "m"), CASES)
+def test_pieces_are_polynomials(k, m):
+    """Between nodes, too: Σ's inner nodes lie anywhere in a facet."""
+    element, nodes = elements(k, m)
+    points, _, values = on_pieces(element, nodes, QUARTERS, 5)
+    close(on_triangles(element, nodes, points), values, 1e-12)
 
 
 # Surfaces and pieces
@@ -158,6 +164,16 @@ def test_warped_facets_make_one_smooth_surface(k):
     assert tie.domain.patch.max() == 0
     assert tie.domain.element.degree == k
     assert tie.domain.geometry.degree == k
+
+
+@pytest.mark.ranks(k=[2])
+@pytest.mark.parametrize("mapping", (lambda x: x, wavy))
+@pytest.mark.parametrize("k", (1, 2, 3))
+def test_matching_facets_are_fused(k, mapping):
+    """All fields of one mesh meet the constraints, not only polynomials of degree k."""
+    tie = tie_of_blocks((3, 3), mapping, (k, k))
+    u = [interpolated(V, lambda x: np.sin(9 * x[1] + [[5], [4], [3]] * x[2])) for V in tie.spaces]
+    assert residual(tie, *u) <= 1e-13
 
 
 @pytest.mark.ranks(2)
