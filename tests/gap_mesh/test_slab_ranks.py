@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers import comm
 
+import dolfinx
 from dolfinx import fem
 from hypergap_dolfinx import Tie
 
@@ -51,3 +52,19 @@ def test_any_surfaces(demo, seed, degree):
     assert demo["stands_up"](domain)
     each, here = moments(domain.x[:, :4], domain.alpha_vertices, scale, comm)
     assert each == num and abs(here - wave) < 1e-11 * num
+
+
+def test_cells_stay_together():
+    """A rank has the cells at its facets of Γ1, wherever Γ0's are: Σ isn't cut into pieces."""
+    ends = []
+    for i, swaps in enumerate((slice(None), slice(None, None, -1))):
+        low, high = (0, 0, i), (2, 1, i + 1)
+        whole = dolfinx.mesh.create_box(comm, (low, high), (12 - i, 6, 1))
+        whole.geometry.x[:, :2] = (whole.geometry.x[:, :2] / (2, 1))[:, swaps]
+        at = dolfinx.mesh.locate_entities_boundary(whole, 2, lambda x: np.isclose(x[2], 1))
+        ends.append((fem.functionspace(whole, ("Lagrange", 1)), at))
+    domain = Tie(*ends).domain
+    facets = domain.hosts.facets[1][domain.alpha_vertices == 1]
+    beside = domain.surfaces[1].owner[facets] == comm.rank
+    num = (domain.alpha_vertices == 1).sum(axis=1)
+    assert np.logical_or.reduceat(beside, np.cumsum(num) - num).all()
