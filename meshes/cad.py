@@ -3,10 +3,13 @@
 # This file is part of hypergap_dolfinx
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
-"""Tetrahedra in the parts of an assembly from a CAD file, with Gmsh: part by part, or in one."""
+"""Tetrahedra in the parts of an assembly, with Gmsh: part by part, or in one.
+
+Assemblies come from a CAD file, or from a function that builds them with Gmsh's OpenCASCADE kernel.
+"""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from mpi4py import MPI
@@ -21,13 +24,15 @@ from meshes.structured import coordinate_element
 AROUND = 12
 """Edges around a cylinder, for cells as large as a part is thick; of 8 the polygon's area, which
 differs by an edge from mesh to mesh, made 1.5 % of the rod's stiffness."""
+Source = str | Path | Callable[..., Mapping[str, tuple[int, int]]]
+"""A STEP file; or a function of ``gmsh.model.occ`` that adds volumes and returns them by name."""
 # Gmsh's nodes of a tetrahedron in DOLFINx's order
 _NODES = {1: [0, 1, 2, 3], 2: [0, 1, 2, 3, 8, 9, 5, 7, 6, 4]}
 
 
 def parts_of_assembly(
     comm: MPI.Comm,
-    filename: str | Path,
+    source: Source,
     factor: float,
     *,
     degree: int = 1,
@@ -37,7 +42,7 @@ def parts_of_assembly(
 
     Args:
         comm: Communicator.
-        filename: STEP file.
+        source: STEP file, or what builds the parts.
         factor: Cell size in each part over its thickness 2 V / A, volume over half of its surface;
             around cylinders there are at least 12 / factor edges.
         degree: Degree of the geometry, 1 or 2.
@@ -47,27 +52,27 @@ def parts_of_assembly(
         Names and meshes, in the file's order; of what is cut the lower half comes first.
     """
     here = comm.rank == 0
-    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, False, here, cut or {}))
+    names, x, parts = comm.bcast(_tetrahedra(source, factor, degree, False, here, cut or {}))
     return [
         (name, _create(comm, x, cells, degree)) for name, cells in zip(names, parts, strict=True)
     ]
 
 
 def fused_assembly(
-    comm: MPI.Comm, filename: str | Path, factor: float, *, degree: int = 1
+    comm: MPI.Comm, source: Source, factor: float, *, degree: int = 1
 ) -> tuple[list[str], dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """One conforming mesh of an assembly, cells of a mean size where parts meet.
 
     Args:
         comm: Communicator.
-        filename: As for :func:`parts_of_assembly`.
+        source: As for :func:`parts_of_assembly`.
         factor: The same.
         degree: The same.
 
     Returns:
         The parts' names, the mesh, and the number of the part that each cell is in.
     """
-    names, x, parts = comm.bcast(_tetrahedra(filename, factor, degree, True, comm.rank == 0))
+    names, x, parts = comm.bcast(_tetrahedra(source, factor, degree, True, comm.rank == 0))
     mesh = _create(comm, x, np.concatenate(parts), degree)
     part = np.repeat(np.arange(len(parts), dtype=np.int32), [len(cells) for cells in parts])
     owned = np.arange(len(mesh.topology.original_cell_index), dtype=np.int32)
@@ -110,7 +115,7 @@ def _cut_across(cad, volume: tuple[int, int], axis: int) -> list[tuple[int, int]
 
 
 def _tetrahedra(
-    filename: str | Path,
+    source: Source,
     factor: float,
     degree: int,
     fused: bool,
@@ -125,10 +130,15 @@ def _tetrahedra(
         gmsh.option.setNumber("Mesh.ElementOrder", degree)
         gmsh.option.setNumber("Mesh.HighOrderOptimize", 1)  # else curved cells may be folded
         cad, model = gmsh.model.occ, gmsh.model
-        volumes = cad.importShapes(str(filename))
-        cad.synchronize()
-        # "Shapes/…/BOLT/bolt & & 256"
-        names = [model.getEntityName(*v).split("&")[0].split("/")[-1].strip() for v in volumes]
+        if callable(source):
+            parts = source(cad)
+            names, volumes = list(parts), list(parts.values())
+            cad.synchronize()
+        else:
+            volumes = cad.importShapes(str(source))
+            cad.synchronize()
+            # "Shapes/…/BOLT/bolt & & 256"
+            names = [model.getEntityName(*v).split("&")[0].split("/")[-1].strip() for v in volumes]
         sizes = []
         for volume in volumes:
             area = sum(cad.getMass(*face) for face in model.getBoundary([volume], oriented=False))
