@@ -50,7 +50,7 @@ def _prism(cad, corners, depth) -> Volume:
 
 def flange(cad) -> Parts:
     """Two flanged pipes, a gasket between them, and four bolts with heads and nuts."""
-    along, r = (1, 0, 0), 0.2
+    r = 0.2
     places = [(1.4 * math.cos(a), 1.4 * math.sin(a)) for a in (0.5, 2.1, 3.6, 5.3)]
 
     def disc(x, width, outer, inner=0.8):
@@ -68,7 +68,7 @@ def flange(cad) -> Parts:
     for k, (y, z) in enumerate(places):
         head = _rod(cad, (-0.6, y, z), (0.2, 0, 0), 0.35)
         nut = _rod(cad, (0.55, y, z), (0.2, 0, 0), 0.35)
-        shank = _rod(cad, (-0.6, y, z), (1.35 * along[0], 0, 0), r)
+        shank = _rod(cad, (-0.6, y, z), (1.35, 0, 0), r)
         parts[f"bolt {k + 1}"] = _joined(cad, shank, head, nut)
     return parts | {"right pipe": right}
 
@@ -86,7 +86,7 @@ def sandwich(cad) -> Parts:
     """A soft core between two face plates, with an insert through all of it."""
     insert = _rod(cad, (0.4, 0.1, -0.1), (0, 0, 1.2), 0.35)
     insert = _joined(cad, insert, _rod(cad, (0.4, 0.1, 1), (0, 0, 0.15), 0.6))
-    parts = {"core": _box(cad, (-1.5, -1, 0.15), (1.5, 1, 0.85))}
+    parts = {"core": _box(cad, (-1.7, -1, 0.15), (1.5, 1, 0.85))}
     parts["lower plate"] = _box(cad, (-1.5, -1, 0), (1.5, 1, 0.15))
     parts["upper plate"] = _box(cad, (-1.5, -1, 0.85), (1.5, 1, 1))
     return {name: _cut(cad, part, insert) for name, part in parts.items()} | {"insert": insert}
@@ -94,9 +94,10 @@ def sandwich(cad) -> Parts:
 
 def pipe_through_wall(cad) -> Parts:
     """A pipe that stands out of a wall on both sides."""
-    outer = _rod(cad, (-0.8, 0, 0), (2.2, 0, 0), 0.5)
-    wall = _cut(cad, _box(cad, (-0.3, -1.2, -1), (0.3, 1, 1)), outer)
-    return {"wall": wall, "pipe": _hollow(cad, outer, _rod(cad, (-0.8, 0, 0), (2.2, 0, 0), 0.35))}
+    start, along = (0, -0.8, 0), (0, 2.2, 0)
+    outer = _rod(cad, start, along, 0.5)
+    wall = _cut(cad, _box(cad, (-1.2, -0.3, -1), (1, 0.3, 1)), outer)
+    return {"wall": wall, "pipe": _hollow(cad, outer, _rod(cad, start, along, 0.35))}
 
 
 def hinge(cad) -> Parts:
@@ -128,7 +129,7 @@ def dovetail(cad) -> Parts:
     """A tail that is slid into a socket along y."""
     tail = [(-0.4, 0.5), (-0.6, 0), (0.6, 0), (0.4, 0.5), (1, 0.5), (1, 1.1), (-1, 1.1), (-1, 0.5)]
     tail = _prism(cad, tail, 1.4)
-    socket = _cut(cad, _box(cad, (-1, 0, -0.6), (1, 1.4, 0.5)), tail)
+    socket = _cut(cad, _box(cad, (-1.3, 0, -0.6), (1.3, 1.4, 0.5)), tail)
     return {"socket": socket, "tail": tail}
 
 

@@ -75,6 +75,7 @@ DEMOS = {
         needs=("gmsh", "matplotlib"),
         slow=True,
     ),
+    "cad_assemblies": Demo("--only dovetail", {}, {"*.ratio": 1.2}, needs=("gmsh",)),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
         {"contact.*.l2_pressure": 4.384e-2, "contact.0.steps": 1, "contact.1.steps": 2},
