@@ -35,7 +35,8 @@ typedef struct {
 typedef struct {
   int number; // of the point in the rule
   double X[2], xi[MOST_STACKED][2], up[MOST_STACKED]; // heights over M
-  int leans, fades; // bits of the sheets whose weights depend on the cosine, on the depth
+  int leans, leaves, fades; // bits of the sheets whose weights depend on the cosine, on how far the
+                            // ray passes a facet, on the depth
   Nearest foot;
 } Spot;
 
@@ -428,7 +429,8 @@ static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
 //
 // xi, up   values to start from
 // at       reference coordinates and the height over the normal
-static void meet(Tape *tape, const Set *set, int s, const Plane *plane, const Vec *x1,
+// Returns 0 if it looks and doesn't find it.
+static int meet(Tape *tape, const Set *set, int s, const Plane *plane, const Vec *x1,
                  const double *xi, double up, Jet *at)
 {
   double step = INFINITY, last = set->of->last;
@@ -461,6 +463,20 @@ static void meet(Tape *tape, const Set *set, int s, const Plane *plane, const Ve
     if (!set->looks)
       step = INFINITY;
   }
+  return !set->looks || step < last;
+}
+
+// How far inside of a facet a point is, in reference coordinates; negative outside.
+static Jet inside(Tape *tape, const Facets *facets, Jet const *at)
+{
+  int num = facets->num_corners, last = 0;
+  Jet ends[4] = {at[0], at[1], combined(tape, -1, at[0], num == 3 ? -1 : 0, at[1]), NULL};
+  ends[2][0] += 1;
+  if (num == 4)
+    ends[3] = scaled(tape, -1, at[1]), ends[3][0] += 1;
+  for (int k = 1; k < num; ++k)
+    last = ends[k][0] < ends[last][0] ? k : last;
+  return ends[last];
 }
 
 // Depth of a point in Γ0's body by what is nearest.
@@ -517,7 +533,8 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
   for (int s = 0; s < set->num; ++s)
   {
     Jet at[3], part;
-    meet(tape, set, s, plane, &x1, spot->xi[s], spot->up[s], at);
+    if (!meet(tape, set, s, plane, &x1, spot->xi[s], spot->up[s], at))
+      return seen;
     double xi[2] = {at[0][0], at[1][0]};
     memcpy(spot->xi[s], xi, sizeof(xi));
     spot->up[s] = at[2][0];
@@ -525,6 +542,12 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
     {
       seen.up = at[2], seen.front = s;
       memcpy(seen.xi, at, sizeof(seen.xi));
+    }
+    if (set->below->num_terms > 3 && (looks || spot->leaves >> s & 1))
+    {
+      part = step_of(tape, inside(tape, set->below, at), parts->inside);
+      spot->leaves |= (part[0] < 1) << s;
+      visible = product(tape, visible, part);
     }
     if (!looks && !((spot->leans | spot->fades) >> s & 1))
       continue;
@@ -786,7 +809,7 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     const Point *by = stack->seen + MOST_SIDES * k;
     if (!boxes_meet(num, by, count, y))
       continue;
-    int left = clip(y, edge, count, num, by, PART + MOST_SIDES * level), status;
+    int left = intersect(y, edge, count, num, by, PART + MOST_SIDES * level), status;
     if (left > MOST_CUT)
       return STUCK;
     if (left < 3 || !(area_of(left, y) > parts->sliver * stack->area))

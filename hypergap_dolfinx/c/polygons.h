@@ -80,6 +80,36 @@ static inline int clip(Point *y, int *edge, int count, int num, const Point *by,
   return count;
 }
 
+// True if a polygon turns left at all corners.
+static inline int is_convex(int num, const Point *y)
+{
+  for (int k = 0; k < num; ++k)
+  {
+    const double *a = y[k], *b = y[(k + 1) % num], *c = y[(k + 2) % num];
+    if ((b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]) < 0)
+      return 0;
+  }
+  return 1;
+}
+
+// What a polygon and a facet have in common, as clip: facets that are warped need not look convex.
+static inline int intersect(Point *y, int *edge, int count, int num, const Point *by, int first)
+{
+  if (num == 3 || is_convex(num, by) || !is_convex(count, y))
+    return clip(y, edge, count, num, by, first);
+  Point own[MOST_CUT];
+  int labels[MOST_CUT], left;
+  memcpy(own, y, count * sizeof(Point));
+  memcpy(labels, edge, count * sizeof(int));
+  memcpy(y, by, num * sizeof(Point));
+  for (int k = 0; k < num; ++k)
+    edge[k] = MOST_CUT + k;
+  left = clip(y, edge, num, count, own, 0);
+  for (int k = 0; k < left && left <= MOST_CUT; ++k)
+    edge[k] = edge[k] < MOST_CUT ? labels[edge[k]] : first + edge[k] - MOST_CUT;
+  return left;
+}
+
 // Coefficients of the bilinear map to a quadrilateral.
 static inline void bilinear(const Point *v, double c[4][2])
 {

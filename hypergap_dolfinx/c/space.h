@@ -61,7 +61,7 @@ typedef struct {
   const int *sheets;            // facets of Γ0
   int num_points;               // of the rule on polygons: 1 or 3
   const double *points;         // as for polygon_rule
-  double cosines[2], nearest[2], slack, sliver, least, last;
+  double cosines[2], inside[2], nearest[2], slack, sliver, least, last;
   int num_triangles;            // of Γ0, for depths
   const double *triangles;      // their corners, (num_triangles, 3, 3)
   const int *order;             // them along a curve that fills space

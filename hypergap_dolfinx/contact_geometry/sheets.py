@@ -36,6 +36,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
 from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import (
     COSINES,
+    INSIDE,
     LAST,
     NEAREST,
     SLACK,
@@ -98,6 +99,10 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
     cos = -np.einsum("pi,pi->p", below, normal) / (size * length)
     deep = np.einsum("pi,pi->p", below, q[:, At.R]) / size
     result = _ramp(cos, COSINES)
+    if rays.bends is not None:
+        xi, triangles = rays.xi, frames.surfaces[0].polygons.shape[1] == 3
+        beyond = 1 - xi.sum(axis=1, keepdims=True) if triangles else 1 - xi
+        result *= _ramp(np.column_stack((xi, beyond)).min(axis=1), INSIDE)
     slack = SLACK * np.sqrt(length)
     # As deep as that by the nearest facet, for it isn't farther away than the sheet
     near = deep * (NEAREST[1] + 1 / np.where(result > 0, cos, 1)) <= slack
@@ -169,6 +174,7 @@ class Faded:
             num_points=len(points),
             points=points,
             cosines=list(COSINES),
+            inside=list(INSIDE),
             nearest=list(NEAREST),
             slack=SLACK,
             sliver=SLIVER,

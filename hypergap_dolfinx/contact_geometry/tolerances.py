@@ -39,6 +39,11 @@ COSINES = 0.1, 0.4
 Measured: 60 random scenes of the plane: 57 solved, 1163 Newton steps; (.05, .2) 58, 1110;
 (.2, .6) 56, 1060."""
 
+INSIDE = -0.5, -0.25
+"""Least reference coordinate, negative outside, from which on rays meet a facet, and do so fully.
+Measured: rays to folded facets of degree 2, 300 pairs of surfaces: gaps at most 3.4 times those
+of flat ones without it, 1.1 with it, with (-.25, -.1), 1.3 with (-1, -.5)."""
+
 NEAREST = 0.25, 0.75
 """Depth by the nearest edge or facet over that by a sheet, from which on it counts, and does so
 fully.

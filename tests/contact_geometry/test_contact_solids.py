@@ -318,3 +318,43 @@ def test_not_facing():
     two = sides((lambda x, y: 0 * x, lambda x, y: 0.1 + 0 * x))
     with raises(InterfaceError, r"nothing of Γ1 \(around .*\) lies opposite Γ0"):
         SpaceSegments.between((two[0], two[0]), at_rest((two[0], two[0])))
+
+
+def on_top(degree, middle=(0.5, 0.5)):
+    """A square of four facets, and 0.1 above it a smaller one of nine.
+
+    Args:
+        degree: That of displacements.
+        middle: Where the vertex in the larger one's middle is.
+    """
+    found = []
+    for i in (0, 1):
+
+        def place(x, i=i):
+            x[np.isclose(x[:, :2], 0.5).all(axis=1), :2] = middle
+            return x / 2 - (0, 0, 0.5) if i == 0 else x * (0.4, 0.4, 1) + (0.05, 0.05, 0.1)
+
+        mesh, ft = meshes.block(comm, (2 + i, 2 + i, 1), place, cell="hexahedron")
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        facets = ft.find((meshes.FRONT, meshes.BACK)[i])
+        found.append(MovingSurface(create_surface(V, facets, f"Γ{i}")))
+    return tuple(found)
+
+
+def test_facets_with_inner_corners():
+    """Warped facets may look like that: what a facet loses its neighbours must not."""
+    two = on_top(1, middle=(0.24, 0.24))
+    _, g, areas = seen(two, at_rest(two))
+    close(areas.sum(), 0.4**2, 1e-13)
+    close(g.sum(), 0.1 * 0.4**2, 1e-13)
+
+
+@pytest.mark.parametrize("seed", (274, 113, 235))
+def test_rays_that_meet_no_folded_facet(seed):
+    """They saw what is far beyond the facet: gaps of up to a million times the size."""
+    two = on_top(2)
+    rng = np.random.default_rng(seed)
+    u = at_rest(two)
+    u[0][:] = rng.uniform(-1, 1, u[0].shape) * (0.08, 0.08, 0.024)
+    _, g, areas = seen(two, u)
+    assert np.abs(g).max() <= 0.2 * 0.4**2 / 9 and areas.sum() >= 0.3**2
