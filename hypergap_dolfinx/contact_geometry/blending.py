@@ -16,16 +16,13 @@ of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds 
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD
 from hypergap_dolfinx.surface.moving import Sparse, joined
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 Floats = npt.NDArray[np.float64]
 
@@ -61,10 +58,10 @@ class Blended:
         self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self.t)
         hard = (c > 0) & (c < 1)
         after = np.roll(self.facets, -1, axis=1)
-        both = np.stack((self.facets, after), axis=-1).reshape(-1, 2)
+        both = np.stack((self.facets, after), axis=-1).reshape(-1, 2).astype(np.int64)
         both = both[hard[both].any(axis=1)]
         both = np.unique(np.concatenate((both, both[:, ::-1])), axis=0)
-        self.pairs = both[hard[both[:, 0]]].T
+        self.pairs = both[hard[both[:, 0]]].T.copy()
         """Vertices that are covered in part, and others beside them, ``(2, num_pairs)``."""
 
     @cached_property
@@ -99,8 +96,8 @@ class Blended:
         if not len(a):
             return Sparse.empty()
         sums = np.bincount(a, self._c[b] * beside, self.num)
-        by = _scaled(self._dt * own + self._dq * sums, self._K)
-        return Sparse.from_scipy(by + self._matrix(a, b, self._q[a] * beside) @ self._K)
+        by = self._K.scaled(self._dt * own + self._dq * sums)
+        return joined(by, Sparse(a, b, self._q[a] * beside) @ self._K)
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
@@ -143,16 +140,14 @@ class Blended:
         G, K = self.rows(self._slopes), self._K
         weights = p * self._dt
         np.add.at(weights, b, p[a] * self._q[a])
-        S = self._matrix(a, b, self._c[b]) @ G + self._matrix(a, b, self._g[b]) @ K
-        M = _scaled(weights, K).T @ G + _scaled(p * self._dq, K).T @ S
+        S = joined(Sparse(a, b, self._c[b]) @ G, Sparse(a, b, self._g[b]) @ K)
         bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
-        M += _scaled(0.5 * p * bends, K).T @ K
+        M = K.T @ joined(G.scaled(weights), S.scaled(p * self._dq), K.scaled(0.5 * p * bends))
         # Of the product of what halves leave uncovered: of each one's by those before it
-        before = Sparse.empty().to_scipy(K.shape)
-        for halves in self._halves_of_c():
-            M -= _scaled(by_c * self._left, before).T @ halves
-            before = before + halves
-        return joined(H, Sparse.from_scipy(M + M.T))
+        halves, pairs = self._halves_of_c
+        vertex = self.facets.ravel()[pairs[0]]
+        B = halves.T @ (Sparse(*pairs, -(by_c * self._left)[vertex]) @ halves)
+        return joined(H, M, M.T, B, B.T)
 
     @cached_property
     def slips(self) -> Sparse:
@@ -162,12 +157,13 @@ class Blended:
     @cached_property
     def parting(self) -> Sparse:
         """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
-        T = self._by_vertex(self.rays.slips(across=True))
-        return self.spread(T)
+        return self.spread(self._by_vertex(self.rays.slips(across=True)))
 
     def spread(self, T: Sparse) -> Sparse:
         """L T."""
-        return joined(self._own(T), self._beside(T))
+        a, b = self.pairs
+        own = T.scaled(self.t)
+        return joined(own, Sparse(a, b, self.shares) @ self.rows(T)) if len(a) else own
 
     @cached_property
     def _T(self) -> Sparse:
@@ -190,24 +186,20 @@ class Blended:
         H = self.rays.slip_curvature(self.pressures(q)[self.facets])
         if not q[self.pairs[0]].any():
             return H
-        return joined(H, Sparse.from_scipy(self.rows(self._T).T @ self.pressure_slopes(q)))
+        return joined(H, self.rows(self._T).T @ self.pressure_slopes(q))
 
-    def pressure_slopes(self, p: Floats) -> "sparse.csr_array":
+    def pressure_slopes(self, p: Floats) -> Sparse:
         """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
         a, b = self.pairs
         own = self._dt * p
         np.add.at(own, b, p[a] * self._q[a])
-        by = self._matrix(b, a, p[a] * self._dq[a] * self._c[b])
-        return by @ self._K + _scaled(own, self._K)
+        by = Sparse(b, a, p[a] * self._dq[a] * self._c[b])
+        return joined(by @ self._K, self._K.scaled(own))
 
     @cached_property
     def _by_own_c(self) -> Floats:
         """∂ĝ/∂c by a vertex' own c."""
         return self._dt * self._g + self._dq * self._sums_of(self._g)
-
-    def _own(self, T: Sparse) -> Sparse:
-        """Rows times t."""
-        return Sparse(T.i, T.j, T.values * self.t[T.i])
 
     def _sums(self, halves: Floats) -> Floats:
         """Sums at vertices."""
@@ -222,22 +214,11 @@ class Blended:
         """Rows of vertices, sums of their halves'."""
         return Sparse(self.facets.ravel()[halves.i].astype(np.int64), halves.j, halves.values)
 
-    def _beside(self, T: Sparse) -> Sparse:
-        """Rows q_a Σ_b c_b T_b."""
-        a, b = self.pairs
-        if not len(a):
-            return Sparse.empty()
-        return Sparse.from_scipy(self._matrix(a, b, self.shares) @ self.rows(T))
-
     @cached_property
     def shares(self) -> Floats:
         """q_a c_b of pairs."""
         a, b = self.pairs
         return self._q[a] * self._c[b]
-
-    def _matrix(self, i, j, values: Floats) -> "sparse.csr_array":
-        """A matrix by vertices."""
-        return Sparse(i, j, values).to_scipy((self.num, self.num))
 
     @cached_property
     def _per_left(self) -> Floats:
@@ -246,7 +227,7 @@ class Blended:
         return np.divide(1, left, out=np.zeros_like(left), where=left > 0)
 
     @cached_property
-    def _K(self) -> "sparse.csr_array":
+    def _K(self) -> Sparse:
         """∂c/∂u of vertices near to those that are covered in part."""
         K, left = self._by_covered, 1 - self.covered
         others = np.ones(self.num)  # of halves that leave anything
@@ -262,25 +243,18 @@ class Blended:
         near[self.pairs] = True
         return near
 
-    def rows(self, part: Sparse) -> "sparse.csr_array":
+    def rows(self, part: Sparse) -> Sparse:
         """Rows of vertices that are covered in part and of those beside them."""
-        return part.some(self.near[part.i]).to_scipy((self.num, self.size))
+        return part.some(self.near[part.i])
 
-    def _halves_of_c(self):
-        """∂c_e/∂u over 1 − c_e of one half after the other of each vertex, by vertex."""
+    @property
+    def _halves_of_c(self) -> tuple[Sparse, npt.NDArray[np.intp]]:
+        """∂c_e/∂u over 1 − c_e of halves, and pairs of one vertex' halves, ``(2, num_pairs)``."""
         K, vertices = self._by_covered, self.facets.ravel()
-        on = np.flatnonzero(self.near[vertices[K.i]])
-        halves, each = np.unique(K.i[on], return_inverse=True)
-        order = np.argsort(vertices[halves], kind="stable")
-        sorted_vertices, number = vertices[halves][order], np.empty(len(halves), dtype=np.intp)
-        number[order] = np.arange(len(halves)) - np.searchsorted(sorted_vertices, sorted_vertices)
-        values = K.values[on] * self._per_left.ravel()[K.i[on]]
-        for k in range(int(number.max(initial=-1)) + 1):
-            some = number[each] == k
-            at = vertices[K.i[on[some]]], K.j[on[some]]
-            yield Sparse(*at, values[some]).to_scipy((self.num, self.size))
-
-
-def _scaled(factors: Floats, rows: "sparse.csr_array") -> "sparse.csr_array":
-    """Rows times factors."""
-    return rows.multiply(factors[:, None]).tocsr()
+        K = K.some(self.near[vertices[K.i]]).scaled(self._per_left.ravel())
+        halves = np.unique(K.i)
+        halves = halves[np.argsort(vertices[halves], kind="stable")]
+        start = np.searchsorted(vertices[halves], vertices[halves])
+        before = np.arange(len(halves)) - start
+        at = np.arange(before.sum()) - np.repeat(np.cumsum(before) - before - start, before)
+        return K, np.stack((np.repeat(halves, before), halves[at]))

@@ -14,7 +14,7 @@ That is so on facets of Γ1 all of which lies opposite one sheet of Γ0. On othe
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, override
+from typing import override
 
 import numpy as np
 import numpy.typing as npt
@@ -42,9 +42,6 @@ from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 Floats = npt.NDArray[np.float64]
 
@@ -362,11 +359,9 @@ class SpaceSegments(Segments[_Opposite]):
         own, (a, b) = np.flatnonzero(mixed), gaps.pairs
         by_own, by_others = gaps.t[own, None, None] * e[own], gaps.shares[:, None, None] * e[a]
         A = [_projection(num, *of) for of in ((own, own, by_own), (a, b, by_others))]
-        vectors = columns.vector_slips(mixed, moved).to_scipy((3 * num, 3 * self.num_dofs))
-        parts.append(Sparse.from_scipy((A[0] + A[1]) @ vectors))
+        parts.append(joined(*A) @ columns.vector_slips(mixed, moved))
         if moved is not None:
-            T3 = columns.vector_slips(mixed).to_scipy(vectors.shape)
-            s = (T3 @ moved.ravel()).reshape(num, 3)
+            s = columns.vector_slips(mixed).times([moved], 3 * num).reshape(num, 3)
             for way in range(2):
                 given = (e[:, way] * s).sum(axis=1), (e[a, way] * s[b]).sum(axis=1)
                 by = gaps.by_weights(*given)
@@ -383,10 +378,9 @@ class SpaceSegments(Segments[_Opposite]):
         H = columns.slip_curvature(gaps.pressures(traction))
         if not traction[gaps.pairs[0]].any():
             return H
-        shape = 3 * self.num_multipliers, 3 * self.num_dofs
-        T = columns.vector_slips(gaps.near).to_scipy(shape)
-        by = [T[i::3].T @ gaps.pressure_slopes(traction[:, i]) for i in range(3)]
-        return joined(H, Sparse.from_scipy(by[0] + by[1] + by[2]))
+        parts = [gaps.pressure_slopes(traction[:, i]) for i in range(3)]
+        by = joined(*(Sparse(3 * S.i + i, S.j, S.values) for i, S in enumerate(parts)))
+        return joined(H, columns.vector_slips(gaps.near).T @ by)
 
     @override
     def given_over(
@@ -431,7 +425,7 @@ class SpaceSegments(Segments[_Opposite]):
         )
 
 
-def _projection(num: int, rows, vertices, e) -> "sparse.csr_array":
+def _projection(num: int, rows, vertices, e) -> Sparse:
     """Slips of rows from vectors of vertices.
 
     Args:
@@ -442,7 +436,7 @@ def _projection(num: int, rows, vertices, e) -> "sparse.csr_array":
     """
     i = np.broadcast_to(rows[:, None, None] + num * np.arange(2)[:, None], e.shape)
     j = np.broadcast_to(3 * vertices[:, None, None] + np.arange(3), e.shape)
-    return Sparse(i.ravel(), j.ravel(), e.ravel()).to_scipy((2 * num, 3 * num))
+    return Sparse(i.ravel(), j.ravel(), e.ravel())
 
 
 def _cast(frames: Frames, pieces: FacetPieces):

@@ -25,9 +25,14 @@ import numpy.typing as npt
 from dolfinx.jit import get_options
 
 FOLDER = Path(__file__).parents[1] / "c"
-HEADERS = {"plane": ("plane.h",), "space": ("surface.h", "gap_mesh.h", "space.h")}
+HEADERS = {
+    "sparse": ("sparse.h",),
+    "plane": ("plane.h",),
+    "space": ("surface.h", "gap_mesh.h", "space.h"),
+}
 """Headers of each library that Python reads."""
 SOURCES = {
+    "sparse": ["multiply"],
     "plane": "gaps rays".split(),
     "space": (
         "advance bases blocks check columns depths front heights moments parts pieces program "
@@ -232,7 +237,7 @@ class Library:
 
 @cache
 def library(name: str) -> Library:
-    """A library: that of the plane or that of space.
+    """A library: that of the plane, that of space, or that of matrices for both.
 
     Raises:
         RuntimeError: There is no C compiler that works.

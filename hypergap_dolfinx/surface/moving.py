@@ -4,18 +4,14 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
-
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.trace import Surface, tabulate
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 
 @dataclass(frozen=True)
@@ -104,23 +100,29 @@ class Sparse:
         matrix.destroy()
         return found
 
-    @classmethod
-    def from_scipy(cls, matrix: "sparse.sparray") -> "Sparse":
-        """Entries of a matrix of SciPy's that aren't zero."""
-        found = matrix.tocoo()
-        on = found.data != 0
-        i, j = (part[on].astype(np.int64) for part in found.coords)
-        return cls(i, j, found.data[on])
-
-    def to_scipy(self, shape: tuple[int, int]) -> "sparse.csr_array":
-        """The same as a matrix of SciPy's."""
-        from scipy import sparse  # takes .15 s
-
-        return sparse.csr_array((self.values, (self.i, self.j)), shape=shape)
-
     def some(self, use: npt.NDArray[np.bool_]) -> "Sparse":
         """The entries of a mask, ``(num_entries,)``."""
         return Sparse(self.i[use], self.j[use], self.values[use])
+
+    def scaled(self, factors: npt.NDArray[np.float64]) -> "Sparse":
+        """Rows times factors, ``(num_rows,)``; without those that are zero."""
+        found = self.some(factors[self.i] != 0)
+        return replace(found, values=factors[found.i] * found.values)
+
+    @property
+    def T(self) -> "Sparse":
+        """The transpose."""
+        return Sparse(self.j, self.i, self.values)
+
+    def __matmul__(self, other: "Sparse") -> "Sparse":
+        """Product, without two entries at one place."""
+        count = np.bincount(other.i, minlength=self.j.max(initial=-1) + 1)
+        (i, j), values = np.empty((2, num := count[self.j].sum()), np.int64), np.empty(num)
+        given = (part for of in (self, other) for part in (len(of.i), of.i, of.j, of.values))
+        num = call("multiply", *given, i, j, values)
+        if num < 0:
+            raise MemoryError("no memory for a product of matrices")
+        return Sparse(i[:num], j[:num], values[:num])
 
     def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
