@@ -239,7 +239,7 @@ def _filled(num: int, add: Callable) -> Sequence[Sparse]:
             break
         room = [max(each.num, size) for each, size in zip(made, room, strict=True)]
     return [
-        Sparse(i[: each.num].astype(np.int64), j[: each.num].astype(np.int64), v[: each.num].copy())
+        Sparse(i[: each.num].astype(np.int64), j[: each.num].astype(np.int64), v[: each.num]).summed
         for each, (i, j, v) in zip(made, arrays, strict=True)
     ]
 

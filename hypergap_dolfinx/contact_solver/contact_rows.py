@@ -544,7 +544,7 @@ class ContactRows:
             H = H.some(self._is_free[H.i] & self._is_free[H.j])
             found.append(replace(H, values=-H.values))
         return Linear(
-            joined(*found),
+            joined(*found).summed,
             np.where(on, self._root * right.ravel(), 0),
             f.ravel() / self._root * on,
         )

@@ -124,6 +124,12 @@ class Sparse:
             raise MemoryError("no memory for a product of matrices")
         return Sparse(i[:num], j[:num], values[:num])
 
+    @property
+    def summed(self) -> "Sparse":
+        """The same without two entries at one place, row by row."""
+        rows = np.arange(self.i.max(initial=-1) + 1)
+        return Sparse(rows, rows, np.ones(len(rows))) @ self
+
     def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
         flat = np.concatenate([part.ravel() for part in values])
