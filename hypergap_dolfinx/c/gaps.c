@@ -422,16 +422,21 @@ int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered,
 }
 
 // Slip of Γ1 on Γ0 along a point's chord, against its direction, or what parts them across it: by
-// a dof of Γ0 or of Γ1.
-static Jet slip_by(Tape *tape, const Ray *ray, const Curve *curve, const double *s, int a, int i,
-                   int sheet, double sign, int across)
+// a component of a motion of Γ0 there.
+static Jet slip_by(Tape *tape, const Ray *ray, int i, int sheet, int across)
 {
-  if (across && i == 1)
-    sign = -sign;
-  Jet N = composed(tape, s, (double[]){sign * curve->N[0][a], sign * curve->N[1][a],
-                                       sign * curve->N[2][a]});
-  Jet slip = product(tape, product(tape, N, ray->c[across ? 1 - i : i]), ray->width);
-  return ray->visible[sheet] ? product(tape, slip, ray->visible[sheet]) : slip;
+  Jet slip = product(tape, ray->c[across ? 1 - i : i], ray->width);
+  if (ray->visible[sheet])
+    slip = product(tape, slip, ray->visible[sheet]);
+  return across && i == 1 ? scaled(tape, -1, slip) : slip;
+}
+
+// Times the function of a dof.
+static Jet by_dof(Tape *tape, const Curve *curve, const double *s, int a, double sign,
+                  const double *jet)
+{
+  return product(tape, composed(tape, s, (double[]){sign * curve->N[0][a], sign * curve->N[1][a],
+                                                    sign * curve->N[2][a]}), jet);
 }
 
 // What is done with the jets that multiply components of dofs in the slips of points.
@@ -477,17 +482,17 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
     if (slip.q && slip.q[2 * point->edge] == 0 && slip.q[2 * point->edge + 1] == 0)
       continue;
     can = next_ray(&tape, order, sigma, point, &local, &ray);
-    size_t used = tape.used;
     slip.ray = &ray;
     for (int k = 0; can && k < point->num; ++k)
       for (int i = 0; i < 2; ++i)
       {
+        Jet by = slip_by(&tape, &ray, i, k, slip.across);
+        size_t used = tape.used;
         for (int a = 0; a < below->num_dofs; ++a, tape.used = used)
           take(&slip, local.of_sheet[k][a], i,
-               slip_by(&tape, &ray, ray.curves + k, ray.r[k], a, i, k, 1, slip.across));
+               by_dof(&tape, ray.curves + k, ray.r[k], a, 1, by));
         for (int a = 0; a < above->num_dofs; ++a, tape.used = used)
-          take(&slip, local.own[a], i,
-               slip_by(&tape, &ray, &ray.curve, ray.s, a, i, k, -1, slip.across));
+          take(&slip, local.own[a], i, by_dof(&tape, &ray.curve, ray.s, a, -1, by));
       }
   }
   can = can && !tape.failed;

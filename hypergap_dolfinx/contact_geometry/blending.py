@@ -35,6 +35,8 @@ class Blended:
     """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`SpaceColumns` in space."""
     facets: npt.NDArray[np.int32]
     """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
+    beside: npt.NDArray[np.int64]
+    """Vertices and others beside them, ``(2, num_all_pairs)``."""
     num: int
     """Number of Γ1's vertices."""
     size: int
@@ -57,11 +59,7 @@ class Blended:
         self._dq = BLENDS * (dt * rest**2 - 2 * self.t * rest)
         self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self.t)
         hard = (c > 0) & (c < 1)
-        after = np.roll(self.facets, -1, axis=1)
-        both = np.stack((self.facets, after), axis=-1).reshape(-1, 2).astype(np.int64)
-        both = both[hard[both].any(axis=1)]
-        both = np.unique(np.concatenate((both, both[:, ::-1])), axis=0)
-        self.pairs = both[hard[both[:, 0]]].T.copy()
+        self.pairs = self.beside.compress(hard[self.beside[0]], axis=1)
         """Vertices that are covered in part, and others beside them, ``(2, num_pairs)``."""
 
     @cached_property

@@ -99,8 +99,8 @@ class PlaneSegments(Segments[_Seen]):
             if self._last is None:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        sizes = self.num_multipliers, 2 * self.num_dofs
-        return _Seen(u, Blended(found, surfaces[1].facets, *sizes))
+        given = surfaces[1].facets, self.beside, self.num_multipliers, 2 * self.num_dofs
+        return _Seen(u, Blended(found, *given))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

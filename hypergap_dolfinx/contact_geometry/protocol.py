@@ -4,6 +4,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -71,6 +72,14 @@ class Segments[State: Found](ABC):
         """Count."""
         self.num_multipliers = len(self.sides[1].reference.x)
         self.num_dofs = sum(len(side.dofs) for side in self.sides)
+
+    @cached_property
+    def beside(self) -> npt.NDArray[np.int64]:
+        """Vertices of Γ1 and others beside them along facets, ``(2, num_pairs)``."""
+        ring = self.sides[1].reference.polygons
+        pairs = np.stack((ring, np.roll(ring, -1, axis=1)), axis=-1).reshape(-1, 2)
+        pairs = np.unique(np.concatenate((pairs, pairs[:, ::-1])), axis=0)
+        return np.ascontiguousarray(pairs.T, dtype=np.int64)
 
     @classmethod
     def between(cls, sides: Sides, u: Displacements, *args, **options) -> Self:

@@ -37,7 +37,7 @@ round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -75,9 +75,8 @@ class PlaneRays:
     def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, npt.NDArray, Sparse, Sparse]":
         """Gaps, covered shares and lengths of halves; ∂g/∂u, summed over vertices; ∂covered/∂u."""
         g, covered = np.empty((2, self.num_halves))
-        slopes = _Entries(self.num_halves), _Entries(self.num_halves)
         given = self.sigma, g, covered
-        C, by_covered = _filled(slopes, lambda C, K: call("find_gaps", *given, C, K))
+        C, by_covered = _filled(self.num_halves, 2, lambda C, K: call("find_gaps", *given, C, K))
         C = Sparse(self.above.facets.ravel().astype(np.int64)[C.i], C.j, C.values)
         ends, share = self.above.x[self.above.facets], covered.reshape(-1, 2)
         chords = lengths(ends[:, 1] - ends[:, 0])
@@ -86,7 +85,7 @@ class PlaneRays:
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
         given = self.sigma, doubles(p), doubles(by_covered)
-        return _filled([self._square], lambda H: call("gap_curvature", *given, H))[0]
+        return _filled(self._num_dofs, 1, lambda H: call("gap_curvature", *given, H))[0]
 
     def slips(
         self, moved: npt.NDArray[np.float64] | None = None, *, across: bool = False
@@ -98,12 +97,12 @@ class PlaneRays:
             across: True for what Δu adds to gaps of points that stay opposite to each other.
         """
         given = self.sigma, across, None if moved is None else doubles(moved)
-        return _filled([_Entries(self.num_halves)], lambda T: call("find_slips", *given, T))[0]
+        return _filled(self.num_halves, 1, lambda T: call("find_slips", *given, T))[0]
 
     def slip_curvature(self, q: npt.NDArray) -> Sparse:
         """Σ q ∂T/∂u, with values of halves; it isn't symmetric."""
         given = self.sigma, doubles(q)
-        return _filled([self._square], lambda H: call("slip_curvature", *given, H))[0]
+        return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
     def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
         """Quadrilaterals between both sides, to look at.
@@ -119,9 +118,9 @@ class PlaneRays:
         return x[on], halves[on].astype(np.intp)
 
     @property
-    def _square(self) -> "_Entries":
-        sides = self.sigma.sides
-        return _Entries(2 * sum(side.num_edges * side.num_dofs for side in sides))
+    def _num_dofs(self) -> int:
+        """Number of dofs of both sides, all components, at most."""
+        return 2 * sum(side.num_edges * side.num_dofs for side in self.sigma.sides)
 
 
 def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
@@ -213,30 +212,38 @@ class _Entries:
     """A matrix to which C adds entries."""
 
     def __init__(self, num_rows: int):
-        self.num_rows, self.room = num_rows, entries_a_row * num_rows
-        self.made: Any = None
+        self.first = np.empty(num_rows, np.int32)
+        self.enlarge(entries_a_row * num_rows)
 
-    def struct(self):
-        """An empty matrix with room."""
-        self.places, self.values = np.empty((3, self.room), np.int32), np.empty(self.room)
-        rows, columns, following = self.places
-        first = np.full(self.num_rows, -1, np.int32)
-        fields = {"rows": rows, "columns": columns, "next": following, "first": first}
-        self.made = struct("Entries", max=self.room, values=self.values, **fields)
-        return self.made
+    def enlarge(self, room: int):
+        """Make room."""
+        self.places, self.values = np.empty((3, room), np.int32), np.empty(room)
+        fields = dict(zip(("rows", "columns", "next"), self.places, strict=True))
+        fields |= {"values": self.values, "first": self.first}
+        self.struct = struct("Entries", max=room, **fields)
 
 
-def _filled(matrices: Sequence[_Entries], add: Callable) -> list[Sparse]:
+@lru_cache(16)
+def _entries(num_rows: int, number: int) -> _Entries:
+    """Room for a matrix, that of others before: what needs it copies what it found there."""
+    return _Entries(num_rows)
+
+
+def _filled(num_rows: int, num: int, add: Callable) -> list[Sparse]:
     """Matrices to which a function of C added entries, with as much room as they need."""
+    matrices = [_entries(num_rows, number) for number in range(num)]
     while True:
-        check(add(*(matrix.struct() for matrix in matrices)))
-        if all(matrix.made.num <= matrix.room for matrix in matrices):
-            break
         for matrix in matrices:
-            matrix.room = max(matrix.room, matrix.made.num)
+            matrix.struct.num, matrix.first[:] = 0, -1
+        check(add(*(matrix.struct for matrix in matrices)))
+        lacking = [each for each in matrices if each.struct.num > each.struct.max]
+        if not lacking:
+            break
+        for matrix in lacking:
+            matrix.enlarge(matrix.struct.num)
     found = []
     for matrix in matrices:
-        num = matrix.made.num
-        i, j, _ = matrix.places[:, :num].astype(np.int64)
-        found.append(Sparse(i, j, matrix.values[:num]))
+        num = matrix.struct.num
+        i, j = matrix.places[:2, :num].astype(np.int64)
+        found.append(Sparse(i, j, matrix.values[:num].copy()))
     return found

@@ -306,8 +306,8 @@ class SpaceSegments(Segments[_Opposite]):
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
-        sizes = self.num_multipliers, 3 * self.num_dofs
-        return _Opposite(u, found, Blended(found, found.facets, *sizes))
+        given = found.facets, self.beside, self.num_multipliers, 3 * self.num_dofs
+        return _Opposite(u, found, Blended(found, *given))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

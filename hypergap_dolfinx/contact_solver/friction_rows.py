@@ -19,6 +19,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
 from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS, UNTOLD
 from hypergap_dolfinx.surface.moving import Displacements, Sparse
+from hypergap_dolfinx.surface.trace import lengths
 
 
 @dataclass
@@ -122,7 +123,7 @@ class FrictionRows(ContactRows):
 
     def _shortened(self) -> npt.NDArray[np.float64]:
         """Elastic slip: the trial one, no longer than friction allows."""
-        size = np.linalg.norm(self._reach, axis=0)
+        size = lengths(self._reach.T)
         return self._reach * np.minimum(1, self._soft / np.maximum(size, 1e-300))
 
     @property
@@ -173,7 +174,7 @@ class FrictionRows(ContactRows):
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
         if self._carried:  # slip beyond a facet's size
-            size = np.linalg.norm(self.slip, axis=0)
+            size = lengths(self.slip.T)
             slips = size > self._size
             now.sticks &= ~slips
             now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
@@ -206,10 +207,13 @@ class FrictionRows(ContactRows):
         every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(self._n, -1) for v in (y, f))
         closed, sticks, way = states = self._states(y, f, every)
-        error, _, _, least = self.law(y, f, every, states)
         other = (closed != now.active) | (closed & (sticks != now.sticks))
         other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
-        return np.tile(self.valid & other & (np.abs(error) > least).any(axis=0), self._n)
+        other &= self.valid
+        if other.any():
+            error, _, _, least = self.law(y, f, every, states)
+            other &= (np.abs(error) > least).any(axis=0)
+        return self._of_all(other)
 
     def _states(self, y, f, at):
         """What is closed, what sticks, and directions of slip; arguments as :meth:`law`."""
@@ -217,10 +221,10 @@ class FrictionRows(ContactRows):
         closed = f[0] > y[0]
         if self._soft:
             reach = root * self._elastic[:, at] + y[1:]
-            size = np.linalg.norm(reach, axis=0)
+            size = lengths(reach.T)
             return closed, size <= root * self._soft, -reach / np.where(size > 0, size, 1)
         trial = f[1:] - y[1:]
-        size = np.linalg.norm(trial, axis=0)
+        size = lengths(trial.T)
         bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at)
         least, _ = self._least()
         none = np.maximum(EXCEEDS * bound, least[at])
@@ -266,14 +270,14 @@ class FrictionRows(ContactRows):
         across = one - way[:, None] * way
         if self._soft:
             reach, soft = root * self._elastic[:, at] + y[1:], root * self._soft
-            size = np.maximum(np.linalg.norm(reach, axis=0), soft)
+            size = np.maximum(lengths(reach.T), soft)
             error[1:] = f[1:] + bound * reach / size
             by_y[1:, 1:] = bound / size * np.where(sticks, one, across)
             by_f[1:, 1:] = one
             by_f[1:, 0] = slope * reach / size
             least[1:] = none
         else:
-            size = np.linalg.norm(f[1:] - y[1:], axis=0)
+            size = lengths((f[1:] - y[1:]).T)
             turn = np.minimum(bound / np.maximum(size, 1e-300), 1) * across
             error[1:] = np.where(sticks, y[1:], f[1:] - bound * way)
             by_y[1:, 1:] = np.where(sticks, one, turn)
@@ -292,9 +296,10 @@ class FrictionRows(ContactRows):
         num, now = len(self.g), self.state
         super().accept(y[:num], f[:num], changed[:num])
         y, f, changed = (v.reshape(self._n, -1) for v in (y, f, changed))
-        _, sticks, way = self._states(y, f, np.arange(num))
-        now.sticks = np.where(changed[0], sticks, now.sticks)
-        now.way = np.where(changed[0], way, now.way)
+        if changed.any():
+            _, sticks, way = self._states(y, f, np.arange(num))
+            now.sticks = np.where(changed[0], sticks, now.sticks)
+            now.way = np.where(changed[0], way, now.way)
         now.q = np.where(now.active, f[1:], 0) * self._per_unit
 
     @property
@@ -337,7 +342,7 @@ class FrictionRows(ContactRows):
     @property
     def holds_too_much(self) -> bool:
         """True if traction exceeds friction where sticking alone holds a body."""
-        size = np.linalg.norm(self.state.q, axis=0)
+        size = lengths(self.state.q.T)
         bound, _ = self._bounds(self.state.p)
         none = max(EXCEEDS * bound.max(initial=0), self._zero)
         return bool((size - bound)[self.stuck].max(initial=0) > none)

@@ -94,7 +94,7 @@ class LinearisedContact:
         self._root = float(np.sqrt(stiffness))
         self._comm = rows[0].spaces[0].mesh.comm
         self._on = np.concatenate([part.is_in for part in rows])
-        self._ends = np.cumsum([part.num_unknowns for part in rows])[:-1]
+        self._ends = np.cumsum([0, *(part.num_unknowns for part in rows)])
 
     def solve(
         self,
@@ -288,7 +288,7 @@ class LinearisedContact:
 
     def _split(self, values: npt.NDArray) -> list[npt.NDArray]:
         """Values by contact."""
-        return np.split(values, self._ends)
+        return [values[a:b] for a, b in zip(self._ends, self._ends[1:])]
 
     def _found(self, changes, y, f, of, base, *, solved: bool = True) -> Solution:
         changed = np.zeros(len(y), dtype=bool)

@@ -86,6 +86,7 @@ def structs(name: str, each: Iterable[dict[str, Any]]) -> Any:
     return library(_owner(name)).new(f"{name}[]", name, list(each))
 
 
+@cache
 def dtype(name: str) -> np.dtype:
     """NumPy's dtype of a struct of the C without pointers."""
     found = library(_owner(name)).dtype(name)
@@ -137,8 +138,7 @@ class Library:
         slots = self._slots.get(name) or self._find_slots(name, self.ffi.typeof(function).args)
         if len(args) != len(slots):
             raise TypeError(f"{name} takes {len(slots)} arguments, not {len(args)}.")
-        given = (self._given(*pair, kept) for pair in zip(slots.values(), args, strict=True))
-        return function(*given)
+        return function(*[self._given(*pair, kept) for pair in zip(slots.values(), args)])
 
     def new(self, cname: str, name: str, value) -> Any:
         """A struct, or structs, with their arrays."""

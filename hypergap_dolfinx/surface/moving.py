@@ -4,6 +4,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -63,7 +64,7 @@ class MovingSurface:
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
         rest = self.rest
-        nodes = rest.nodes + np.einsum("ma,fai->fmi", self.nodes_by_dofs, u[self.at_facets])
+        nodes = rest.nodes + self.nodes_by_dofs @ u[self.at_facets]
         x = np.empty_like(rest.x)
         x[rest.facets] = nodes[:, self._corners]
         return replace(rest, x=x, nodes=nodes)
