@@ -54,7 +54,7 @@ int64_t multiply(int64_t num_a, const int64_t *rows_a, const int64_t *columns_a,
     for (int64_t k = first_a[r]; k < first_a[r + 1]; ++k)
     {
       int64_t by = order_a[k], row = columns_a[by];
-      for (int64_t l = first_b[row]; l < first_b[row + 1]; ++l)
+      for (int64_t l = first_b[row]; a[by] != 0 && l < first_b[row + 1]; ++l)
       {
         int64_t at = order_b[l], column = columns_b[at];
         if (behind[column] <= start)

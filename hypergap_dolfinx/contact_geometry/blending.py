@@ -39,8 +39,6 @@ class Blended:
     """Vertices and others beside them, ``(2, num_all_pairs)``."""
     num: int
     """Number of Γ1's vertices."""
-    size: int
-    """Number of both sides' dofs, all components."""
 
     def __post_init__(self):
         """Find gaps and weights."""
@@ -81,7 +79,7 @@ class Blended:
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
         S, g = self._slopes, self._g
-        return joined(self.spread(S), self.by_weights(g, g[self.pairs[1]]))
+        return joined(self.L @ S, self.by_weights(g, g[self.pairs[1]]))
 
     def by_weights(self, own: Floats, beside: Floats) -> Sparse:
         """∂L/∂u times values.
@@ -94,8 +92,7 @@ class Blended:
         if not len(a):
             return Sparse.empty()
         sums = np.bincount(a, self._c[b] * beside, self.num)
-        by = self._K.scaled(self._dt * own + self._dq * sums)
-        return joined(by, Sparse(a, b, self._q[a] * beside) @ self._K)
+        return self._matrix(self._dt * own + self._dq * sums, self._q[a] * beside) @ self._K
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
@@ -135,12 +132,13 @@ class Blended:
         H = self.rays.curvature(self.pressures(p)[self.facets], by_half)
         if not len(a) or not p[a].any():
             return H
-        G, K = self.rows(self._slopes), self._K
+        G, K = self._slopes, self._K
         weights = p * self._dt
         np.add.at(weights, b, p[a] * self._q[a])
-        S = joined(Sparse(a, b, self._c[b]) @ G, Sparse(a, b, self._g[b]) @ K)
         bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
-        M = K.T @ joined(G.scaled(weights), S.scaled(p * self._dq), K.scaled(0.5 * p * bends))
+        beside = (p * self._dq)[a]
+        by_g = self._matrix(weights, beside * self._c[b]) @ G
+        M = K.T @ joined(by_g, self._matrix(0.5 * p * bends, beside * self._g[b]) @ K)
         # Of the product of what halves leave uncovered: of each one's by those before it
         halves, pairs = self._halves_of_c
         vertex = self.facets.ravel()[pairs[0]]
@@ -150,18 +148,12 @@ class Blended:
     @cached_property
     def slips(self) -> Sparse:
         """L T: slips of vertices are L T Δu."""
-        return self.spread(self._T)
+        return self.L @ self._T
 
     @cached_property
     def parting(self) -> Sparse:
         """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
-        return self.spread(self._by_vertex(self.rays.slips(across=True)))
-
-    def spread(self, T: Sparse) -> Sparse:
-        """L T."""
-        a, b = self.pairs
-        own = T.scaled(self.t)
-        return joined(own, Sparse(a, b, self.shares) @ self.rows(T)) if len(a) else own
+        return self.L @ self._by_vertex(self.rays.slips(across=True))
 
     @cached_property
     def _T(self) -> Sparse:
@@ -177,22 +169,21 @@ class Blended:
         slopes, T = self._by_vertex(self.rays.slips(moved)), self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
         by_weights = self.by_weights(s, s[self.pairs[1]])
-        return joined(self.spread(slopes), by_weights)
+        return joined(self.L @ slopes, by_weights)
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
         H = self.rays.slip_curvature(self.pressures(q)[self.facets])
         if not q[self.pairs[0]].any():
             return H
-        return joined(H, self.rows(self._T).T @ self.pressure_slopes(q))
+        return joined(H, self._T.T @ self.pressure_slopes(q))
 
     def pressure_slopes(self, p: Floats) -> Sparse:
         """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
         a, b = self.pairs
         own = self._dt * p
         np.add.at(own, b, p[a] * self._q[a])
-        by = Sparse(b, a, p[a] * self._dq[a] * self._c[b])
-        return joined(by @ self._K, self._K.scaled(own))
+        return self._matrix(own, p[a] * self._dq[a] * self._c[b], self.pairs[::-1]) @ self._K
 
     @cached_property
     def _by_own_c(self) -> Floats:
@@ -211,6 +202,17 @@ class Blended:
     def _by_vertex(self, halves: Sparse) -> Sparse:
         """Rows of vertices, sums of their halves'."""
         return Sparse(self.facets.ravel()[halves.i].astype(np.int64), halves.j, halves.values)
+
+    def _matrix(self, own: Floats, beside: Floats, pairs=None) -> Sparse:
+        """A matrix by vertices from its diagonal and from values of pairs."""
+        every = np.arange(self.num)
+        i, j = self.pairs if pairs is None else pairs
+        return Sparse(*map(np.append, (every, every, own), (i, j, beside)))
+
+    @cached_property
+    def L(self) -> Sparse:
+        """The matrix of weights, ``(num, num)``."""
+        return self._matrix(self.t, self.shares)
 
     @cached_property
     def shares(self) -> Floats:
@@ -232,7 +234,8 @@ class Blended:
         np.multiply.at(others, self.facets, np.where(left == 0, 1, left))
         none = self._sums(left == 0)[self.facets] - (left == 0)
         others = np.where(none > 0, 0, others[self.facets] / np.where(left == 0, 1, left))
-        return self.rows(self._by_vertex(Sparse(K.i, K.j, K.values * others.ravel()[K.i])))
+        by = self._by_vertex(Sparse(K.i, K.j, K.values * others.ravel()[K.i]))
+        return by.some(self.near[by.i])
 
     @cached_property
     def near(self) -> npt.NDArray[np.bool_]:
@@ -240,10 +243,6 @@ class Blended:
         near = np.zeros(self.num, dtype=bool)
         near[self.pairs] = True
         return near
-
-    def rows(self, part: Sparse) -> Sparse:
-        """Rows of vertices that are covered in part and of those beside them."""
-        return part.some(self.near[part.i])
 
     @property
     def _halves_of_c(self) -> tuple[Sparse, npt.NDArray[np.intp]]:

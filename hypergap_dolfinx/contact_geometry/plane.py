@@ -99,7 +99,8 @@ class PlaneSegments(Segments[_Seen]):
             if self._last is None:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        given = surfaces[1].facets, self.beside, self.num_multipliers, 2 * self.num_dofs
+        given = surfaces[1].facets, self.beside, self.num_multipliers
+        return _Seen(u, Blended(found, *given))
         return _Seen(u, Blended(found, *given))
 
     @override

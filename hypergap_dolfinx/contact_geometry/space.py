@@ -306,7 +306,8 @@ class SpaceSegments(Segments[_Opposite]):
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
-        given = found.facets, self.beside, self.num_multipliers, 3 * self.num_dofs
+        given = found.facets, self.beside, self.num_multipliers
+        return _Opposite(u, found, Blended(found, *given))
         return _Opposite(u, found, Blended(found, *given))
 
     @override
@@ -317,7 +318,7 @@ class SpaceSegments(Segments[_Opposite]):
     @override
     def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.spread(gaps.rays.parting())
+        return gaps.g, gaps.m, gaps.L @ gaps.rays.parting()
 
     @override
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
