@@ -90,44 +90,18 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
 }
 
 // A component of a point of an edge (k = 0), or of its derivative by s (k = 1).
-static Jet on_curve(Tape *tape, const Curve *curve, int num, const int *numbers, const double *s,
-                    int k, int i)
+static Jet on_curve(Tape *tape, const Curve *curve, int num, const int *numbers, Jet s, int k, int i)
 {
-  int n = tape->n;
-  Jet jet = new_jet(tape);
-  for (size_t v = 1; v < tape->size; ++v)
-    jet[v] = curve->x[k + 1][i] * s[v];
-  jet[0] = curve->x[k][i];
-  if (tape->order > 1)
-  {
-    double *second = jet + 1 + n;
-    for (int v = 1; v <= n; ++v)
-      for (int w = 1; w <= v; ++w)
-        *second++ += curve->x[k + 2][i] * s[v] * s[w];
-    for (int a = 0; a < num; ++a)
-    {
-      int v = 2 * numbers[a] + i;
-      double slope = curve->N[k + 1][a];
-      for (int w = 0; w < n; ++w)
-      {
-        int high = v > w ? v : w, low = v > w ? w : v;
-        jet[1 + n + high * (high + 1) / 2 + low] += (v == w ? 2 : 1) * slope * s[1 + w];
-      }
-    }
-  }
-  if (tape->order > 0)
-    for (int a = 0; a < num; ++a)
-      jet[1 + 2 * numbers[a] + i] += curve->N[k][a];
-  return jet;
+  const double f[] = {curve->x[k][i], curve->x[k + 1][i], curve->x[k + 2][i]};
+  return placed(tape, 1, &s, f, num, numbers, 2, i,
+                (const double *[]){curve->N[k], curve->N[k + 1]});
 }
 
 // A vertex, from another point.
-static Jet vertex_at(Tape *tape, const double *x, const double *origin, int number, int i)
+static Jet vertex_at(Tape *tape, const double *x, const double *origin, const int *number, int i)
 {
-  Jet jet = constant(tape, x[i] - origin[i]);
-  if (tape->order > 0)
-    jet[1 + 2 * number + i] = 1;
-  return jet;
+  return placed(tape, 0, NULL, (double[]){x[i] - origin[i]}, 1, number, 2, i,
+                (const double *[]){(double[]){1}});
 }
 
 // a · b of vectors, and a × b
@@ -250,8 +224,8 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
   Jet a[2], x1[2], xi[2], hidden = NULL;
   for (int i = 0; i < 2; ++i)
   {
-    a[i] = vertex_at(tape, origin, origin, local->own[0], i);
-    Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own[1], i);
+    a[i] = vertex_at(tape, origin, origin, local->own, i);
+    Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own + 1, i);
     ray.c[i] = combined(tape, 1, b, -1, a[i]);
   }
   ray.square = dotted(tape, ray.c, ray.c);
@@ -266,7 +240,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
     Jet d[2];
     for (int i = 0; i < 2; ++i)
     {
-      Jet x = vertex_at(tape, position(below, v), origin, local->of_end[e], i);
+      Jet x = vertex_at(tape, position(below, v), origin, local->of_end + e, i);
       d[i] = combined(tape, 1, x, -1, a[i]);
     }
     xi[e] = quotient(tape, dotted(tape, d, ray.c), ray.square);
@@ -404,16 +378,18 @@ int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered,
         Jet both = combined(&tape, own[e], ray.volume, 2 * by[e], ray.covered);
         sum = combined(&tape, 1, sum, 1, shared(&tape, &ray, both, e));
       }
-    const double *second = sum + 1 + tape.n;
+    *adjoint(&tape, sum) = 1;
+    sweep(&tape, 0);
     for (int v = 0; v < tape.n; ++v)
-      for (int w = 0; w <= v; ++w, ++second)
+      for (int w = 0; w <= v; ++w)
       {
         int i = component_of(&local, v), j = component_of(&local, w);
-        if (*second == 0)
+        double value = tape.second[tape.n * v + w];
+        if (value == 0)
           continue;
-        add(H, i, j, *second);
+        add(H, i, j, value);
         if (v != w)
-          add(H, j, i, *second);
+          add(H, j, i, value);
       }
   }
   can = can && !tape.failed;

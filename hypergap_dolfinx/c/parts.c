@@ -158,9 +158,8 @@ static Vec point_on(Tape *tape, const Set *set, int side, int f, const int *numb
   const Facets *facets = set->of->sides + side;
   const int *dofs = set->of->dofs[side] + (size_t)facets->num_dofs * f;
   int num = facets->num_terms, n = facets->num_dofs, order = tape->order;
-  int num_rows = order < 1 ? 1 : order < 2 ? 3 : 6;
-  double N[6][n], x[6][3];
-  memset(x, 0, sizeof(x));
+  int num_s = moves && order ? 2 : 0, num_rows = !num_s ? 1 : order < 2 ? 3 : 6;
+  double N[6][n], x[3][6] = {{0}};
   for (int r = 0; r < num_rows; ++r)
   {
     double terms[num];
@@ -168,37 +167,18 @@ static Vec point_on(Tape *tape, const Set *set, int side, int f, const int *numb
     const double *factors = facets->factors + (size_t)3 * num * f;
     for (int t = 0; !moved && t < num; ++t)
       for (int c = 0; c < 3; ++c)
-        x[r][c] += terms[t] * factors[3 * t + c];
+        x[c][r] += terms[t] * factors[3 * t + c];
     for (int a = 0; moved && a < n; ++a)
       for (int c = 0; c < 3; ++c)
-        x[r][c] += N[r][a] * moved[3 * dofs[a] + c];
+        x[c][r] += N[r][a] * moved[3 * dofs[a] + c];
   }
   Vec found;
   for (int c = 0; c < 3; ++c)
   {
-    Jet jet = constant(tape, x[0][c]), second = jet + 1 + tape->n;
     if (!d && !moved)
-      jet[0] += facets->origins[3 * f + c] - set->origin[c];
-    for (size_t v = 1; moves && v < tape->size; ++v)
-      jet[v] = x[1][c] * moves[0][v] + x[2][c] * moves[1][v];
-    if (moves)
-    {
-      add_outer(tape, x[3][c] / 2, moves[0], moves[0], jet);
-      add_outer(tape, x[4][c], moves[0], moves[1], jet);
-      add_outer(tape, x[5][c] / 2, moves[1], moves[1], jet);
-    }
-    for (int a = 0; order > 0 && numbers && a < n; ++a)
-    {
-      int v = 3 * numbers[a] + c;
-      jet[1 + v] += N[0][a];
-      for (int w = 0; moves && order > 1 && w < tape->n; ++w)
-      {
-        int high = v > w ? v : w, low = v > w ? w : v;
-        double slope = N[1][a] * moves[0][1 + w] + N[2][a] * moves[1][1 + w];
-        second[high * (high + 1) / 2 + low] += (v == w ? 2 : 1) * slope;
-      }
-    }
-    found.x[c] = jet;
+      x[c][0] += facets->origins[3 * f + c] - set->origin[c];
+    found.x[c] = placed(tape, num_s, moves, x[c], numbers ? n : 0, numbers, 3, c,
+                        (const double *[]){N[0], N[1], N[2]});
   }
   return found;
 }
@@ -617,19 +597,19 @@ static void put_row(const Set *set, int row, double factor, const double *jet, T
       add_triplet(to, row, 3 * set->dofs[k / 3] + k % 3, factor * jet[1 + k]);
 }
 
-static void put_square(const Set *set, const double *jet, Triplets *to)
+static void put_square(const Set *set, const double *second, Triplets *to)
 {
   int n = 3 * set->num_dofs;
-  const double *second = jet + 1 + n;
   for (int v = 0; v < n; ++v)
-    for (int w = 0; w <= v; ++w, ++second)
+    for (int w = 0; w <= v; ++w)
     {
       int i = 3 * set->dofs[v / 3] + v % 3, j = 3 * set->dofs[w / 3] + w % 3;
-      if (*second == 0)
+      double value = second[n * v + w];
+      if (value == 0)
         continue;
-      add_triplet(to, i, j, *second);
+      add_triplet(to, i, j, value);
       if (v != w)
-        add_triplet(to, j, i, *second);
+        add_triplet(to, j, i, value);
     }
 }
 
@@ -756,6 +736,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
   Jet sum = constant(tape, 0), covered = constant(tape, 0);
   double area = 0;
   used = tape->used;
+  size_t num_steps = tape->num_steps;
   for (int k = 0; k < set->num_spots; ++k, tape->used = used)
   {
     Spot *spot = set->spots + k;
@@ -767,6 +748,13 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     }
     Jet part = product(tape, seen.weight, seen.visible);
     Jet volume = product(tape, part, product(tape, seen.up, seen.slope));
+    if (work->p)
+    {
+      *adjoint(tape, volume) += work->p[set->row];
+      *adjoint(tape, part) += work->by[set->row] / whole;
+      sweep(tape, num_steps);
+      continue;
+    }
     area += part[0] * seen.slope[0] / sqrt(plane.square[0]);
     for (size_t v = 0; v < tape->size; ++v)
       sum[v] += volume[v], covered[v] += part[v] / whole;
@@ -779,7 +767,10 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     put_row(set, set->row, 1, covered, work->by_covered);
   }
   else if (work->p)
-    put_square(set, combined(tape, work->p[set->row], sum, work->by[set->row], covered), work->H);
+  {
+    sweep(tape, 0);
+    put_square(set, tape->second, work->H);
+  }
   return !tape->failed;
 }
 
