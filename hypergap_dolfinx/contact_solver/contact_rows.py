@@ -109,6 +109,7 @@ class ContactRows:
         self.start: Displacements | None = None
         """Displacements at the start of the load step; None before the first geometry."""
         self._checked = False  # that the bodies don't start behind each other
+        self._diagonal = 0.0  # of p = 0, the same in all steps: factors are kept while K is
         surface = self.sides[1].reference
         self._n, num = surface.gdim, len(surface.x)
         self._per_vertex = 1
@@ -352,6 +353,7 @@ class ContactRows:
             zero: Pressure treated as zero.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
+        self._diagonal = self._diagonal or stiffness
         now = self.state
         now.active = self.valid & (now.active | (self.distance <= self.closed))
         now.p = np.where(now.active, now.p, 0)
@@ -528,6 +530,8 @@ class ContactRows:
         Args:
             increments: Increments that prescribed displacements of each body have to make, if any.
         """
+        if not self.state.active.any():
+            return self.without_forces()
         n, num, k = self._per_vertex, len(self.g), self._stiffness
         f, give = self._forces, self.give().reshape(n, num)
         error, by_y, by_f = self._first_order(self._scaled(self._lengths) + give * f, f)
@@ -549,7 +553,7 @@ class ContactRows:
         for i, j in np.argwhere(by_f[..., at].any(axis=2)):
             found.append(Sparse(start + num * i + at, start + num * j + at, -k * by_f[i, j, at]))
         off = start + np.flatnonzero(~on)
-        found.append(Sparse(off, off, np.full(len(off), k)))
+        found.append(Sparse(off, off, np.full(len(off), self._diagonal)))
         if self._follows and self.state.opening is not None:
             H = self._curvature()
             H = H.some(self._is_free[H.i] & self._is_free[H.j])
@@ -575,11 +579,11 @@ class ContactRows:
         """The multipliers."""
         return self.state.p
 
-    def without_forces(self, stiffness: float) -> Linear:
+    def without_forces(self) -> Linear:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = len(self._is_free) + np.arange(len(none))
-        return Linear(Sparse(every, every, none + stiffness), none, none)
+        return Linear(Sparse(every, every, none + self._diagonal), none, none)
 
     def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """C applied to motions, over areas, ``(num_multipliers, num)``."""

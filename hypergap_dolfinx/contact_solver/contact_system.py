@@ -518,7 +518,7 @@ class ContactSystem(NonlinearSystem):
 
         Gaps at a body's old place say nothing about its new one.
         """
-        equations = [rows.without_forces(self._stiffness()) for rows in self._rows]
+        equations = [rows.without_forces() for rows in self._rows]
         solution, _ = self._tangent.solve(self._forces_left()[0], equations)
         for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
             x.array[:] -= dx
