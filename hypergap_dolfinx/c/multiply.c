@@ -69,3 +69,14 @@ int64_t multiply(int64_t num_a, const int64_t *rows_a, const int64_t *columns_a,
   free(first_a);
   return num;
 }
+
+// Products with several vectors, added.
+//
+// x, y  (num_x, num_columns) and (num_x, num_rows)
+void apply(int64_t num, const int64_t *rows, const int64_t *columns, const double *values,
+           int64_t num_x, int64_t num_columns, const double *x, int64_t num_rows, double *y)
+{
+  for (int64_t n = 0; n < num_x; ++n, x += num_columns, y += num_rows)
+    for (int64_t k = 0; k < num; ++k)
+      y[rows[k]] += values[k] * x[columns[k]];
+}

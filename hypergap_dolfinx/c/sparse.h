@@ -14,5 +14,7 @@
 int64_t multiply(int64_t num_a, const int64_t *rows_a, const int64_t *columns_a, const double *a,
                  int64_t num_b, const int64_t *rows_b, const int64_t *columns_b, const double *b,
                  int64_t *rows, int64_t *columns, double *values);
+void apply(int64_t num, const int64_t *rows, const int64_t *columns, const double *values,
+           int64_t num_x, int64_t num_columns, const double *x, int64_t num_rows, double *y);
 
 #endif

@@ -68,7 +68,8 @@ class _Laws:
         for rows, *parts in self.parts:
             for by, matrix in zip(parts, (B, A), strict=True):
                 for i, j in np.argwhere(by.any(axis=2)):
-                    found[rows[i]] += by[i, j][:, None] * matrix[rows[j]]
+                    at = by[i, j].nonzero()[0]
+                    found[rows[i, at]] += by[i, j, at, None] * matrix[rows[j, at]]
         return found
 
 
@@ -182,13 +183,10 @@ class LinearisedContact:
 
     def _columns(self, gaps, forces, loads, of) -> tuple[Array, Array]:
         """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each."""
-        both = np.zeros((2, len(self._on), len(of)))
-        for k, x in enumerate(self._tangent.responses(loads, of)):
-            for found, sign, matrix in zip(both, (-1, 1), (forces, gaps), strict=True):
-                values = sign * matrix.values * x[matrix.j]
-                found[:, k] = np.bincount(matrix.i, values, len(self._on))
+        x, num = self._tangent.responses(loads, of), len(self._on)
+        both = np.stack([-forces.products(x, num), gaps.products(x, num)])
         self._comm.Allreduce(MPI.IN_PLACE, both)
-        by_f, by_y = both
+        by_f, by_y = both.swapaxes(1, 2)
         by_f[of, np.arange(len(of))] += ~self._on[of]
         give = np.concatenate([part.give() for part in self._rows])
         return by_f, by_y + give[:, None] * by_f

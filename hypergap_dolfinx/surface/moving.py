@@ -131,6 +131,12 @@ class Sparse:
         rows = np.arange(self.i.max(initial=-1) + 1)
         return Sparse(rows, rows, np.ones(len(rows))) @ self
 
+    def products(self, x: npt.NDArray[np.float64], num: int) -> npt.NDArray[np.float64]:
+        """The matrix of ``num`` rows times each of several vectors, ``(num_vectors, num)``."""
+        found = np.zeros((len(x), num))
+        call("apply", len(self.i), self.i, self.j, self.values, *x.shape, x, num, found)
+        return found
+
     def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
         flat = np.concatenate([part.ravel() for part in values])
