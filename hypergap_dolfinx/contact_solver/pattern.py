@@ -98,6 +98,9 @@ def _product(a: tuple[Ints, Ints], b: tuple[Ints, Ints], num: int) -> tuple[Ints
 
 
 def _sorted(values: Ints) -> Ints:
-    """Distinct values, sorted; ``np.unique`` (by hashing) takes ten times as long."""
-    values = np.sort(values, axis=None)
+    """Distinct values, sorted; ``np.unique`` (by hashing) takes ten times as long.
+
+    Often they are two sorted parts: merging these takes an eighth of the time of sorting.
+    """
+    values = np.sort(values, axis=None, kind="stable")
     return values[np.append(True, values[1:] != values[:-1])[: len(values)]]
