@@ -104,15 +104,10 @@ static Jet vertex_at(Tape *tape, const double *x, const double *origin, const in
                 (const double *[]){(double[]){1}});
 }
 
-// a · b of vectors, and a × b
+// a · b of vectors
 static Jet dotted(Tape *tape, Jet const *a, Jet const *b)
 {
   return combined(tape, 1, product(tape, a[0], b[0]), 1, product(tape, a[1], b[1]));
-}
-
-static Jet wedge(Tape *tape, Jet const *a, Jet const *b)
-{
-  return combined(tape, 1, product(tape, a[0], b[1]), -1, product(tape, a[1], b[0]));
 }
 
 // Reference coordinate of a point of an edge opposite of a place: (x(s) − a) · c = ξ c · c. Newton's
@@ -135,21 +130,6 @@ static Jet met(Tape *tape, const Curve *curve, int num, const int *numbers, doub
     found[0] = s;
   }
   return found;
-}
-
-// A smooth step of (a − from) / width.
-static Jet step_of(Tape *tape, const double *a, double from, double width)
-{
-  double f[3];
-  smooth_step((a[0] - from) / width, f);
-  f[1] /= width, f[2] /= width * width;
-  return composed(tape, a, f);
-}
-
-static Jet root(Tape *tape, const double *a)
-{
-  double value = sqrt(a[0]);
-  return composed(tape, a, (double[]){value, 0.5 / value, -0.25 / (value * a[0])});
 }
 
 // Depth of a point in Γ0's body by what is nearest.
@@ -177,10 +157,10 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
     Jet square = dotted(tape, d, d);
     if (square[0] == 0)
       return constant(tape, 0); // at the node
-    Jet far = root(tape, square);
+    Jet far = power(tape, square, 0.5);
     return scaled(tape, point->sign, far);
   }
-  return quotient(tape, wedge(tape, c, d), root(tape, dotted(tape, c, c)));
+  return product(tape, wedge(tape, c, d), power(tape, dotted(tape, c, c), -0.5));
 }
 
 // Weight of a sheet: NULL if it is 1.
@@ -190,26 +170,25 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
 static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const int *numbers,
                      const double *height, const double *depth)
 {
-  double from = sigma->cosines[0], width = sigma->cosines[1] - from;
   const Curve *curve = ray->curves + k;
   int fades = sigma->sheets[ray->point->first + k].fades;
   Jet t[2], result = NULL;
   double length = hypot(curve->x[1][0], curve->x[1][1]), size = sqrt(ray->square[0]);
   double cos = -(curve->x[1][0] * ray->c[0][0] + curve->x[1][1] * ray->c[1][0]) / (length * size);
-  if (cos >= from + width && !fades)
+  if (cos >= sigma->cosines[1] && !fades)
     return NULL;
   for (int i = 0; i < 2; ++i)
     t[i] = on_curve(tape, curve, sigma->sides[0].num_dofs, numbers, ray->r[k], 1, i);
-  Jet both = root(tape, product(tape, dotted(tape, t, t), ray->square));
-  Jet turned = quotient(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
-  if (cos < from + width)
-    result = step_of(tape, turned, from, width);
+  Jet both = power(tape, product(tape, dotted(tape, t, t), ray->square), -0.5);
+  Jet turned = product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
+  if (cos < sigma->cosines[1])
+    result = step_of(tape, turned, sigma->cosines);
   if (fades)
   {
-    Jet chord = root(tape, ray->square);
+    Jet chord = power(tape, ray->square, 0.5);
     Jet inside = product(tape, combined(tape, -1, depth, -sigma->slack, chord), chord);
     Jet part = quotient(tape, inside, product(tape, height, turned));
-    Jet deep = step_of(tape, part, sigma->nearest[0], sigma->nearest[1] - sigma->nearest[0]);
+    Jet deep = step_of(tape, part, sigma->nearest);
     result = result ? product(tape, result, deep) : deep;
   }
   return result;

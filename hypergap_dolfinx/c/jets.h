@@ -12,9 +12,12 @@
 #ifndef HYPERGAP_JETS_H
 #define HYPERGAP_JETS_H
 
+#include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "vectors.h"
 
 #define JETS_OF_BLOCK 64
 
@@ -269,6 +272,26 @@ static inline Jet quotient(Tape *tape, const double *a, const double *b)
 {
   double inverse = 1 / b[0], square = inverse * inverse;
   return product(tape, a, composed(tape, b, (double[]){inverse, -square, 2 * square * inverse}));
+}
+
+static inline Jet power(Tape *tape, const double *a, double n)
+{
+  double f = pow(a[0], n);
+  return composed(tape, a, (double[]){f, n * f / a[0], n * (n - 1) * f / (a[0] * a[0])});
+}
+
+// a × b
+static inline Jet wedge(Tape *tape, Jet const *a, Jet const *b)
+{
+  return combined(tape, 1, product(tape, a[0], b[1]), -1, product(tape, a[1], b[0]));
+}
+
+// A smooth step from 0 to 1 between two values
+static inline Jet step_of(Tape *tape, const double *a, const double *ends)
+{
+  double f[3];
+  smooth_step(a[0], ends, f);
+  return composed(tape, a, f);
 }
 
 #endif

@@ -92,33 +92,6 @@ static Vec less(Tape *tape, const Vec *a, const Vec *b)
   return c;
 }
 
-static Jet wedge(Tape *tape, Jet const *a, Jet const *b)
-{
-  return combined(tape, 1, product(tape, a[0], b[1]), -1, product(tape, a[1], b[0]));
-}
-
-static Jet power(Tape *tape, const double *a, double n)
-{
-  double f = pow(a[0], n);
-  return composed(tape, a, (double[]){f, n * f / a[0], n * (n - 1) * f / (a[0] * a[0])});
-}
-
-// A step from 0 to 1, once smooth, and its two derivatives.
-static void smoothed(double a, const double *ends, double *f)
-{
-  double width = ends[1] - ends[0], t = (a - ends[0]) / width;
-  f[0] = t >= 1, f[1] = f[2] = 0;
-  if (t > 0 && t < 1)
-    f[0] = t * t * (3 - 2 * t), f[1] = 6 * t * (1 - t) / width, f[2] = (6 - 12 * t) / (width * width);
-}
-
-static Jet step_of(Tape *tape, const double *a, const double *ends)
-{
-  double f[3];
-  smoothed(a[0], ends, f);
-  return composed(tape, a, f);
-}
-
 static double derivative(int power, int k, double x)
 {
   double f = k > power ? 0 : 1;

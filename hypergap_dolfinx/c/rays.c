@@ -325,14 +325,13 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
     hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
     hit.height = height_at(frame, cast->below, facing->edge, hit.sheet.r) - start;
     double cos = cosine(frame, cast->below, hit.sheet.edge, hit.sheet.r);
-    smooth_step((cos - sigma->cosines[0]) / (sigma->cosines[1] - sigma->cosines[0]), step);
+    smooth_step(cos, sigma->cosines, step);
     hit.weight = step[0];
     if (hit.weight > 0 && hit.height < 0)
     {
       if (isnan(depth))
         depth = find_foot(cast->below, cast->order, x.x[0], point) + sigma->slack * frame->size;
-      double from = sigma->nearest[0], size = sigma->nearest[1] - from;
-      smooth_step((depth / (-hit.height * cos) - from) / size, step);
+      smooth_step(depth / (-hit.height * cos), sigma->nearest, step);
       hit.weight *= step[0];
       hit.sheet.fades = step[0] < 1;
     }

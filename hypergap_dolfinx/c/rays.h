@@ -34,15 +34,6 @@ static inline double chord(const Side *side, int edge, double *c)
   return sqrt(c[0] * c[0] + c[1] * c[1]);
 }
 
-// A step from 0 to 1, once smooth, and its two derivatives.
-static inline void smooth_step(double t, double *f)
-{
-  int within = t > 0 && t < 1;
-  f[0] = within ? t * t * (3 - 2 * t) : t >= 1;
-  f[1] = within ? 6 * t * (1 - t) : 0;
-  f[2] = within ? 6 - 12 * t : 0;
-}
-
 // An edge at a vertex, and the number of its end there.
 static inline int edge_at(const Side *side, int vertex, int *end)
 {

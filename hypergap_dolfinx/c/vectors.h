@@ -22,6 +22,15 @@ static inline double larger(double a, double b) { return a > b ? a : b; }
 
 static inline double smaller(double a, double b) { return a < b ? a : b; }
 
+// A step from 0 to 1, once smooth, and its two derivatives.
+static inline void smooth_step(double a, const double *ends, double *f)
+{
+  double width = ends[1] - ends[0], t = (a - ends[0]) / width;
+  f[0] = t >= 1, f[1] = f[2] = 0;
+  if (t > 0 && t < 1)
+    f[0] = t * t * (3 - 2 * t), f[1] = 6 * t * (1 - t) / width, f[2] = (6 - 12 * t) / (width * width);
+}
+
 static inline double dot(const double *a, const double *b)
 {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

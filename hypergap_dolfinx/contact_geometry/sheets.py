@@ -39,8 +39,8 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     INSIDE,
     LAST,
     NEAREST,
+    ROUND_OFF_FACET,
     SLACK,
-    SLIVER,
     WIDTH,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct
@@ -134,7 +134,7 @@ def sort_out(
     num = len(frames.middle)
     whole = polygon_areas(reference_corners(frames.surfaces[1].geometry.cell_type)[None])[0]
     area = np.bincount(f1[first], pieces.area[first], num)
-    faded = area < (1 - SLIVER) * whole
+    faded = area < (1 - ROUND_OFF_FACET) * whole
     faded[f1[first & (least < 1)]] = True
     return first & ~faded[f1], seen & faded[f1]
 
@@ -177,7 +177,7 @@ class Faded:
             inside=list(INSIDE),
             nearest=list(NEAREST),
             slack=SLACK,
-            sliver=SLIVER,
+            sliver=ROUND_OFF_FACET,
             least=WIDTH**2,
             last=LAST,
             num_triangles=len(body.corners),

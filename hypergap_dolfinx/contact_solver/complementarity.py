@@ -5,7 +5,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import BLOCKS, PIVOT
+from hypergap_dolfinx.contact_solver.tolerances import PIVOT, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -35,8 +35,8 @@ def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.b
     the last one, until there is less (Murty's rule, finite for a P-matrix).
     """
     num = len(b)
-    on, fewest, left = b < -zero, num + 1, BLOCKS
-    for _ in range(BLOCKS * (num + 1)):
+    on, fewest, left = b < -zero, num + 1, TRIALS
+    for _ in range(TRIALS * (num + 1)):
         z, part = np.zeros(num), M[np.ix_(on, on)]
         try:
             z[on], probe = np.linalg.solve(
@@ -54,7 +54,7 @@ def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.b
         if not count:
             return np.maximum(z, 0), on
         if count < fewest:
-            fewest, left = count, BLOCKS
+            fewest, left = count, TRIALS
         elif left:
             left -= 1
         else:
@@ -72,7 +72,7 @@ def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bo
     table = np.hstack((np.eye(num), -M, -np.ones((num, 1)), b[:, None]))
     basis, enters, extra = np.arange(num), 2 * num, 2 * num
     row = int(b.argmin())
-    for _ in range(BLOCKS * (num + 1) ** 2):
+    for _ in range(TRIALS * (num + 1) ** 2):
         table[row] /= table[row, enters]
         factors = table[:, enters].copy()
         factors[row] = 0

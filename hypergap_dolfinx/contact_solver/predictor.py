@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, owned_values
-from hypergap_dolfinx.contact_solver.tolerances import HOLDS, ROTATION_ZERO, TOGETHER
+from hypergap_dolfinx.contact_solver.tolerances import HOLDS, TOGETHER
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class RigidMotion:
     @property
     def turns(self) -> bool:
         """True if it has a rotation."""
-        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > ROTATION_ZERO)
+        return bool(np.linalg.norm(self.turn - np.eye(len(self.end))) > HOLDS)
 
     def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Displacements of points, ``(num, n)`` each."""
@@ -120,4 +120,4 @@ def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
     """True if two motions rotate together rather than against each other."""
     one = np.eye(len(a.end))
     most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
-    return bool(most > ROTATION_ZERO and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)
+    return bool(most > HOLDS and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)
