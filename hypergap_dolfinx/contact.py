@@ -21,13 +21,13 @@ from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
-    owned_values,
     rows_of,
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
+from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
@@ -437,7 +437,7 @@ class Contact:
         on_body = self._on_body(on)
         rows = self._solved_at(u0, u1)
         if rows is None:
-            free = [np.zeros(len(owned_values(u)), dtype=bool) for u in (u0, u1)]
+            free = [np.zeros(owned_values(u).shape, dtype=bool) for u in (u0, u1)]
             rows = ContactRows(ContactPair(self, (u0, u1), (0, 1)), free)
             rows.update_geometry()
         opening = self._opening(rows)
@@ -454,7 +454,7 @@ class Contact:
         numbers = set(self._comm.allgather(-1 if rows is None else rows.number))
         if rows is None or len(numbers) > 1:
             return None
-        now = rows.displacements([owned_values(u) for u in (u0, u1)])
+        now = rows.displacements([u.x.array for u in (u0, u1)])
         return rows if all(map(np.array_equal, now, rows.u)) else None
 
     def _on_body(self, on: str) -> bool:

@@ -142,7 +142,7 @@ class Blended:
         # Of the product of what halves leave uncovered: of each one's by those before it
         halves, pairs = self._halves_of_c
         vertex = self.facets.ravel()[pairs[0]]
-        B = halves.T @ (Sparse(*pairs, -(by_c * self._left)[vertex]) @ halves)
+        B = halves.T @ (Sparse(pairs[0], pairs[1], -(by_c * self._left)[vertex]) @ halves)
         return joined(H, M, M.T, B, B.T)
 
     @cached_property

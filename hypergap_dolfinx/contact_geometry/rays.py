@@ -218,9 +218,9 @@ class _Entries:
     def enlarge(self, room: int):
         """Make room."""
         self.places, self.values = np.empty((3, room), np.int32), np.empty(room)
-        fields = dict(zip(("rows", "columns", "next"), self.places, strict=True))
-        fields |= {"values": self.values, "first": self.first}
-        self.struct = struct("Entries", max=room, **fields)
+        rows, columns, following = self.places
+        fields = {"rows": rows, "columns": columns, "next": following, "first": self.first}
+        self.struct = struct("Entries", max=room, values=self.values, **fields)
 
 
 @lru_cache(16)

@@ -137,24 +137,22 @@ class ContactRows:
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
-    def displacements(self, u: Sequence[npt.NDArray[np.float64]]) -> Displacements:
+    def displacements(self, u: Sequence[npt.NDArray[np.float64] | None]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
 
         Args:
-            u: This rank's owned values on Γ0's and Γ1's space, ``(num_dofs,)``.
+            u: This rank's values on Γ0's and Γ1's space, the owned ones first; None for zero.
         """
         u0, u1 = (np.zeros((len(side.dofs), self._n)) for side in self.sides)
         for values, part, (mine, dofs) in zip((u0, u1), u, self._owned_dofs, strict=True):
-            values[mine] = part[dofs].reshape(-1, self._n)
-            self._comm.Allreduce(MPI.IN_PLACE, values)
+            if part is not None:
+                values[mine] = part[dofs].reshape(-1, self._n)
+                self._comm.Allreduce(MPI.IN_PLACE, values)
         return u0, u1
 
     def from_bodies(self, values: Sequence[npt.NDArray[np.float64]]) -> Displacements:
         """Values of each body at both sides' dofs, 0 on a rigid one. Collective."""
-        pairs = zip(self.bodies, self.fields, strict=True)
-        return self.displacements(
-            [np.zeros_like(owned_values(f)) if b is None else values[b] for b, f in pairs]
-        )
+        return self.displacements([None if b is None else values[b] for b in self.bodies])
 
     # Changes of the state
 
@@ -178,7 +176,7 @@ class ContactRows:
         Raises:
             InterfaceError: There is no Σ, though the sides face each other.
         """
-        self.u = self.displacements([owned_values(f) for f in self.fields])
+        self.u = self.displacements([f.x.array for f in self.fields])
         if self.start is None:
             self.start = self.u
         g, m, C = self._find()
@@ -645,12 +643,6 @@ def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface])
     tied = [list(map(ending, tie.spaces, map(MovingSurface, tie.surfaces))) for tie in interfaces]
     for rows, found in zip(contacts, condensations(sides, tied), strict=True):
         rows.condensed_to = found
-
-
-def owned_values(u: fem.Function) -> npt.NDArray[np.float64]:
-    """This rank's owned values, ``(num_dofs,)``."""
-    dofmap = u.function_space.dofmap
-    return u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, owned_values
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.contact_solver.tolerances import HOLDS, TOGETHER
 
 
@@ -101,7 +101,7 @@ def motions_of(
         Both motions, and the distance in facet sizes, infinite if one is undetermined.
     """
     assert rows.start is not None
-    now = rows.displacements([owned_values(f) for f in rows.fields])
+    now = rows.displacements([f.x.array for f in rows.fields])
     x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
     found: list[RigidMotion | None] = []
     for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A surface that moves with its body: displaced facets as functions of the body's dofs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -137,7 +138,7 @@ class Sparse:
         call("apply", len(self.i), self.i, self.j, self.values, *x.shape, x, num, found)
         return found
 
-    def times(self, values: Displacements, num: int) -> npt.NDArray[np.float64]:
+    def times(self, values: Sequence[npt.NDArray[np.float64]], num: int) -> npt.NDArray[np.float64]:
         """The matrix of ``num`` rows times values at both sides' dofs, ``(num,)``."""
         flat = np.concatenate([part.ravel() for part in values])
         found = np.bincount(self.i, self.values * flat[self.j], num)
