@@ -56,7 +56,7 @@ static void add_slip(const double *q, const Across *a, const double *e, const do
 // Slips by motions at rays, as vectors that are multiplied with those of q.
 //
 // block    number of each ray's block, (num)
-// e        a direction each, (num, 3)
+// e        a direction
 // moves    of blocks' dofs, if these are where they have come to: then by q as well,
 //          (num_blocks, n, 3); or NULL
 // by_q     (num, VECTORS, 3)
@@ -65,7 +65,7 @@ void column_slips(const Rays *rays, const int *block, const double *e, const dou
 {
   int num0 = rays->num_dofs[0], n = num0 + rays->num_dofs[1];
   memset(by_q, 0, (size_t)SIZE * rays->num * sizeof(double));
-  for (int p = 0; p < rays->num; ++p, e += 3, by_q += SIZE)
+  for (int p = 0; p < rays->num; ++p, by_q += SIZE)
   {
     const double *q = rays->q + SIZE * p, *values = rays->functions + (size_t)3 * n * p;
     Across a = across_of(q);

@@ -120,7 +120,7 @@ class Rays:
 
         Args:
             block: Number of each ray's pair of facets, ``(num,)``.
-            e: A direction each, ``(num, 3)``.
+            e: A direction, ``(3,)``.
             moves: Motions of the pairs' dofs, ``(num_pairs, num_dofs, 3)``. If given, the result is
                 the derivative by q of slips whose motions change with the positions of the dofs.
 

@@ -101,14 +101,6 @@ class SpaceColumns:
         return self.facets[self.pieces.facets[1], self.pieces.part].astype(np.intp)
 
     @cached_property
-    def is_faded(self) -> npt.NDArray[np.bool_]:
-        """Mask of Γ1's vertices with faded facets, ``(num_vertices,)``."""
-        result = np.zeros(self.size[0], dtype=bool)
-        if self.faded:
-            result[self.facets[self.faded.facets]] = True
-        return result
-
-    @cached_property
     def size(self) -> tuple[int, int]:
         """Numbers of Γ1's vertices and of both sides' dofs."""
         return len(self.frames.surfaces[1].x), sum(len(side.dofs) for side in self.sides)
@@ -170,18 +162,16 @@ class SpaceColumns:
             edges.add_kinks(pair[edges.piece], factor, blocks)
         return joined(H, merged(dofs, dofs, blocks, (self.size[1],) * 2, symmetric=True))
 
-    def slips(self, on, e, moved: Floats | None = None) -> Sparse:
-        """Slips of columns along directions: T, or ∂s/∂u if Δu moves with u.
+    def slips(self, on, moved: Floats | None = None) -> Sparse:
+        """Slips of columns and of all faded parts: T, or ∂s/∂u if Δu moves with u.
 
         Args:
             on: Mask of Γ1's vertices whose columns count, ``(num,)``.
-            e: Directions of vertices, ``(num, k, 3)``.
             moved: Δu by both sides' dofs, ``(num_dofs, 3)``, if it moves with u.
 
         Returns:
-            Rows k a + i of vertices a.
+            Three components of vertices a, rows 3 a + i.
         """
-        num, num_e = e.shape[:2]
         some = np.flatnonzero(on[self.vertex])
         points, vertex = self.on_some(some), self.vertex[some]
         number = np.zeros(len(self.vertex), dtype=np.intp)
@@ -189,26 +179,14 @@ class SpaceColumns:
         piece, weights = number[self.piece[points]], self.weights[points]
         dofs = self.dofs(*(facet[some] for facet in self.pieces.facets))
         moves = None if moved is None else moved[dofs]
-        along, rays = e[vertex], self.rays.some(points)
-        blocks = np.zeros((num_e * len(some), dofs.shape[1], 3))
-        for k in range(num_e):
-            by_q = rays.slips(piece, along[piece, k], moves)
-            rays.add_by_dofs(num_e * piece + k, weights, by_q, blocks)
-        rows = num_e * vertex[:, None] + np.arange(num_e)
+        rays, blocks = self.rays.some(points), np.zeros((3 * len(some), dofs.shape[1], 3))
+        for k, e in enumerate(np.eye(3)):
+            by_q = rays.slips(piece, e, moves)
+            rays.add_by_dofs(3 * piece + k, weights, by_q, blocks)
+        rows = 3 * vertex[:, None] + np.arange(3)
         blocks = blocks.reshape(*rows.shape, dofs.shape[1], 1, 3)
-        return merged(rows, dofs, blocks, (num_e * num, self.size[1]))
-
-    def vector_slips(self, on, moved: Floats | None = None) -> Sparse:
-        """Slips of some vertices' columns and all faded parts, three components a vertex.
-
-        Args:
-            on: As for :meth:`slips`.
-            moved: Likewise.
-        """
-        T = self.slips(on, np.tile(np.eye(3), (self.size[0], 1, 1)), moved)
-        if not self.faded:
-            return T
-        return joined(T, self._by_vertex(self.faded.slips(moved), 3))
+        T = merged(rows, dofs, blocks, (3 * self.size[0], self.size[1]))
+        return joined(T, self._by_vertex(self.faded.slips(moved), 3)) if self.faded else T
 
     def slip_curvature(self, traction: Floats) -> Sparse:
         """∂(Tᵀq)/∂u from tractions of vertices, ``(num, 3)``; it isn't symmetric."""
@@ -350,19 +328,12 @@ class SpaceSegments(Segments[_Opposite]):
         """T, or ∂s/∂u if Δu moves with u, of some vertices."""
         columns, gaps, num = state.columns, state.gaps, self.num_multipliers
         e = directions(columns.frames)[target]
-        mixed = columns.is_faded | gaps.near
-        T = columns.slips(~mixed & on, e, moved)
-        vertex, k = np.divmod(T.i, 2)
-        parts = [Sparse(num * k + vertex, T.j, T.values)]
-        if not mixed.any():
-            return parts[0]
-        # Others' by three components
-        own, (a, b) = np.flatnonzero(mixed), gaps.pairs
-        by_own, by_others = gaps.t[own, None, None] * e[own], gaps.shares[:, None, None] * e[a]
-        A = [_projection(num, *of) for of in ((own, own, by_own), (a, b, by_others))]
-        parts.append(joined(*A) @ columns.vector_slips(mixed, moved))
-        if moved is not None:
-            s = columns.vector_slips(mixed).times([moved], 3 * num).reshape(num, 3)
+        every, (a, b) = np.arange(num), gaps.pairs
+        own, others = gaps.t[:, None, None] * e, gaps.shares[:, None, None] * e[a]
+        A = joined(_projection(num, every, every, own), _projection(num, a, b, others))
+        parts = [A @ columns.slips(on | gaps.near, moved)]
+        if moved is not None and len(a):
+            s = columns.slips(gaps.near).times([moved], 3 * num).reshape(num, 3)
             for way in range(2):
                 given = (e[:, way] * s).sum(axis=1), (e[a, way] * s[b]).sum(axis=1)
                 by = gaps.by_weights(*given)
@@ -381,7 +352,7 @@ class SpaceSegments(Segments[_Opposite]):
             return H
         parts = [gaps.pressure_slopes(traction[:, i]) for i in range(3)]
         by = joined(*(Sparse(3 * S.i + i, S.j, S.values) for i, S in enumerate(parts)))
-        return joined(H, columns.vector_slips(gaps.near).T @ by)
+        return joined(H, columns.slips(gaps.near).T @ by)
 
     @override
     def given_over(
