@@ -243,7 +243,7 @@ static void sweep(Tape *tape, size_t first)
   {
     const Step *step = tape->steps + --tape->num_steps;
     const double *x = step->a, *y = step->b, *t = adjoint(tape, step->to);
-    double *a = adjoint(tape, x), *b = adjoint(tape, y);
+    double *a = x ? adjoint(tape, x) : NULL, *b = y ? adjoint(tape, y) : NULL;
     if (step->kind == PLACED)
       sweep_placed(tape, step, t);
     else if (step->kind == PRODUCT)
