@@ -101,7 +101,6 @@ class PlaneSegments(Segments[_Seen]):
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
         given = surfaces[1].facets, self.beside, self.num_multipliers
         return _Seen(u, Blended(found, *given))
-        return _Seen(u, Blended(found, *given))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:

@@ -286,7 +286,6 @@ class SpaceSegments(Segments[_Opposite]):
             )
         given = found.facets, self.beside, self.num_multipliers
         return _Opposite(u, found, Blended(found, *given))
-        return _Opposite(u, found, Blended(found, *given))
 
     @override
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
