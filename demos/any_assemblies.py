@@ -148,7 +148,9 @@ class Body:
         self.exact = fem.Function(self.V)
         k, phase = scene.wave
         self.exact.interpolate(
-            lambda x: np.squeeze(np.sin(k @ x[:dim] + phase[:, None]), axis=() if scene.vector else 0)
+            lambda x: np.squeeze(
+                np.sin(k @ x[:dim] + phase[:, None]), axis=() if scene.vector else 0
+            )
         )
         dofs = fem.locate_dofs_topological(self.V, dim - 1, facets)
         self.bcs = [fem.dirichletbc(self.exact, dofs)]
@@ -241,6 +243,8 @@ def run(seed, dim):
     row["seconds"] = time.process_time() - start
     row["ok"] = row["h1"] is not None and row["h1"] <= WORST
     return row
+
+
 # -
 
 

@@ -3,6 +3,7 @@
 """Facing pieces that overlap in part, cut to their common part."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
-from hypergap_dolfinx.trimming.outlines import differing, locate, meetings
+from hypergap_dolfinx.trimming.outlines import Meetings, Rim, Shared, locate, meetings
 from hypergap_dolfinx.trimming.subdivision import Cut
-from hypergap_dolfinx.trimming.tolerances import SNAP
+from hypergap_dolfinx.trimming.tolerances import NEARLY, OFF_OUTLINES, SNAP
 
 
 def _kept(cut: Cut, other: Side) -> Side | None:
@@ -76,29 +77,44 @@ def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
     )
 
 
-def _meet(cuts: tuple[Cut, Cut], snap: float) -> tuple[dict[int, int], dict[int, int]]:
+def _meet(cuts: tuple[Cut, Cut], shared: Shared) -> tuple[dict[int, int], dict[int, int]]:
     """Make nodes where the outlines meet; for each side, its node at each node of the other."""
-    (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
     twins: tuple[dict[int, int], dict[int, int]] = {}, {}
+
+    def join(nodes):
+        twins[0][nodes[1]], twins[1][nodes[0]] = nodes
+
+    for k in shared.ends:
+        join([cut.put(float(at[k])) for cut, at in zip(cuts, shared.at, strict=True)])
+    for cut in cuts:
+        cut.bend()
+    (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
     if not places0 or not places1:
         return twins
-    met = meetings(edges0, edges1, snap)
+    met = meetings(edges0, edges1, cuts[0].snap)
+    ends = [[twins[0].get(node, -1) for node in place[4:]] for place in places1]
+    apart = [  # from the other's, where edges leave one place
+        set(ends[o]).isdisjoint(places0[e][4:])
+        for e, o in zip(met.edge.tolist(), met.other.tolist(), strict=True)
+    ]
+    met = Meetings(*(np.asarray(part)[apart] for part in vars(met).values()))
     edges, at = [], []
     for places, edge, s in ((places0, met.edge, met.s), (places1, met.other, met.r)):
         own = [places[e] for e in edge.tolist()]
         edges.append([place[:2] for place in own])
-        at.append(np.array([low + t * (high - low) for (*_, low, high), t in zip(own, s)]))
+        at.append(np.array([low + t * (high - low) for (_, _, low, high, *_), t in zip(own, s)]))
     some = np.flatnonzero((met.s > 0) & (met.s < 1) & (met.r > 0) & (met.r < 1))
     if len(some) and any(cut.side.surface.curved.any() for cut in cuts):
         arcs = [cut.arcs([own[i] for i in some]) for cut, own in zip(cuts, edges, strict=True)]
         s, r, good = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
         at[0][some[good]], at[1][some[good]] = s[good], r[good]
     for i in range(len(met.s)):
-        nodes = [
-            cut.on_edge(a, b, float(t[i]))
-            for cut, (a, b), t in zip(cuts, (own[i] for own in edges), at, strict=True)
-        ]
-        twins[0][nodes[1]], twins[1][nodes[0]] = nodes
+        join(
+            [
+                cut.on_edge(a, b, float(t[i]))
+                for cut, (a, b), t in zip(cuts, (own[i] for own in edges), at, strict=True)
+            ]
+        )
     return twins
 
 
@@ -133,21 +149,21 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
         NotFacingError: They have nothing in common.
         InterfaceError: The parts that are left of both don't correspond.
     """
-    alone = differing(side0, side1)
-    if not any(alone):
-        return [(side0, side1)]
-    sides = side0, side1 = side0.in_halves(), side1.in_halves()
-    edges = [
-        np.linalg.norm(side.x[loop] - np.roll(side.x[loop], 1, axis=0), axis=1).mean()
-        for side, loops in zip(sides, alone, strict=True)
-        for loop in loops
-    ]
-    snap *= float(min(edges))
-    cuts = Cut(side0, alone[0], snap), Cut(side1, alone[1], snap)
-    twins = _meet(cuts, snap)
+    sides = side0, side1
+    rims = [[Rim(side, loop) for loop in side.loops()] for side in sides]
+    whole = Shared(rims, OFF_OUTLINES, NEARLY).whole()
+    rims = [[rim for rim, w in zip(*both, strict=True) if not w] for both in zip(rims, whole)]
+    if not any(rims):
+        return [sides]
+    length = np.array([[f(rim.length) for f in (np.mean, np.max)] for own in rims for rim in own])
+    snap *= float(length[:, 0].min())
+    shared = Shared(rims, snap / length[:, 1].max(), 0.0)
+    sides = side0.in_halves(), side1.in_halves()
+    cuts = tuple(Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1))
+    twins = _meet(cuts, shared)
     outlines = [cut.outline() for cut in cuts]
     for i in (0, 1):
-        cuts[i].follow(cuts[1 - i], outlines[1 - i], twins[i])
+        cuts[i].follow(cuts[1 - i], outlines[i], outlines[1 - i], twins[i])
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
         raise NotFacingError(

@@ -3,6 +3,7 @@
 """Outlines of two surfaces in space: which differ, and where they cross or touch."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -10,67 +11,123 @@ import numpy.typing as npt
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
+from hypergap_dolfinx.trimming.curved_outlines import Arcs
 from hypergap_dolfinx.trimming.tolerances import (
     AWAY,
+    CORNER_OUTLINE,
     INSIDE_WEIGHT,
     LEVEL,
-    NEARLY,
     NEWTON_OUTLINES,
-    OFF_OUTLINES,
+    SAGS,
 )
 
 
 class Rim:
-    """A boundary loop of a piece."""
+    """A boundary loop of a piece as a polygon through the nodes of its geometry."""
 
     def __init__(self, side: Side, loop: npt.NDArray[np.intp]):
-        """A piece, and the nodes of a loop in either direction."""
-        self.x = side.x[loop]  # (edge, 3)
+        """A piece, and the vertices of a loop around it."""
+        self.side = side
+        n, degree = len(loop), side.surface.geometry.degree
+        ends = np.column_stack((loop, np.roll(loop, -1)))
+        curved = np.zeros(n, dtype=bool)
+        if degree > 1:
+            f, k = np.nonzero(side.behind < 0)
+            beside = np.empty(len(side.x), dtype=np.intp)  # the triangle at each edge, by its start
+            beside[side.triangles[f, k]] = f
+            triangle = beside[loop]
+            curved = side.surface.curved[side.facets[triangle]]
+        self.num = np.where(curved, degree, 1)  # of this polygon's edges on each of the loop's
+        self.base = np.cumsum(self.num) - self.num
+        self.edge = np.repeat(np.arange(n), self.num)  # the loop's edge that each is part of
+        self.s = (np.arange(self.num.sum()) - self.base[self.edge]) / self.num[self.edge]
+        self.ends = ends
+        self.x = side.x[ends[self.edge, 0]]
+        inner = np.flatnonzero(self.s)
+        normals = side.vertex_normals[ends[self.edge]]
+        self.normal = (1 - self.s)[:, None] * normals[:, 0] + self.s[:, None] * normals[:, 1]
+        if len(inner):
+            arcs = Arcs.between(side, triangle[self.edge[inner]], ends[self.edge[inner]])
+            self.x[inner] = arcs.at(self.s[inner])[0]
         self.t = np.roll(self.x, -1, axis=0) - self.x
         self.length = np.linalg.norm(self.t, axis=1)
-        self.normal = side.vertex_normals[loop]
-        # The sagitta of an arc is an eighth of its length times its turn; larger turns than in a
-        # pentagon are corners, where both outlines have a node
+        # Of the polygon in the surface: a curve goes on turning, a corner or a ragged outline don't
         unit = self.t / self.length[:, None]
-        turn = _angle(unit, np.roll(unit, -1, axis=0))
-        turn[turn > CORNER] = 0
-        self.sag = self.length * np.maximum(turn, np.roll(turn, 1)) / 8
-        self.bend = np.maximum(
-            _angle(self.normal, np.roll(self.normal, 1, axis=0)),
-            _angle(self.normal, np.roll(self.normal, -1, axis=0)),
-        )
+        before = np.roll(unit, 1, axis=0)
+        turn = np.arctan2(_dot(self.normal, np.cross(before, unit)), _dot(before, unit))
+        curvature = 2 * np.abs(turn) / (self.length + np.roll(self.length, 1))
+        corner, going = np.abs(turn) > CORNER_OUTLINE, np.zeros(len(turn))
+        for k in (-1, 1):
+            same = np.roll(corner, k) | (turn * np.roll(turn, k) > 0)
+            going = np.maximum(going, np.where(same, np.roll(curvature, k), 0))
+        curvature = np.where(corner, 0, np.minimum(curvature, going))
+        self.curvature = np.max([np.roll(curvature, k) for k in (-1, 0, 1)], axis=0)
+        self._tilts = self._around()
+
+    def place(self, place: float) -> tuple[int, int, float]:
+        """Vertices of an edge and a parameter on it, from a node's number and the one behind it."""
+        k = int(place)
+        a, b = self.ends[e := self.edge[k]].tolist()
+        return a, b, float(self.s[k] + (place - k) / self.num[e])
+
+    def _around(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Normals of triangles at the polygon's nodes, and of those beside them.
+
+        Returns:
+            Normals one after the other, and where those of each node start.
+        """
+        side, loop = self.side, self.ends[:, 0]
+        number = np.full(len(side.x), -1)
+        number[loop] = np.arange(len(loop))
+        f, k = np.nonzero(number[side.triangles] >= 0)
+        own = number[side.triangles[f, k]]
+        triangles = np.column_stack((f, side.behind[f]))
+        triangles = np.where(triangles < 0, f[:, None], triangles)
+        order = np.argsort(own, kind="stable")
+        starts = np.searchsorted(own[order], np.arange(len(loop)))
+        normals = side.normals[triangles[order]].reshape(-1, 3)
+        return normals, 4 * starts
+
+    def tilt(self, nodes, across) -> npt.NDArray[np.float64]:
+        """Largest angles by which the surface beside nodes is inclined in some directions."""
+        normals, starts = self._tilts
+        edge = self.edge[nodes]
+        count = np.diff(np.append(starts, len(normals)))[edge]
+        first = np.cumsum(count) - count
+        each = np.repeat(np.arange(len(edge)), count)
+        at = np.arange(len(each)) - first[each] + starts[edge][each]
+        sine = np.abs(_dot(normals[at], across[each]))
+        return np.arcsin(np.minimum(np.maximum.reduceat(sine, first), 1))
 
     def off(self, other: "Rim"):
-        """Distances of its nodes from another one, less what the bend of the surfaces explains.
+        """Distances of its nodes from another one, less what the meshes can't know.
+
+        Of one curve polygons through nodes on it are off by their sag, as far as both turn. Across
+        a gap they are off as far as normals are uncertain.
 
         Returns:
             The nearest edge, the parameter on it, from 0 to 1, and the distance; the nearest node
             and its distance; all ``(num_nodes,)``, distances in lengths of edges.
         """
         there = on_loop(self.x, other.x)
-        edge = there.edge
-        height, distance = _along(there.apart, other.normal[edge])
-        # A gap is allowed; its direction is known up to the angle between neighbouring normals
-        explained = 2 * np.maximum(self.sag, other.sag[edge])
-        bend = np.minimum(other.bend[edge] + self.bend, CORNER)
-        explained += height * np.tan(bend)
+        edge, s = there.edge, there.s[:, None]
+        after = (edge + 1) % len(other.x)
+        t = other.t[edge] / other.length[edge, None]
+        n = self.normal - (1 - s) * other.normal[edge] - s * other.normal[after]
+        n -= _dot(n, t)[:, None] * t
+        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+        height, distance = _along(there.apart, n)
+        m = np.cross(t, n)
+        tilt = self.tilt(np.arange(len(self.x)), m)
+        tilt += np.maximum(other.tilt(edge, m), other.tilt(after, m))
+        curvature = np.maximum(other.curvature[edge], other.curvature[after])
+        explained = SAGS / 8 * np.minimum(self.curvature, curvature) * other.length[edge] ** 2
+        explained += height * np.tan(np.minimum(tilt, CORNER))
+        explained = np.minimum(explained, AWAY * other.length[edge])
         length = np.maximum(self.length, other.length[edge])
-        explained = np.minimum(explained, AWAY * length)
-        apart = self.x - other.x[there.node]
-        to_node = _along(apart, other.normal[there.node])[1] / length
-        return edge, there.s, (distance - explained) / length, there.node, to_node
-
-    def is_on(self, other: "Rim") -> bool:
-        """True if its nodes lie on another one's edges, up to the bend of the surfaces.
-
-        Outlines of facing surfaces run in opposite directions; equal directions mean that the
-        surfaces lie beside each other.
-        """
-        edge, s, off, nearest, to_node = self.off(other)
-        if is_along(self.x, other.x, edge, s):
-            return False
-        paired = len(np.unique(nearest)) == len(self.x) == len(other.x)
-        return bool(off.max() <= OFF_OUTLINES) or (paired and bool(to_node.max() <= NEARLY))
+        to_node = _along(self.x - other.x[there.node], n)[1]
+        off = (distance - explained) / length
+        return edge, there.s, off, there.node, (to_node - explained) / length
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:
@@ -89,31 +146,104 @@ def is_along(x, y, edge, s, some=slice(None)) -> bool:
     return bool(np.einsum("ni,ni->", ways[0][some], other) > 0)
 
 
-def _angle(a, b) -> npt.NDArray[np.float64]:
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ei,ei->e", a, b))
-
-
 def _along(apart, normal):
     """Lengths of vectors' parts along normals and across them."""
     height = np.einsum("pi,pi->p", apart, normal)
     return np.abs(height), np.linalg.norm(apart - height[:, None] * normal, axis=1)
 
 
-def differing(side0: Side, side1: Side) -> tuple[list[npt.NDArray[np.intp]], ...]:
-    """Loops of each side without a counterpart on the other one."""
-    loops = [side.loops() for side in (side0, side1)]
-    rims = [
-        [Rim(side, loop) for loop in own] for side, own in zip((side0, side1), loops, strict=True)
-    ]
-    left = list(range(len(rims[1])))
-    alone = []
-    for i, rim in enumerate(rims[0]):
-        twin = next((j for j in left if rim.is_on(rims[1][j]) and rims[1][j].is_on(rim)), None)
-        if twin is None:
-            alone.append(loops[0][i])
-        else:
-            left.remove(twin)
-    return alone, [loops[1][j] for j in left]
+class Shared:
+    """Places at which two outlines are one, within what the meshes can't know, and runs between."""
+
+    def __init__(self, rims: tuple[list[Rim], list[Rim]], tolerance: float, paired: float):
+        """Outlines of facing pieces.
+
+        Args:
+            rims: Their loops.
+            tolerance: Distance treated as zero, in lengths of edges.
+            paired: The same of nodes in pairs.
+        """
+        self.sizes = [np.array([len(rim.x) for rim in own], dtype=np.intp) for own in rims]
+        self.starts = [np.cumsum(sizes) - sizes for sizes in self.sizes]
+        found = [self._nearest(rims[i], rims[1 - i], self.starts[1 - i]) for i in (0, 1)]
+        (at0, off0, node0, away0), (at1, off1, node1, away1) = found
+        limit = max(tolerance, paired)
+        pairs = np.flatnonzero(away0 <= limit)
+        pairs = pairs[(node1[node0[pairs]] == pairs) & (away1[node0[pairs]] <= limit)]
+        alone = [np.ones(len(off), dtype=bool) for off in (off0, off1)]
+        alone[0][pairs] = alone[1][node0[pairs]] = False
+        one, other = (np.flatnonzero(a & (off <= tolerance)) for a, off in zip(alone, (off0, off1)))
+        self.at = (
+            np.concatenate((pairs, one, at1[other])).astype(float),
+            np.concatenate((node0[pairs], at0[one], other)).astype(float),
+        )
+        """Places on both outlines: a node's number, and the parameter on the edge behind it."""
+        self._find_runs()
+
+    @staticmethod
+    def _nearest(rims: list[Rim], others: list[Rim], starts):
+        """Nearest place and its distance, nearest node and its distance, of all nodes."""
+        num = sum(len(rim.x) for rim in rims)
+        at, node = np.zeros(num), np.zeros(num, dtype=np.intp)
+        off, away = np.full((2, num), np.inf)
+        start = 0
+        for rim in rims:
+            own = slice(start, start := start + len(rim.x))
+            for other, first in zip(others, starts, strict=True):
+                edge, s, distance, nearest, to_node = rim.off(other)
+                place = first + np.where(s < 1, edge + s, (edge + 1) % len(other.x))
+                better = distance < off[own]
+                at[own][better], off[own][better] = place[better], distance[better]
+                better = to_node < away[own]
+                node[own][better], away[own][better] = first + nearest[better], to_node[better]
+        return at, off, node, away
+
+    def _find_runs(self):
+        """Find places from which both outlines run to the next one without a node between."""
+        num = len(self.at[0])
+        after, straight = np.empty((2, 2, num), dtype=np.intp)
+        self._order = []
+        for i, own in enumerate(self.at):
+            order = np.lexsort((-self.at[1 - i], own))
+            loop = np.searchsorted(self.starts[i], own, side="right") - 1
+            first = np.searchsorted(loop[order], np.arange(len(self.starts[i]) + 1))
+            for low, high in pairwise(first):
+                after[i, order[low:high]] = np.roll(order[low:high], -1)
+            step = (own[after[i]] - own) % self.sizes[i][loop]
+            straight[i] = own + step <= np.floor(own) + 1
+            straight[i] &= (step > 0) | (after[i] != np.arange(num))
+            self._order.append((order, own[order], loop[order]))
+        run = after[1, after[0]] == np.arange(num)
+        self.runs = run & straight[0].astype(bool) & straight[1, after[0]].astype(bool)
+        self.ended = np.zeros(num, dtype=bool)
+        self.ended[after[0, self.runs]] = True
+
+    @property
+    def ends(self) -> npt.NDArray[np.intp]:
+        """Places where a run ends, or none is."""
+        return np.flatnonzero(~(self.runs & self.ended))
+
+    def whole(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Masks of the loops that are runs all around."""
+        found = []
+        for i, (order, _, loop) in enumerate(self._order):
+            run = (self.runs, self.ended)[i][order]
+            num, runs = (
+                np.bincount(loop[some], minlength=len(self.sizes[i])) for some in (..., run)
+            )
+            found.append((num == runs) & (num > 0))
+        return found[0], found[1]
+
+    def is_run(self, i: int, places) -> npt.NDArray[np.bool_]:
+        """Mask of places on outline i that are in a run."""
+        places = np.asarray(places, dtype=float)
+        order, own, loops = self._order[i]
+        loop = np.searchsorted(self.starts[i], places, side="right") - 1
+        first, last = (np.searchsorted(loops, loop, side=side) for side in ("left", "right"))
+        k = np.searchsorted(own, places, side="right") - 1
+        k = np.where(k < first, last - 1, k)
+        run = (self.runs, self.ended)[i]
+        return (last > first) & run[order[k]] if len(order) else np.zeros(len(places), dtype=bool)
 
 
 @dataclass(frozen=True)

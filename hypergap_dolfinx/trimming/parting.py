@@ -157,7 +157,10 @@ def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]
             if len(touching) == 1:
                 raise
             return {(pair, int(g)) for g in touching if g != pair}
-        rims.append([(Rim(side, loop), _beyond(side, group, own, loop)) for loop in loops])
+        own_rims = [Rim(side, loop) for loop in loops]
+        rims.append(
+            [(rim, _beyond(side, group, own, rim.ends[:, 0])[rim.edge]) for rim in own_rims]
+        )
     found = set()
     for i in (0, 1):
         others = rims[1 - i]

@@ -3,7 +3,7 @@
 """A piece of a surface with the other one's outline drawn on it, and its cut triangles."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -15,49 +15,85 @@ from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.trimming.curved_outlines import Arcs, Edge, OutlineCurves
 from hypergap_dolfinx.trimming.delaunay import Cutting
 from hypergap_dolfinx.trimming.insertion import Nodes
-from hypergap_dolfinx.trimming.outlines import Edges, locate
+from hypergap_dolfinx.trimming.outlines import Edges, Rim, locate
 from hypergap_dolfinx.trimming.tolerances import BLUNT, CHORDS, ROUNDS_BLUNT
+
+IsRun = Callable[[npt.ArrayLike], npt.NDArray[np.bool_]]
+
+
+def _chains(loop: list[tuple], twins: dict[int, int]) -> list[list[tuple[int, int]]]:
+    """Pairs of nodes of an outline, turned round, between twins and runs."""
+    first = next((k for k, edge in enumerate(loop) if edge[6] or edge[5] in twins), 0)
+    chains: list[list[tuple[int, int]]] = [[]]
+    for edge in (*loop[first:], *loop[:first]):
+        if edge[6] or edge[5] in twins:
+            chains.append([])
+        if not edge[6]:
+            chains[-1].append((edge[5], edge[4]))
+    return [chain for chain in chains if chain]
 
 
 class Cut(Nodes):
     """A piece with inserted nodes and edges; its own triangles stay until the end."""
 
-    def __init__(self, side: Side, outline: list[npt.NDArray[np.intp]], snap: float):
-        """A piece, with nodes on curved edges of its outline (loops of vertices)."""
+    def __init__(self, side: Side, rims: list[Rim], is_run: IsRun, snap: float):
+        """A piece.
+
+        Args:
+            side: The piece.
+            rims: Loops of its outline, apart from those that are the other's all around.
+            is_run: Tells which places on them are on the other's outline.
+            snap: Distance below which two nodes are one.
+        """
         super().__init__(side, snap)
-        self.loops = [loop.tolist() for loop in outline]
+        self.rims, self.is_run = rims, is_run
+        self.starts = np.cumsum([0] + [len(rim.x) for rim in rims])
         self.segments: dict[int, list[tuple[int, int]]] = defaultdict(list)  # in each triangle
         self.runs: list[tuple[int, int]] = []  # edges along the other's outline
         self.path: list[tuple[int, int]] = []  # the other's outline, its inside on the left
         self.curves: OutlineCurves | None = None  # of it, if it is curved
-        degree = side.surface.geometry.degree
-        for a, b in (pair for loop in self.loops for pair in pairwise([*loop, loop[0]])):
-            if degree > 1 and side.surface.curved[side.facets[self.around(a, b)[0]]]:
-                for s in np.arange(1, CHORDS * degree) / (CHORDS * degree):
-                    self.on_edge(a, b, s)
 
     # The piece's own outline
 
-    def outline(self) -> list[list[int]]:
-        """Loops of nodes."""
-        return [
-            [node for a, b in pairwise([*loop, loop[0]]) for node in self.between(a, b)[:-1]]
-            for loop in self.loops
-        ]
+    def put(self, place: float) -> int:
+        """The node at a place on the outline (of :class:`Shared`), which may be new."""
+        i = int(np.searchsorted(self.starts, place, side="right")) - 1
+        return self.on_edge(*self.rims[i].place(place - self.starts[i]))
 
-    def edges(self) -> tuple[list[tuple], Edges]:
-        """The outline's edges: their parameters on the vertices' edges, and places in space."""
-        places: list[tuple] = []
-        ends: list[tuple[int, int]] = []
-        for loop in self.loops:
-            for a, b in pairwise([*loop, loop[0]]):
-                nodes = self.between(a, b)
+    def bend(self):
+        """Put nodes on curved edges, except in runs."""
+        num = CHORDS * self.side.surface.geometry.degree
+        for rim, start in zip(self.rims, self.starts):
+            for e in np.flatnonzero(rim.num > 1):
+                places = start + rim.base[e] + rim.num[e] * np.arange(1, num) / num
+                for place in places[~self.is_run(places)]:
+                    self.put(place)
+
+    def outline(self) -> list[list[tuple]]:
+        """Loops of edges.
+
+        Each has the vertices of the edge that it is part of, parameters on it and nodes at its
+        start and end, and True if it is in a run.
+        """
+        loops: list[list[tuple]] = []
+        for rim, start in zip(self.rims, self.starts):
+            loops.append([])
+            middles = []
+            for e, (a, b) in enumerate(rim.ends.tolist()):
                 s = [0.0, *(r for r, _ in self.on.get((min(a, b), max(a, b)), [])), 1.0]
                 s = s if a < b else [1 - r for r in s[::-1]]
-                places += [(a, b, *pair) for pair in pairwise(s)]
-                ends += pairwise(nodes)
-        start, normal0 = self.places([a for a, _ in ends])
-        end, normal1 = self.places([b for _, b in ends])
+                nodes = self.between(a, b)
+                loops[-1] += zip(*([c] * (len(s) - 1) for c in (a, b)), s, s[1:], nodes, nodes[1:])
+                middles += [start + rim.base[e] + rim.num[e] * (r + t) / 2 for r, t in pairwise(s)]
+            runs = self.is_run(middles).tolist()
+            loops[-1] = [(*edge, run) for edge, run in zip(loops[-1], runs, strict=True)]
+        return loops
+
+    def edges(self) -> tuple[list[tuple], Edges]:
+        """The outline's edges that aren't in runs, and their places in space."""
+        places = [edge[:6] for loop in self.outline() for edge in loop if not edge[6]]
+        start, normal0 = self.places([place[4] for place in places])
+        end, normal1 = self.places([place[5] for place in places])
         normal = normal0 + normal1
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         return places, Edges(start, end, normal)
@@ -125,28 +161,34 @@ class Cut(Nodes):
             self.segments[triangle].append((u, v))
             self.path.append((u, v))
 
-    def follow(self, other: "Cut", outline: list[list[int]], twins: dict[int, int]):
-        """Draw the part of the other piece's outline that lies inside.
+    def follow(self, other: "Cut", outline, others, twins: dict[int, int]):
+        """Draw the parts of the other piece's outline that lie inside.
 
         Args:
             other: The other piece.
-            outline: Loops of its nodes.
+            outline: The own outline's loops of edges.
+            others: The other piece's.
             twins: Nodes of the own outline at the same place as nodes of the other one.
         """
-        own = {pair for loop in self.outline() for pair in pairwise([*loop, loop[0]])}
-        parts = [pair for loop in outline for pair in pairwise([loop[0], *loop[::-1]])]
+        every = [edge for loop in outline for edge in loop]
+        self.runs += [edge[4:6] for edge in every if edge[6]]
+        own = {edge[4:6] for edge in every}
+        chains = [chain for loop in others for chain in _chains(loop[::-1], twins)]
+        parts = [pair for chain in chains for pair in chain]
         if not parts:
             return
+        (x, n), (y, m) = (other.places([pair[i] for pair in parts]) for i in (0, 1))
+        length = np.linalg.norm(x - y, axis=1)
+        length[locate(self.side, (x + y) / 2, n + m)[0] < 0] *= -1
+        starts = np.cumsum([0] + [len(chain) for chain in chains])[:-1]
+        inside = np.add.reduceat(length, starts) > 0
         crossing = []
-        for u, v in parts:
-            here = twins.get(u, -1), twins.get(v, -1)
-            if here in own or here[::-1] in own:
+        for chain, within in zip(chains, inside.tolist(), strict=True):
+            here = tuple(twins.get(node, -1) for node in chain[0])
+            if len(chain) == 1 and (here in own or here[::-1] in own):
                 self.runs.append(here)
-            else:
-                crossing.append((u, v))
-        (x, n), (y, m) = (other.places([pair[i] for pair in crossing]) for i in (0, 1))
-        inside = locate(self.side, (x + y) / 2, n + m)[0] >= 0
-        crossing = [pair for pair, within in zip(crossing, inside.tolist(), strict=True) if within]
+            elif within:
+                crossing += chain
         free = sorted({node for pair in crossing for node in pair if node not in twins})
         place, normal = other.places(free)
         triangle, weights = locate(self.side, place, normal)

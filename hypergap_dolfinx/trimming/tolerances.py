@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Tolerances of this room: one value, one meaning, and the measurement behind each."""
 
+import numpy as np
+
 OFF_OUTLINES = 4e-10
 """Distance of outlines treated as zero, in edge lengths.
 Measured: a plate 1e-9 larger than its block: u 9e-10 with 1e-9."""
@@ -16,6 +18,14 @@ INSIDE_WEIGHT = 1e-9
 """Negative weight up to which a point is inside of a triangle.
 Measured: Newton's method for curved ones ends at 1e-10; 1e-12 changes nothing in test_clip,
 test_parting."""
+
+CORNER_OUTLINE = np.radians(50)
+"""Turn of an outline in its surface from which a node is a corner.
+Measured: –"""
+
+SAGS = 2.0
+"""Distance of polygons through nodes of one curve, over the sag that their turns give.
+Measured: –"""
 
 AWAY = 0.5
 """Distance of outlines, in lengths of their edges, that no bend explains.
