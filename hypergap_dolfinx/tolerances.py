@@ -69,6 +69,10 @@ FILE_DIGITS = 1e-6
 """Turn of a surface, or common part of the smaller facet, that files' last digits make.
 Measured: files with 8 digits; for the part 1e-8 to 1e-3 change nothing in test_touching."""
 
+SEEN = 0.1
+"""Width of facets' common part, over the smaller one's size, that is no sign of their distance.
+Measured: –"""
+
 NEAR_PIECES = 0.5
 """Distance of surfaces, in facet lengths, up to which ties are joined to a union.
 Measured: 1e9 changes nothing in test_pieces, test_mixed, test_periodic, test_cross_points and

@@ -28,6 +28,7 @@ from hypergap_dolfinx.tolerances import (
     FILE_DIGITS,
     GOES_ON,
     NEAR_FLAT,
+    SEEN,
     TILT,
     TURNS_EXPLAINED,
 )
@@ -90,6 +91,8 @@ class _Boundary:
 
     x: npt.NDArray[np.float64]
     """Vertices in the order in which the normal points out of the body, ``(num, n, n)``."""
+    nodes: npt.NDArray[np.int64]
+    """Global geometry nodes of the vertices, ``(num, n)``."""
     facet: npt.NDArray[np.intp]
     """Number among all ranks' facets of the space, ``(num,)``."""
     curvature: npt.NDArray[np.float64]
@@ -312,7 +315,7 @@ def _bodies(facets: _Facets) -> list[_Boundary]:
     heights = facets.heights[facet]
     size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
     turn = np.maximum(turn, 8 * heights.max(axis=1) / np.where(size > 0, size, 1))
-    boundary = _Boundary(x, facet, curvature, heights, turn)
+    boundary = _Boundary(x, nodes, facet, curvature, heights, turn)
     part = facets.part[facet]
     lowest = []
     for p in range(int(part.max(initial=-1)) + 1):
@@ -422,11 +425,49 @@ def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):
         f, g = _meeting(boxes[i], boxes[j]).T
         touch, apart, why = _touch(body0[f], body1[g], distance)
         if len(touch):
-            sides = np.unique(body0.facet[f[touch]]), np.unique(body1.facet[g[touch]])
+            sides = [_with_fans(*part) for part in ((body0, f[touch]), (body1, g[touch]))]
             k = int(np.abs(apart).argmax())
             pair = (space0, sides[0]), (space1, sides[1]), float(apart[k]), EXPLANATIONS[why[k]]
             found.append(pair)
     return found
+
+
+def _with_fans(body: _Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Facets of some simplices; with those around vertices in which they would only touch."""
+    facets = np.unique(body.facet[simplices])
+    if body.x.shape[2] == 2:
+        return facets
+    while True:
+        own = np.flatnonzero(np.isin(body.facet, facets))
+        fan, node = _fans(body, own, np.pi)
+        _, first = np.unique(fan, return_index=True)  # a corner of each fan
+        of, number = np.unique(node[first], return_counts=True)
+        touching = of[number > 1]
+        near = np.flatnonzero(np.isin(body.nodes, touching).any(axis=1))
+        fan, node = _fans(body, near, CORNER_ASSEMBLY)
+        mine = np.isin(node, touching) & np.isin(fan, fan[np.isin(np.repeat(near, 3), own)])
+        more = np.union1d(facets, body.facet[np.repeat(near, 3)[mine]])
+        if len(more) == len(facets):
+            return facets
+        facets = more
+
+
+def _fans(body: _Boundary, simplices: npt.NDArray[np.intp], most: float):
+    """Numbers of triangles' corners, one for those around a vertex that edges connect, and nodes.
+
+    Edges at which the surface turns by more than ``most`` don't connect.
+    """
+    nodes, normals = body.nodes[simplices], body.normals[simplices]
+    edges = np.sort(np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
+    order = np.lexsort(edges.T)
+    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
+    a, b = order[:-1][same], order[1:][same]
+    smooth = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) >= np.cos(most)
+    a, b = a[smooth], b[smooth]
+    # Boundaries have one direction of travel: an edge starts where the other one's ends
+    ends = [3 * (e // 3) + (e + 1) % 3 for e in (a, b)]
+    corner = graph.components(3 * len(simplices), np.append(a, ends[0]), np.append(ends[1], b))
+    return corner, nodes.ravel()
 
 
 def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -495,7 +536,13 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None):
     bulges = a.bulges(_shares(flat0, at)) + b.bulges(_shares(flat1, at))
     curved = np.where(apart > 0, bulges[..., 0], bulges[..., 1]) + flat
     reach = curved if distance is None else np.full(apart.shape, distance)
-    touch = np.flatnonzero((np.abs(apart) <= reach).all(axis=1))
+    # Beside each other they are seen by their distance, as far as the normal is uncertain
+    low, high = vertices[some].min(axis=1), vertices[some].max(axis=1)
+    extent = np.linalg.norm(high - low, axis=1) if a.x.shape[2] == 3 else 1.0
+    seen = np.abs(apart).max(axis=1) * np.tan((a.turn + b.turn) / 4)
+    seen = np.minimum(seen, SEEN * np.minimum(a.size, b.size))
+    wide = common[some] > seen * extent
+    touch = np.flatnonzero((np.abs(apart) <= reach).all(axis=1) & wide)
     largest = touch, np.abs(apart[touch]).argmax(axis=1)
     far = np.abs(apart[largest])
     why = np.where(far <= flat[largest], 0, np.where(far <= curved[largest], 1, 2))
