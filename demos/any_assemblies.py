@@ -54,7 +54,11 @@ NU = 0.3
 
 # +
 def partition(rng, dim, num):
-    """Boxes of the unit square or cube, ``(num, 2, dim)``, none thinner than 0.16."""
+    """Boxes of the unit square or cube, ``(num, 2, dim)``.
+
+    None is thinner than 0.16, no step from box to box is lower than 0.05: what is lower than a
+    coarse facet's sag is not in the meshes.
+    """
     boxes = [np.array((np.zeros(dim), np.ones(dim)))]
     while len(boxes) < num:
         sizes = np.array([np.ptp(box, axis=0) for box in boxes])
@@ -62,8 +66,10 @@ def partition(rng, dim, num):
         axis = int(rng.choice(dim, p=sizes[which] / sizes[which].sum()))
         if sizes[which, axis] < 0.34:
             continue
+        at = boxes[which][0, axis] + rng.uniform(0.16, sizes[which, axis] - 0.16)
+        if np.abs(np.array(boxes)[:, :, axis] - at).min() < 0.05:
+            continue
         low, high = boxes.pop(which)
-        at = low[axis] + rng.uniform(0.16, sizes[which, axis] - 0.16)
         for start, end in ((low[axis], at), (at, high[axis])):
             a, b = low.copy(), high.copy()
             a[axis], b[axis] = start, end

@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.trace import lengths
 from hypergap_dolfinx.trimming.curved_outlines import Arcs, Edge, OutlineCurves
 from hypergap_dolfinx.trimming.delaunay import Cutting
 from hypergap_dolfinx.trimming.insertion import Nodes
@@ -192,15 +194,11 @@ class Cut(Nodes):
         free = sorted({node for pair in crossing for node in pair if node not in twins})
         place, normal = other.places(free)
         triangle, weights = locate(self.side, place, normal)
-        if (triangle < 0).any():
-            raise InterfaceError(
-                f"the outline of {other.side.surface.name} at {spot(place[triangle.argmin()])} "
-                f"lies neither on {self.side.surface.name} nor beside it: do the surfaces have the "
-                "same shape there?"
-            )
         nodes = dict(twins)
         for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
-            nodes[node] = self.in_triangle(t, w)
+            nodes[node] = (
+                self.in_triangle(t, w) if t >= 0 else self._beside(place[free.index(node)])
+            )
         drawn = [
             (other.part(u, v), self.draw(nodes[u], nodes[v]))
             for u, v in crossing
@@ -208,6 +206,15 @@ class Cut(Nodes):
         ]
         if any(cut.side.surface.curved.any() for cut in (self, other)):
             self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
+
+    def _beside(self, place) -> int:
+        """The node of the own outline that is nearest to a place, which may be new."""
+        found = []
+        for rim, start in zip(self.rims, self.starts):
+            there = on_loop(place[None], rim.x)
+            found.append((float(lengths(there.apart)[0]), rim, there.edge[0] + there.s[0]))
+        _, rim, at = min(found, key=lambda entry: entry[0])
+        return self.on_edge(*rim.place(min(at, np.nextafter(len(rim.x), 0))))
 
     def part(self, u: int, v: int) -> tuple[Edge, float, float]:
         """The edge that two nodes of the own outline lie on, and their parameters on it."""
