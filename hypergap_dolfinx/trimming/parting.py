@@ -154,7 +154,7 @@ def _unmatched(sides: list[Side], groups: Groups, behind) -> set[tuple[int, int]
         except InterfaceError:  # kinks make it touch itself in a vertex, if it hasn't before
             beyond = own[side.facets]
             touching = np.unique(group[beyond[beyond >= 0]])
-            if len(touching) == 1:
+            if not (touching != pair).any():
                 raise
             return {(pair, int(g)) for g in touching if g != pair}
         own_rims = [Rim(side, loop) for loop in loops]
