@@ -39,7 +39,7 @@ NEAR_FLAT = 1e-3
 """Distance of flat facets that touch, over the size of the smaller one.
 Measured: fits of AS1, a CAD assembly: 1e-8."""
 
-BULGES = 2
+BULGES = 4
 """Distance of curved facets that touch, over that estimated from turns.
 Measured: 600 pairs of rings of 7 to 39 edges, lengths 1 : 1 to 1 : 4: 2 incomplete with 1.5, 2 and
 3, 26 with 1, where 26 tests of test_touching fail."""

@@ -373,7 +373,7 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
         smooth = ~corner[beyond] & (inwards[beyond] == inwards[ridge])
         for kind, mask in enumerate((smooth, smooth | corner[beyond])):
             np.maximum.at(going[side, kind], ridge[mask], turns[mask])
-    least = np.minimum(going[:, 0].max(axis=0), going[:, 1].min(axis=0))
+    least = going[:, 1].min(axis=0)
     curved = np.where(corner, 0, np.minimum(theta, GOES_ON * least))
     smooth = theta <= curved + FILE_DIGITS
     height = height.min(axis=0)
