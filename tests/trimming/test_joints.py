@@ -1,0 +1,158 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""T-joints on curved interfaces, collars on rods: parts of outlines that are one curve."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from helpers import comm, sweep
+
+import meshes
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx import Tie, TiedProblem, find_touching
+
+pytestmark = pytest.mark.serial
+
+
+def waves(x, m=np):
+    return m.sin(1.3 * x[0] + 0.4 * x[1]) + m.cos(0.7 * x[1] - 1.1 * x[2])
+
+
+def along(x, m=np):
+    """No flux through what is parallel to the last axis."""
+    return m.sin(2.2 * x[2])
+
+
+def solved(parts, degree, field=waves):
+    """Areas of ties, and the gradient's error over the interpolant's, u given at the outside."""
+    spaces, forms, loads, bcs, exacts = [], [], [], [], []
+    for mesh in parts:
+        V = fem.functionspace(mesh, ("Lagrange", degree))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        exact = field(ufl.SpatialCoordinate(mesh), ufl)
+        forms.append(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree + 2})
+        loads.append(-ufl.div(ufl.grad(exact)) * v * dx)
+        spaces.append(V)
+        exacts.append(fem.Function(V))
+        exacts[-1].interpolate(field)
+    pairs = find_touching(spaces)
+    ties = [Tie.between(*sides) for sides in pairs]
+    for i, V in enumerate(spaces):
+        tied = [f for sides in pairs for W, f in sides if W is V]
+        outer = np.setdiff1d(exterior_facet_indices(V.mesh.topology), np.concatenate(tied))
+        bcs.append(fem.dirichletbc(exacts[i], fem.locate_dofs_topological(V, 2, outer)))
+    us = TiedProblem(forms, loads, bcs=bcs, ties=ties).solve()
+    squares = np.zeros(2)
+    for pair in zip(us, exacts, strict=True):
+        for k, f in enumerate(pair):
+            e = ufl.grad(f - field(ufl.SpatialCoordinate(f.function_space.mesh), ufl))
+            dx = ufl.dx(metadata={"quadrature_degree": 2 * degree + 2})
+            squares[k] += fem.assemble_scalar(fem.form(ufl.inner(e, e) * dx))
+    rules = [tie.quadrature(2 * degree) for tie in ties]
+    areas = [float(q.integrate(np.ones_like(q.weights))) for q in rules]
+    return areas, float(np.sqrt(squares[0] / squares[1]))
+
+
+def blocks_on_a_plate(seed, num):
+    """A bent plate under two or four bent blocks that are beside each other."""
+    rng = np.random.default_rng(seed)
+    degree = 1 + seed % 2
+    at, (a, b), phase = rng.uniform(0.35, 0.65, 2), rng.uniform(0.05, 0.2, 2), rng.uniform(0, 6, 2)
+
+    def bent(x):
+        height = a * np.sin(2.2 * x[:, 0] + phase[0]) + b * np.cos(1.8 * x[:, 1] + phase[1])
+        return np.column_stack((x[:, :2], x[:, 2] + height))
+
+    def part(low, high, n):
+        cell = str(rng.choice(("tetrahedron", "hexahedron")))
+
+        def place(x):
+            return bent(np.array(low) + x * (np.array(high) - low))
+
+        return meshes.block(comm, n, place, cell=cell, degree=degree)[0]
+
+    def count(least=3, most=7):
+        return (*rng.integers(least, most, 2).tolist(), 2)
+
+    xs, ys = (0, at[0], 1), ((0, 1) if num == 2 else (0, at[1], 1))
+    parts = [part((0, 0, -0.3), (1, 1, 0), count(4, 8))]
+    where = []
+    for i, j in product(range(2), range(len(ys) - 1)):
+        low, high = (xs[i], ys[j], 0), (xs[i + 1], ys[j + 1], 0.4)
+        parts.append(part(low, high, count()))
+        x, y = np.meshgrid(
+            *(l + (h - l) * (np.arange(60) + 0.5) / 60 for l, h in zip(low[:2], high))
+        )
+        slopes = a * 2.2 * np.cos(2.2 * x + phase[0]), b * 1.8 * np.sin(1.8 * y + phase[1])
+        mean = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2).mean()
+        where.append(float(mean * (high[0] - low[0]) * (high[1] - low[1])))
+    return parts, degree, where
+
+
+@pytest.mark.parametrize(("seed", "num"), sweep(list(product(range(40), (2, 4))), 9))
+def test_blocks_on_a_bent_plate(seed, num):
+    parts, degree, exact = blocks_on_a_plate(seed, num)
+    areas, error = solved(parts, degree)
+    assert len(areas) == num + (1 if num == 2 else 4)
+    np.testing.assert_allclose(areas[:num], exact, rtol=0.03)
+    assert error < 1.3
+
+
+COLLARS = list(product((False, True), (1, 2), (0.09, 0.12, 0.15, 0.2), (0.0, 0.3, 1.0)))
+
+
+def collar_on_a_rod(imprinted, degree, size, turn):
+    """A short thick ring around a longer rod, by Gmsh; with its edges on the rod or without."""
+    gmsh = pytest.importorskip("gmsh")
+    from dolfinx.io import gmsh as io  # noqa: PLC0415
+
+    parts = []
+    for name in ("rod", "collar"):
+        gmsh.initialize(["-noenv", "-v", "0"])
+        try:
+            gmsh.model.add(name)
+            occ = gmsh.model.occ
+            if name == "rod":
+                heights = (0, 0.4, 0.7, 1.2) if imprinted else (0, 1.2)
+                body = [
+                    (3, occ.addCylinder(0, 0, low, 0, 0, high - low, 0.3))
+                    for low, high in zip(heights, heights[1:])
+                ]
+                if imprinted:
+                    occ.fragment(body[:1], body[1:])
+            else:
+                outer, inner = (
+                    (3, occ.addCylinder(0, 0, 0.4, 0, 0, 0.3, 0.55)),
+                    (
+                        3,
+                        occ.addCylinder(0, 0, 0.4, 0, 0, 0.3, 0.3),
+                    ),
+                )
+                body, _ = occ.cut([outer], [inner])
+                occ.rotate(body, 0, 0, 0, 0, 0, 1, turn)
+            occ.synchronize()
+            gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)], 1)
+            h = size if name == "rod" else 0.8 * size
+            gmsh.option.setNumber("Mesh.MeshSizeMin", h)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", h)
+            gmsh.model.mesh.generate(3)
+            gmsh.model.mesh.setOrder(degree)
+            parts.append(io.model_to_mesh(gmsh.model, comm, 0).mesh)
+        finally:
+            gmsh.finalize()
+    return parts
+
+
+@pytest.mark.parametrize("scene", sweep(COLLARS, 9))
+def test_collar(scene):
+    """The whole cylinder's part is tied, and as exactly with imprinted edges."""
+    field = waves if scene[0] else along  # beside the collar parts of facets are free
+    areas, error = solved(collar_on_a_rod(*scene), scene[1], field)
+    assert len(areas) == 1
+    exact = 2 * np.pi * 0.3 * 0.3
+    assert abs(areas[0] / exact - 1) < (scene[2] / 0.3) ** 2 / 6
+    assert error < 1.3
