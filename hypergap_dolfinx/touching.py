@@ -356,8 +356,8 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
     theta = np.arccos(np.clip(cosine, -1, 1))
     inwards = (np.einsum("ei,ei->e", ways[1], normals[f]) > 0).astype(np.intp)
     corner = theta > CORNER_ASSEMBLY
-    # Ridges at the vertices beyond: smooth ones of the same kind, and corners of any
-    going = np.zeros((2, 2, len(f)))  # (side, smooth or any, ridge)
+    # Ridges at the vertices beyond
+    going = np.zeros((2, len(f)))  # (side, ridge)
     touching = ridges[a]
     at = np.argsort(touching.ravel(), kind="stable")
     first = np.searchsorted(touching.ravel()[at], np.arange(nodes.max(initial=-1) + 2))
@@ -370,11 +370,8 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
             + np.repeat(first[vertex], count)
         ] // (n - 1)
         turns = theta[beyond] * (1 - np.einsum("ei,ei->e", along[beyond], way[ridge]) ** 2)
-        smooth = ~corner[beyond] & (inwards[beyond] == inwards[ridge])
-        for kind, mask in enumerate((smooth, smooth | corner[beyond])):
-            np.maximum.at(going[side, kind], ridge[mask], turns[mask])
-    least = going[:, 1].min(axis=0)
-    curved = np.where(corner, 0, np.minimum(theta, GOES_ON * least))
+        np.maximum.at(going[side], ridge, turns)
+    curved = np.where(corner, 0, np.minimum(theta, GOES_ON * going.min(axis=0)))
     smooth = theta <= curved + FILE_DIGITS
     height = height.min(axis=0)
     size = curved / np.where(height > 0, height, 1)
