@@ -77,7 +77,7 @@ def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
     )
 
 
-def _meet(cuts: tuple[Cut, Cut], shared: Shared) -> tuple[dict[int, int], dict[int, int]]:
+def _meet(cuts: list[Cut], shared: Shared) -> tuple[dict[int, int], dict[int, int]]:
     """Make nodes where the outlines meet; for each side, its node at each node of the other."""
     twins: tuple[dict[int, int], dict[int, int]] = {}, {}
 
@@ -150,16 +150,16 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
         InterfaceError: The parts that are left of both don't correspond.
     """
     sides = side0, side1
-    rims = [[Rim(side, loop) for loop in side.loops()] for side in sides]
+    rims = tuple([Rim(side, loop) for loop in side.loops()] for side in sides)
     whole = Shared(rims, OFF_OUTLINES, NEARLY).whole()
-    rims = [[rim for rim, w in zip(*both, strict=True) if not w] for both in zip(rims, whole)]
+    rims = tuple([r for r, w in zip(*both, strict=True) if not w] for both in zip(rims, whole))
     if not any(rims):
         return [sides]
     length = np.array([[f(rim.length) for f in (np.mean, np.max)] for own in rims for rim in own])
     snap *= float(length[:, 0].min())
     shared = Shared(rims, snap / length[:, 1].max(), 0.0)
     sides = side0.in_halves(), side1.in_halves()
-    cuts = tuple(Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1))
+    cuts = [Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1)]
     twins = _meet(cuts, shared)
     outlines = [cut.outline() for cut in cuts]
     for i in (0, 1):

@@ -57,9 +57,9 @@ class Rim:
         turn = np.arctan2(_dot(self.normal, np.cross(before, unit)), _dot(before, unit))
         curvature = 2 * np.abs(turn) / (self.length + np.roll(self.length, 1))
         corner, going = np.abs(turn) > CORNER_OUTLINE, np.zeros(len(turn))
-        for k in (-1, 1):
-            same = np.roll(corner, k) | (turn * np.roll(turn, k) > 0)
-            going = np.maximum(going, np.where(same, np.roll(curvature, k), 0))
+        for way in (-1, 1):
+            same = np.roll(corner, way) | (turn * np.roll(turn, way) > 0)
+            going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
         curvature = np.where(corner, 0, np.minimum(curvature, going))
         self.curvature = np.max([np.roll(curvature, k) for k in (-1, 0, 1)], axis=0)
         self._tilts = self._around()
@@ -67,7 +67,8 @@ class Rim:
     def place(self, place: float) -> tuple[int, int, float]:
         """Vertices of an edge and a parameter on it, from a node's number and the one behind it."""
         k = int(place)
-        a, b = self.ends[e := self.edge[k]].tolist()
+        e = int(self.edge[k])
+        a, b = self.ends[e].tolist()
         return a, b, float(self.s[k] + (place - k) / self.num[e])
 
     def _around(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
@@ -155,7 +156,7 @@ def _along(apart, normal):
 class Shared:
     """Places at which two outlines are one, within what the meshes can't know, and runs between."""
 
-    def __init__(self, rims: tuple[list[Rim], list[Rim]], tolerance: float, paired: float):
+    def __init__(self, rims: tuple[list[Rim], ...], tolerance: float, paired: float):
         """Outlines of facing pieces.
 
         Args:

@@ -186,7 +186,7 @@ class Cut(Nodes):
         inside = np.add.reduceat(length, starts) > 0
         crossing = []
         for chain, within in zip(chains, inside.tolist(), strict=True):
-            here = tuple(twins.get(node, -1) for node in chain[0])
+            here = twins.get(chain[0][0], -1), twins.get(chain[0][1], -1)
             if len(chain) == 1 and (here in own or here[::-1] in own):
                 self.runs.append(here)
             elif within:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """T-joints on curved interfaces, collars on rods: parts of outlines that are one curve."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def blocks_on_a_plate(seed, num):
         low, high = (xs[i], ys[j], 0), (xs[i + 1], ys[j + 1], 0.4)
         parts.append(part(low, high, count()))
         x, y = np.meshgrid(
-            *(l + (h - l) * (np.arange(60) + 0.5) / 60 for l, h in zip(low[:2], high))
+            *(a0 + (a1 - a0) * (np.arange(60) + 0.5) / 60 for a0, a1 in zip(low[:2], high))
         )
         slopes = a * 2.2 * np.cos(2.2 * x + phase[0]), b * 1.8 * np.sin(1.8 * y + phase[1])
         mean = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2).mean()
@@ -108,7 +108,7 @@ COLLARS = list(product((False, True), (1, 2), (0.09, 0.12, 0.15, 0.2), (0.0, 0.3
 def collar_on_a_rod(imprinted, degree, size, turn):
     """A short thick ring around a longer rod, by Gmsh; with its edges on the rod or without."""
     gmsh = pytest.importorskip("gmsh")
-    from dolfinx.io import gmsh as io  # noqa: PLC0415
+    from dolfinx.io import gmsh as io
 
     parts = []
     for name in ("rod", "collar"):
@@ -120,7 +120,7 @@ def collar_on_a_rod(imprinted, degree, size, turn):
                 heights = (0, 0.4, 0.7, 1.2) if imprinted else (0, 1.2)
                 body = [
                     (3, occ.addCylinder(0, 0, low, 0, 0, high - low, 0.3))
-                    for low, high in zip(heights, heights[1:])
+                    for low, high in pairwise(heights)
                 ]
                 if imprinted:
                     occ.fragment(body[:1], body[1:])

@@ -40,7 +40,8 @@ def free_load(tie, i, V, stress_at=lambda x: linear_stress()):
     whole = [Side.of(s, np.arange(len(s.facets))) for s in surfaces]
     surface, own = surfaces[i], whole[i].in_halves()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hypergap_dolfinx.trimming.clip.NEARLY", 0.0)  # cut also what the tie leaves as it is
+        # Cut also what the tie leaves as it is
+        patch.setattr("hypergap_dolfinx.trimming.clip.NEARLY", 0.0)
         parts = [(own, 1.0), *((pair[i], -1.0) for pair in clip(*whole))]
     points, weights = basix.make_quadrature(basix.CellType.triangle, 6)
     load = np.zeros((V.dofmap.index_map.size_local, 3))
