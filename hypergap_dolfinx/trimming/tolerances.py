@@ -25,7 +25,8 @@ Measured: –"""
 
 SAGS = 2.0
 """Distance of polygons through nodes of one curve, over the sag that their turns give.
-Measured: –"""
+Measured: 16 bent plates under two or four blocks, 6 curved partitions of any_assemblies: 1 fails in
+one of each, 2 in none."""
 
 AWAY = 0.5
 """Distance of outlines, in lengths of their edges, that no bend explains.
