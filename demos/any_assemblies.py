@@ -247,7 +247,8 @@ def run(seed, dim):
     except (InterfaceError, SolveError, RuntimeError) as error:
         row["error"] = f"{type(error).__name__}: {error}"
     row["seconds"] = time.process_time() - start
-    row["ok"] = row["h1"] is not None and row["h1"] <= WORST
+    row["solved"] = row["h1"] is not None
+    row["ok"] = row["solved"] and row["h1"] <= WORST
     return row
 
 

@@ -72,7 +72,8 @@ Measured: files with 8 digits; for the part 1e-8 to 1e-3 change nothing in test_
 
 SEEN = 0.1
 """Width of facets' common part, over the smaller one's size, that is no sign of their distance.
-Measured: –"""
+Measured: with 0 collars on rods with imprinted edges take facets beyond these, and H¹ errors are 30
+and 59 times the interpolant's in test_joints."""
 
 NEAR_PIECES = 0.5
 """Distance of surfaces, in facet lengths, up to which ties are joined to a union.

@@ -21,7 +21,7 @@ test_parting."""
 
 CORNER_OUTLINE = np.radians(50)
 """Turn of an outline in its surface from which a node is a corner.
-Measured: –"""
+Measured: the same scenes as of SAGS: 80° fails in one of each, 50° in none."""
 
 SAGS = 2.0
 """Distance of polygons through nodes of one curve, over the sag that their turns give.

@@ -47,6 +47,12 @@ DEMOS = {
     "any_assemblies_in_space": Demo(
         "--dim 3 --only 2 3 11 14 19", {"*.ok": True}, script="any_assemblies"
     ),
+    "any_assemblies_all": Demo(
+        "--scenes 60", {"*.solved": True}, slow=True, script="any_assemblies"
+    ),
+    "any_assemblies_in_space_all": Demo(
+        "--dim 3 --scenes 60", {"*.solved": True}, slow=True, script="any_assemblies"
+    ),
     "any_contacts": Demo(
         "--only 1 2 3 4 7 10 11 12 15 18 24 36 105 127 132 136 147 163 182 198 208 212 252 292",
         {"*.ok": True},
@@ -382,6 +388,7 @@ def results(content, name):
 
 LONG = (
     *("any_assemblies", "any_assemblies_in_space", "any_contacts", "any_contacts_in_space"),
+    *("any_assemblies_all", "any_assemblies_in_space_all"),
     *("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap"),
     *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
 )
