@@ -43,7 +43,7 @@ BULGES = 4
 """Distance of curved facets that touch, over that estimated from turns.
 Measured: 600 pairs of rings of 7 to 39 edges, lengths 1 : 1 to 1 : 4: 2 incomplete with 1.5, 2 and
 3, 26 with 1, where 26 tests of test_touching fail; any_assemblies, scenes 0, 8 and 9 in space, bent
-along facets' diagonals: 19 of 72 pairs incomplete with 2, 10 with 4."""
+along facets' diagonals: 19 of 81 pairs incomplete with 2, 10 with 4."""
 
 FACING_ANGLE = np.pi / 3
 """Deviation of curved facets' normals from opposite ones that no turn makes larger.
