@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 
 from mpi4py import MPI
 
@@ -225,10 +226,10 @@ def fill_common(side0: Side, side1: Side) -> list[Slab]:
         InterfaceError: There is no valid mesh.
     """
     first: InterfaceError | None = None
-    for k in range(TRIES):
+    for of_one_curve, k in product((True, False), range(TRIES)):
         whole = False
         try:
-            pairs = clip(side0, side1, SNAP * COARSER**k)
+            pairs = clip(side0, side1, SNAP * COARSER**k, of_one_curve)
             whole = pairs[0][0] is side0
             return [fill(pair) for pair in pairs]
         except InterfaceError as error:

@@ -134,13 +134,17 @@ def parts(side: Side) -> list[Side]:
     return found
 
 
-def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]]:
+def clip(
+    side0: Side, side1: Side, snap: float = SNAP, of_one_curve: bool = True
+) -> list[tuple[Side, Side]]:
     """The common part of two facing pieces: pairs with the same outlines.
 
     Args:
         side0: A piece of Γ0.
         side1: The piece of Γ1 that faces it.
         snap: Distance treated as zero, in lengths of the outlines' edges.
+        of_one_curve: True if outlines that are polygons of one curve, within what the meshes can't
+            know, are one; else they are cut as they are: holes with different corners may be.
 
     Returns:
         Pairs of connected pieces; the two themselves if their outlines match.
@@ -150,7 +154,7 @@ def clip(side0: Side, side1: Side, snap: float = SNAP) -> list[tuple[Side, Side]
         InterfaceError: The parts that are left of both don't correspond.
     """
     sides = side0, side1
-    rims = tuple([Rim(side, loop) for loop in side.loops()] for side in sides)
+    rims = tuple([Rim(side, loop, of_one_curve) for loop in side.loops()] for side in sides)
     whole = Shared(rims, OFF_OUTLINES, NEARLY).whole()
     rims = tuple([r for r, w in zip(*both, strict=True) if not w] for both in zip(rims, whole))
     if not any(rims):

@@ -25,8 +25,8 @@ from hypergap_dolfinx.trimming.tolerances import (
 class Rim:
     """A boundary loop of a piece as a polygon through the nodes of its geometry."""
 
-    def __init__(self, side: Side, loop: npt.NDArray[np.intp]):
-        """A piece, and the vertices of a loop around it."""
+    def __init__(self, side: Side, loop: npt.NDArray[np.intp], is_curve: bool = True):
+        """A piece, and the vertices of a loop around it, which may stand for a curve."""
         self.side = side
         n, degree = len(loop), side.surface.geometry.degree
         ends = np.column_stack((loop, np.roll(loop, -1)))
@@ -62,6 +62,7 @@ class Rim:
             going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
         curvature = np.where(corner, 0, np.minimum(curvature, going))
         self.curvature = np.max([np.roll(curvature, k) for k in (-1, 0, 1)], axis=0)
+        self.curvature *= is_curve
         self._tilts = self._around()
 
     def place(self, place: float) -> tuple[int, int, float]:
