@@ -160,7 +160,12 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
     Jet far = power(tape, square, 0.5);
     return scaled(tape, point->sign, far);
   }
-  return product(tape, wedge(tape, c, d), power(tape, dotted(tape, c, c), -0.5));
+  Jet inside = product(tape, wedge(tape, c, d), power(tape, dotted(tape, c, c), -0.5));
+  if (point->sign < 2)
+    return inside;
+  for (int i = 0; i < 2 && point->sign > 2; ++i)
+    d[i] = combined(tape, 1, d[i], -1, c[i]);
+  return combined(tape, 2, inside, -1, power(tape, dotted(tape, d, d), 0.5));
 }
 
 // Weight of a sheet: NULL if it is 1.

@@ -34,7 +34,8 @@ typedef struct {
   double s;         // reference coordinate
   int foot;         // edge of Γ0 that is nearest; −1 where that needn't be known
   int nodes[2];     // those of the edge between which it is; the same one: there
-  double sign;      // −1 if the nearest node is convex, or the body isn't on its side, else 1
+  double sign;      // −1 if the nearest node is convex, or the body isn't on its side, else 1;
+                    // 2 and 3 beyond an end of Γ0, which is the first or the second of the nodes
   int first, num;   // of its sheets
   int is_first;     // whether it is the piece's first point
 } Point;

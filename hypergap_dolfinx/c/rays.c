@@ -223,22 +223,20 @@ static void add_break(Cast *cast, double xi, int vertex)
     cast->breaks[cast->num_breaks++] = (Break){xi, vertex};
 }
 
-// Find what faces an edge of Γ1, and the places along it where something changes.
+// Find what faces an edge of Γ1, and the places along it where something may change: the ends of all
+// that faces it, of what weight ever. Quadrature isn't exact: gaps would jump as a weight comes.
 static void look(Cast *cast, int f)
 {
+  const Side *below = cast->below;
   cast->edge = f, cast->frame = frame_of(cast->above, f);
   cast->num_facing = cast->num_breaks = 0;
-  for (int g = 0; g < cast->below->num_edges; ++g)
+  for (int g = 0; g < below->num_edges; ++g)
   {
     int before = cast->num_facing;
     add_parts(cast, g);
     for (int k = 0; before < cast->num_facing && k < 2; ++k)
-      if (!cast->sigma->goes_on[2 * g + k]
-          && cosine(&cast->frame, cast->below, g, k) > cast->sigma->cosines[0])
-      {
-        int vertex = cast->below->vertices[2 * g + k];
-        add_break(cast, along(&cast->frame, position(cast->below, vertex)), vertex);
-      }
+      if (!cast->sigma->goes_on[2 * g + k])
+        add_break(cast, along(&cast->frame, node(below, g, k)), below->vertices[2 * g + k]);
   }
   for (int k = 0; k < 4; ++k)
     cast->breaks[cast->num_breaks++] = (Break){cast->sigma->fixed[k], -1 - k};
@@ -282,25 +280,31 @@ static double find_foot(const Side *side, const int *order, const double *x, Poi
       nearest = far;
       point->foot = g;
       point->nodes[0] = order[at < 0 ? k : at], point->nodes[1] = order[at < 0 ? k + 1 : at];
-      point->sign = 1;
-      if (at >= 0)
+      point->sign = 1, depth = inside;
+      if (at < 0)
+        continue;
+      const double *y = node(side, g, order[at]), *next = NULL;
+      int to = at == k ? -1 : 1, v = side->vertices[2 * g + (to > 0)];
+      int other = side->beside[2 * v + (to > 0)];
+      if (at + to >= 0 && at + to < side->num_nodes)
+        next = node(side, g, order[at + to]);
+      else if (other >= 0)
+        next = node(side, other, order[to > 0 ? 1 : side->num_nodes - 2]);
+      if (next)
       { // on which side of the node's mean normal
-        const double *y = node(side, g, order[at]), *next = NULL;
-        int to = at == k ? -1 : 1, v = side->vertices[2 * g + (to > 0)];
-        int other = side->beside[2 * v + (to > 0)];
-        if (at + to >= 0 && at + to < side->num_nodes)
-          next = node(side, g, order[at + to]);
-        else if (other >= 0)
-          next = node(side, other, order[to > 0 ? 1 : side->num_nodes - 2]);
-        double e[2] = {c[0], c[1]}, length;
-        for (int i = 0; next && i < 2; ++i)
-          e[i] = to * (next[i] - y[i]);
-        length = hypot(e[0], e[1]);
+        double e[2], length = hypot(next[0] - y[0], next[1] - y[1]);
         for (int i = 0; i < 2; ++i)
-          e[i] = e[i] / length + c[i] / sqrt(square), d[i] = x[i] - y[i];
+          e[i] = to * (next[i] - y[i]) / length + c[i] / sqrt(square), d[i] = x[i] - y[i];
         point->sign = e[0] * d[1] - e[1] * d[0] < 0 ? -1 : 1;
+        depth = point->sign * far;
       }
-      depth = at >= 0 ? point->sign * far : inside;
+      else if (inside <= 0)
+        point->sign = -1, depth = -far;
+      else
+      { // beyond an end of Γ0 it falls from what it is at the end
+        point->nodes[0] = order[k], point->nodes[1] = order[k + 1];
+        point->sign = at == k ? 2 : 3, depth = 2 * inside - far;
+      }
     }
   return depth;
 }

@@ -228,6 +228,47 @@ def test_too_many_sheets(num):
         PlaneSegments.between(two, u)
 
 
+def jump(at, where, width):
+    """Largest jump of gaps as a parameter passes a value.
+
+    Args:
+        at: Points of Γ0's outline, and a facet of Γ1 with a point of its body, by the parameter.
+        where: The value.
+        width: How near to it gaps are compared.
+    """
+    found = []
+    for value in (where - width, where + width):
+        x0, x1 = at(value)
+        degree = 2 if len(x0) == 8 else 1  # every second facet is of Γ0
+        below = outline_side(x0, degree, "Γ0", lambda middles: np.arange(len(middles)) % 2 == 0)
+        sides = below, outline_side(x1, 1, "Γ1", lambda middles: np.arange(len(middles)) == 0)
+        u = tuple(np.zeros((len(each.dofs), 2)) for each in sides)
+        found.append(PlaneSegments.between(sides, u).gap(u)[0])
+    return np.abs(found[1] - found[0]).max()
+
+
+def test_unseen_vertices():
+    """The quadrature on a curved facet isn't another one where a facet behind it is seen or not."""
+
+    def at(slope):  # the cosine of the straight facet goes through .1
+        curved = (0.9, 0.0), (0.6, -0.35), (0.2, -1.2)
+        straight = (0.5, -3), (0.5 - slope / 2, -3.5), (0.5 - slope, -4)
+        x0 = np.array([*curved, (0.3, -2), *straight, (0.8, -2)])
+        return x0, np.array([(0.0, 1.0), (1.0, 1.0), (0.5, 2.0)])
+
+    assert jump(at, 0.1 / np.sqrt(0.99), 1e-9) <= 1e-7
+
+
+def test_beside_an_end():
+    """Beside an end of Γ0 what lies behind Γ1 doesn't come at once as Γ1 goes through its line."""
+
+    def at(y):
+        x0 = np.array([(1, 0), (0, 0), (-0.1, 0.4), (-0.9, 0.4)])
+        return x0, np.array([(-0.39, y), (0.1, y), (-0.2, y + 1)])
+
+    assert jump(at, 0.0, 1e-9) <= 1e-7
+
+
 def test_degree():
     """One that is too high is told."""
     sides, u, _ = scene(n=(1, 1), k=(1, 12))
