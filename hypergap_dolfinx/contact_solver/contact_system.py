@@ -341,7 +341,7 @@ class ContactSystem(NonlinearSystem):
     def _check_held(self):
         """Raise if sticking multipliers hold a body with more than friction can."""
         for rows in self._frictional:
-            if rows.holds_too_much:
+            if rows.holds_too_much(ROUND_OFF_FORCES * self._largest):
                 raise SolveError(
                     f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
                     "more than friction can hold; hold it by boundary conditions, or move it by "

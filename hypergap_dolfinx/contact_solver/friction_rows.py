@@ -339,13 +339,16 @@ class FrictionRows(ContactRows):
         """True if gaps are so small that moments of friction balance."""
         return self._largest_gap() <= EXACT * self._size
 
-    @property
-    def holds_too_much(self) -> bool:
-        """True if traction exceeds friction where sticking alone holds a body."""
+    def holds_too_much(self, nothing: float) -> bool:
+        """True if traction exceeds friction where sticking alone holds a body.
+
+        Args:
+            nothing: Force treated as zero.
+        """
         size = lengths(self.state.q.T)
         bound, _ = self._bounds(self.state.p)
-        none = max(EXCEEDS * bound.max(initial=0), self._zero)
-        return bool((size - bound)[self.stuck].max(initial=0) > none)
+        excess = np.where(self.stuck, size - bound - EXCEEDS * bound.max(initial=0), 0)
+        return bool((excess * self.m > nothing).any())
 
 
 def hold_by_sticking(

@@ -54,7 +54,8 @@ DEMOS = {
         "--dim 3 --scenes 60", {"*.solved": True}, slow=True, script="any_assemblies"
     ),
     "any_contacts": Demo(
-        "--only 1 2 3 4 7 10 11 12 15 18 24 36 105 127 132 136 147 163 182 198 208 212 252 292",
+        "--only 1 2 3 4 7 10 11 12 15 18 24 36 105 127 132 136 147 163 182 198 208 212 252 292 "
+        "354 379 452",
         {"*.ok": True},
         needs=("gmsh", "scipy"),
     ),
