@@ -109,7 +109,7 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
     far = np.flatnonzero((result > 0) & ~near)
     x = frames.surfaces[0].points(rays.facets[0][far], rays.xi[far]) - q[far, At.R]
     result[far] *= _ramp((body.depths(x) + slack[far]) / deep[far], NEAREST)
-    return result
+    return np.nan_to_num(result)  # rays that miss a folded facet may be nowhere
 
 
 def sort_out(
