@@ -11,12 +11,13 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.surface.pieces import Side
+from hypergap_dolfinx.surface.tolerances import CORNER
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
 from hypergap_dolfinx.trimming.outlines import Meetings, Rim, Shared, locate, meetings
 from hypergap_dolfinx.trimming.subdivision import Cut
-from hypergap_dolfinx.trimming.tolerances import NEARLY, OFF_OUTLINES, SNAP
+from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE, NEARLY, OFF_OUTLINES, SNAP
 
 
 def _kept(cut: Cut, other: Side) -> Side | None:
@@ -154,9 +155,18 @@ def clip(
         InterfaceError: The parts that are left of both don't correspond.
     """
     sides = side0, side1
-    rims = tuple([Rim(side, loop, of_one_curve) for loop in side.loops()] for side in sides)
-    whole = Shared(rims, OFF_OUTLINES, NEARLY).whole()
-    rims = tuple([r for r, w in zip(*both, strict=True) if not w] for both in zip(rims, whole))
+    loops = [side.loops() for side in sides]
+
+    def rims_of(corner: float) -> tuple[list[Rim], ...]:
+        return tuple(
+            [Rim(side, loop, corner) for loop in own]
+            for side, own in zip(sides, loops, strict=True)
+        )
+
+    # Whole loops may be coarse polygons of a curve
+    whole = Shared(rims_of(CORNER), OFF_OUTLINES, NEARLY).whole()
+    loops = [[loop for loop, w in zip(*both, strict=True) if not w] for both in zip(loops, whole)]
+    rims = rims_of(CORNER_OUTLINE if of_one_curve else 0)
     if not any(rims):
         return [sides]
     length = np.array([[f(rim.length) for f in (np.mean, np.max)] for own in rims for rim in own])

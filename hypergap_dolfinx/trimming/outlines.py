@@ -25,8 +25,8 @@ from hypergap_dolfinx.trimming.tolerances import (
 class Rim:
     """A boundary loop of a piece as a polygon through the nodes of its geometry."""
 
-    def __init__(self, side: Side, loop: npt.NDArray[np.intp], is_curve: bool = True):
-        """A piece, and the vertices of a loop around it, which may stand for a curve."""
+    def __init__(self, side: Side, loop: npt.NDArray[np.intp], corner: float = CORNER_OUTLINE):
+        """A piece, the vertices of a loop around it, and the turn from which one is a corner."""
         self.side = side
         n, degree = len(loop), side.surface.geometry.degree
         ends = np.column_stack((loop, np.roll(loop, -1)))
@@ -56,13 +56,12 @@ class Rim:
         before = np.roll(unit, 1, axis=0)
         turn = np.arctan2(_dot(self.normal, np.cross(before, unit)), _dot(before, unit))
         curvature = 2 * np.abs(turn) / (self.length + np.roll(self.length, 1))
-        corner, going = np.abs(turn) > CORNER_OUTLINE, np.zeros(len(turn))
+        is_corner, going = np.abs(turn) >= corner, np.zeros(len(turn))
         for way in (-1, 1):
-            same = np.roll(corner, way) | (turn * np.roll(turn, way) > 0)
+            same = np.roll(is_corner, way) | (turn * np.roll(turn, way) > 0)
             going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
-        curvature = np.where(corner, 0, np.minimum(curvature, going))
+        curvature = np.where(is_corner, 0, np.minimum(curvature, going))
         self.curvature = np.max([np.roll(curvature, k) for k in (-1, 0, 1)], axis=0)
-        self.curvature *= is_curve
         self._tilts = self._around()
 
     def place(self, place: float) -> tuple[int, int, float]:
@@ -174,7 +173,12 @@ class Shared:
         pairs = pairs[(node1[node0[pairs]] == pairs) & (away1[node0[pairs]] <= limit)]
         alone = [np.ones(len(off), dtype=bool) for off in (off0, off1)]
         alone[0][pairs] = alone[1][node0[pairs]] = False
-        one, other = (np.flatnonzero(a & (off <= tolerance)) for a, off in zip(alone, (off0, off1)))
+        # Nodes within curved edges have none to be paired with where the other side is straight
+        inner = [np.concatenate([rim.s > 0 for rim in own] or [()]).astype(bool) for own in rims]
+        one, other = (
+            np.flatnonzero(a & (off <= np.where(within, limit, tolerance)))
+            for a, off, within in zip(alone, (off0, off1), inner, strict=True)
+        )
         self.at = (
             np.concatenate((pairs, one, at1[other])).astype(float),
             np.concatenate((node0[pairs], at0[one], other)).astype(float),
