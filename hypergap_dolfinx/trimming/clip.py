@@ -155,23 +155,16 @@ def clip(
         InterfaceError: The parts that are left of both don't correspond.
     """
     sides = side0, side1
-    loops = [side.loops() for side in sides]
-
-    def rims_of(corner: float) -> tuple[list[Rim], ...]:
-        return tuple(
-            [Rim(side, loop, corner) for loop in own]
-            for side, own in zip(sides, loops, strict=True)
-        )
-
+    rims = tuple([Rim(side, loop) for loop in side.loops()] for side in sides)
     # Whole loops may be coarse polygons of a curve
-    whole = Shared(rims_of(CORNER), OFF_OUTLINES, NEARLY).whole()
-    loops = [[loop for loop, w in zip(*both, strict=True) if not w] for both in zip(loops, whole)]
-    rims = rims_of(CORNER_OUTLINE if of_one_curve else 0)
+    whole = Shared(rims, OFF_OUTLINES, NEARLY, CORNER).whole()
+    rims = tuple([r for r, w in zip(*both, strict=True) if not w] for both in zip(rims, whole))
     if not any(rims):
         return [sides]
     length = np.array([[f(rim.length) for f in (np.mean, np.max)] for own in rims for rim in own])
     snap *= float(length[:, 0].min())
-    shared = Shared(rims, snap / length[:, 1].max(), 0.0)
+    corner = CORNER_OUTLINE if of_one_curve else 0.0
+    shared = Shared(rims, snap / length[:, 1].max(), 0.0, corner)
     sides = side0.in_halves(), side1.in_halves()
     cuts = [Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1)]
     twins = _meet(cuts, shared)

@@ -25,8 +25,8 @@ from hypergap_dolfinx.trimming.tolerances import (
 class Rim:
     """A boundary loop of a piece as a polygon through the nodes of its geometry."""
 
-    def __init__(self, side: Side, loop: npt.NDArray[np.intp], corner: float = CORNER_OUTLINE):
-        """A piece, the vertices of a loop around it, and the turn from which one is a corner."""
+    def __init__(self, side: Side, loop: npt.NDArray[np.intp]):
+        """A piece, and the vertices of a loop around it."""
         self.side = side
         n, degree = len(loop), side.surface.geometry.degree
         ends = np.column_stack((loop, np.roll(loop, -1)))
@@ -51,18 +51,28 @@ class Rim:
             self.x[inner] = arcs.at(self.s[inner])[0]
         self.t = np.roll(self.x, -1, axis=0) - self.x
         self.length = np.linalg.norm(self.t, axis=1)
-        # Of the polygon in the surface: a curve goes on turning, a corner or a ragged outline don't
         unit = self.t / self.length[:, None]
         before = np.roll(unit, 1, axis=0)
-        turn = np.arctan2(_dot(self.normal, np.cross(before, unit)), _dot(before, unit))
-        curvature = 2 * np.abs(turn) / (self.length + np.roll(self.length, 1))
+        self._turn = np.arctan2(_dot(self.normal, np.cross(before, unit)), _dot(before, unit))
+        self._tilts = self._around()
+
+    def curvature(self, corner: float) -> npt.NDArray[np.float64]:
+        """Curvature of the polygon in the surface, at its nodes.
+
+        A curve goes on turning, a corner or a ragged outline don't.
+
+        Args:
+            corner: Turn from which a node is a corner.
+        """
+        turn, length = self._turn, self.length
+        curvature = 2 * np.abs(turn) / (length + np.roll(length, 1))
         is_corner, going = np.abs(turn) >= corner, np.zeros(len(turn))
         for way in (-1, 1):
             same = np.roll(is_corner, way) | (turn * np.roll(turn, way) > 0)
             going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
         curvature = np.where(is_corner, 0, np.minimum(curvature, going))
-        self.curvature = np.max([np.roll(curvature, k) for k in (-1, 0, 1)], axis=0)
-        self._tilts = self._around()
+        around: npt.NDArray[np.float64] = np.stack([np.roll(curvature, k) for k in (-1, 0, 1)])
+        return around.max(axis=0)
 
     def place(self, place: float) -> tuple[int, int, float]:
         """Vertices of an edge and a parameter on it, from a node's number and the one behind it."""
@@ -100,11 +110,15 @@ class Rim:
         sine = np.abs(_dot(normals[at], across[each]))
         return np.arcsin(np.minimum(np.maximum.reduceat(sine, first), 1))
 
-    def off(self, other: "Rim"):
+    def off(self, other: "Rim", corner: float = CORNER_OUTLINE):
         """Distances of its nodes from another one, less what the meshes can't know.
 
         Of one curve polygons through nodes on it are off by their sag, as far as both turn. Across
         a gap they are off as far as normals are uncertain.
+
+        Args:
+            other: The other one.
+            corner: Turn from which nodes are corners.
 
         Returns:
             The nearest edge, the parameter on it, from 0 to 1, and the distance; the nearest node
@@ -121,8 +135,9 @@ class Rim:
         m = np.cross(t, n)
         tilt = self.tilt(np.arange(len(self.x)), m)
         tilt += np.maximum(other.tilt(edge, m), other.tilt(after, m))
-        curvature = np.maximum(other.curvature[edge], other.curvature[after])
-        explained = SAGS / 8 * np.minimum(self.curvature, curvature) * other.length[edge] ** 2
+        there_by = other.curvature(corner)
+        curvature = np.minimum(self.curvature(corner), np.maximum(there_by[edge], there_by[after]))
+        explained = SAGS / 8 * curvature * other.length[edge] ** 2
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
         length = np.maximum(self.length, other.length[edge])
@@ -156,17 +171,18 @@ def _along(apart, normal):
 class Shared:
     """Places at which two outlines are one, within what the meshes can't know, and runs between."""
 
-    def __init__(self, rims: tuple[list[Rim], ...], tolerance: float, paired: float):
+    def __init__(self, rims: tuple[list[Rim], ...], tolerance: float, paired: float, corner: float):
         """Outlines of facing pieces.
 
         Args:
             rims: Their loops.
             tolerance: Distance treated as zero, in lengths of edges.
             paired: The same of nodes in pairs.
+            corner: Turn from which nodes are corners.
         """
         self.sizes = [np.array([len(rim.x) for rim in own], dtype=np.intp) for own in rims]
         self.starts = [np.cumsum(sizes) - sizes for sizes in self.sizes]
-        found = [self._nearest(rims[i], rims[1 - i], self.starts[1 - i]) for i in (0, 1)]
+        found = [self._nearest(rims[i], rims[1 - i], self.starts[1 - i], corner) for i in (0, 1)]
         (at0, off0, node0, away0), (at1, off1, node1, away1) = found
         limit = max(tolerance, paired)
         pairs = np.flatnonzero(away0 <= limit)
@@ -187,7 +203,7 @@ class Shared:
         self._find_runs()
 
     @staticmethod
-    def _nearest(rims: list[Rim], others: list[Rim], starts):
+    def _nearest(rims: list[Rim], others: list[Rim], starts, corner: float):
         """Nearest place and its distance, nearest node and its distance, of all nodes."""
         num = sum(len(rim.x) for rim in rims)
         at, node = np.zeros(num), np.zeros(num, dtype=np.intp)
@@ -196,7 +212,7 @@ class Shared:
         for rim in rims:
             own = slice(start, start := start + len(rim.x))
             for other, first in zip(others, starts, strict=True):
-                edge, s, distance, nearest, to_node = rim.off(other)
+                edge, s, distance, nearest, to_node = rim.off(other, corner)
                 place = first + np.where(s < 1, edge + s, (edge + 1) % len(other.x))
                 better = distance < off[own]
                 at[own][better], off[own][better] = place[better], distance[better]

@@ -195,10 +195,8 @@ class Cut(Nodes):
         place, normal = other.places(free)
         triangle, weights = locate(self.side, place, normal)
         nodes = dict(twins)
-        for node, t, w in zip(free, triangle.tolist(), weights, strict=True):
-            nodes[node] = (
-                self.in_triangle(t, w) if t >= 0 else self._beside(place[free.index(node)])
-            )
+        for node, t, w, x in zip(free, triangle.tolist(), weights, place, strict=True):
+            nodes[node] = self.in_triangle(t, w) if t >= 0 else self._beside(x)
         drawn = [
             (other.part(u, v), self.draw(nodes[u], nodes[v]))
             for u, v in crossing

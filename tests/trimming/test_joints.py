@@ -109,12 +109,11 @@ COLLARS = list(product((False, True), (1, 2), (0.09, 0.12, 0.15, 0.2), (0.0, 0.3
 
 def collar_on_a_rod(imprinted, degree, size, turn):
     """A short thick ring around a longer rod, by Gmsh; with its edges on the rod or without."""
-    gmsh = pytest.importorskip("gmsh")
+    pytest.importorskip("gmsh")
     io = import_module("dolfinx.io." + ("gmshio" if compat.VERSION < (0, 10) else "gmsh"))
     parts = []
     for name in ("rod", "collar"):
-        gmsh.initialize(["-noenv", "-v", "0"])
-        try:
+        with meshes.session.gmsh_session() as gmsh:
             gmsh.model.add(name)
             occ = gmsh.model.occ
             if name == "rod":
@@ -126,13 +125,7 @@ def collar_on_a_rod(imprinted, degree, size, turn):
                 if imprinted:
                     occ.fragment(body[:1], body[1:])
             else:
-                outer, inner = (
-                    (3, occ.addCylinder(0, 0, 0.4, 0, 0, 0.3, 0.55)),
-                    (
-                        3,
-                        occ.addCylinder(0, 0, 0.4, 0, 0, 0.3, 0.3),
-                    ),
-                )
+                outer, inner = ((3, occ.addCylinder(0, 0, 0.4, 0, 0, 0.3, r)) for r in (0.55, 0.3))
                 body, _ = occ.cut([outer], [inner])
                 occ.rotate(body, 0, 0, 0, 0, 0, 1, turn)
             occ.synchronize()
@@ -143,8 +136,6 @@ def collar_on_a_rod(imprinted, degree, size, turn):
             gmsh.model.mesh.generate(3)
             gmsh.model.mesh.setOrder(degree)
             parts.append(io.model_to_mesh(gmsh.model, comm, 0)[0])
-        finally:
-            gmsh.finalize()
     return parts
 
 
