@@ -18,9 +18,12 @@ Three rules lead there:
    So pieces between the same two bodies are one interface, however many ties it is given as,
    unless they are said to be discontinuous: then their ends are as cross points.
 2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
-   that is prescribed, or that another interface uses too: there λ follows its neighbours, as in
-   mortar methods with cross points. (If a compliance determines λ between two prescribed sides, no
-   dof has to answer.)
+   that is prescribed, or that another interface has on its Γ1 too: there λ follows its neighbours,
+   as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if ties
+   lead round in a circle through both, or if that one is left with too few multipliers. Elsewhere
+   B is triangular: in an order in which Γ0's body comes before Γ1's, a row's dof of Γ1 is in rows of
+   bodies behind only. (If a compliance determines λ between two prescribed sides, no dof has to
+   answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
@@ -48,6 +51,7 @@ from hypergap_dolfinx.multipliers.numbering import (
     prescribed_dofs,
     replacements,
     slopes,
+    ties_with_too_few,
 )
 from hypergap_dolfinx.multipliers.tolerances import COVERED_FACET, KNOWN, SAME_PLACE
 
@@ -165,9 +169,12 @@ def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
     return components(len(numbering), first, second)
 
 
-def _at_cross_points(numbering: Numbering, users, label, members) -> npt.NDArray[np.bool_]:
-    """Mask of the multipliers whose dofs another interface uses too, ``(num,)``."""
-    crossed = np.zeros(len(numbering), dtype=bool)
+def _at_cross_points(numbering: Numbering, users, label, members, alone):
+    """Mask of the multipliers whose dofs another interface uses too, ``(num,)``.
+
+    ``alone`` is the mask of ties on whose Γ0 no other one may have a multiplier.
+    """
+    crossed, circle = np.zeros(len(numbering), dtype=bool), numbering.in_circles
     for same in numbering.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= numbering.tie[a] == numbering.tie[b]  # patches that meet at a kink
@@ -180,7 +187,7 @@ def _at_cross_points(numbering: Numbering, users, label, members) -> npt.NDArray
             for side in (0, 1)
         }
         for s, side in sorted(others):
-            if s in mine and side == 1:
+            if s in mine if side else not (alone[s] or circle[s] and circle[mine].any()):
                 continue
             between = frozenset((numbering.body(s, 0), numbering.body(s, 1))) if ending else None
             crossed[m] |= s in mine or between not in ending
@@ -226,7 +233,7 @@ def choose(
 
 def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Choice:
     """Choose the multipliers of ties with the same number of components. Collective."""
-    groups = interfaces(ties, bodies)
+    num, groups = len(ties), interfaces(ties, bodies)
     numbering = Numbering(ties, bodies)
     users = numbering.users()
     label = _merge(numbering, users)
@@ -235,7 +242,7 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
         members[int(label[m])].append(m)
     for m in users:
         members.setdefault(int(label[m]), [m])
-    by_compliance = [_from_compliance(numbering, t, prescribed) for t in range(len(ties))]
+    by_compliance = [_from_compliance(numbering, t, prescribed) for t in range(num)]
     parts = zip(ties, bodies, numbering.lists, by_compliance, strict=True)
     held = np.vstack(
         [
@@ -243,10 +250,16 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
             for tie, pair, lists, (determined, _) in parts
         ]
     )
-    gone = _at_cross_points(numbering, users, label, members) | ~_covered(numbering, label, members)
-    drop = held | gone[:, None]
-    for same in members.values():
-        drop[same] = held[same].all(axis=0) | gone[same].any()
+    covered, alone = _covered(numbering, label, members), np.zeros(num, dtype=bool)
+    while True:
+        gone = _at_cross_points(numbering, users, label, members, alone) | ~covered
+        drop = held | gone[:, None]
+        for same in members.values():
+            drop[same] = held[same].all(axis=0) | gone[same].any()
+        before = alone.copy()
+        alone |= ties_with_too_few(numbering, label, drop)
+        if (alone == before).all():
+            break
     chosen = _Assembly(numbering, groups, label, held, drop, prescribed).choice()
     chosen.undetermined = [undetermined for _, undetermined in by_compliance]
     return chosen

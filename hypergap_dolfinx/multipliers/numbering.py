@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
+from itertools import chain, product
 
 from mpi4py import MPI
 
@@ -108,6 +108,17 @@ class Numbering:
         """Pairs of such bodies that ties tie to each other. Collective."""
         each = range(len(self.ties))
         return {frozenset((self.body(t, 0), self.body(t, 1))) for t in each}
+
+    @cached_property
+    def in_circles(self) -> npt.NDArray[np.bool_]:
+        """Mask of ties in circles of Γ0's and Γ1's bodies, or between such. Collective."""
+        each = range(len(self.ties))
+        number = {body: i for i, body in enumerate(set(chain(*self.tied)))}
+        sides = np.array([[number[self.body(t, side)] for side in (0, 1)] for t in each])
+        left = np.ones(len(sides), dtype=bool)
+        while not (inner := np.isin(sides, np.intersect1d(*sides[left].T)).all(axis=1))[left].all():
+            left &= inner
+        return left
 
     def x(self, numbers) -> npt.NDArray[np.float64]:
         """Positions of the dofs under some multipliers, ``(num, n)``."""
@@ -269,26 +280,44 @@ def _gathered(numbering: Numbering, numbers, prescribed, component: int):
     return list(columns), np.array(free, dtype=bool), B
 
 
-def _short_patches(numbering: Numbering, label, drop, prescribed) -> list[Replacement]:
-    """Pieces that are left with too few multipliers. Collective."""
-    n, found = numbering.ties[0].surfaces[1].gdim, []
+def ties_with_too_few(numbering: Numbering, label, drop) -> npt.NDArray[np.bool_]:
+    """Mask of ties with pieces that are left with too few multipliers, or with ones on lines."""
+    few = np.zeros(len(numbering.ties), dtype=bool)
+    for _, numbers, *_ in _short_pieces(numbering, label, drop):
+        few[numbering.tie[numbers]] = True
+    for t, lists in enumerate(numbering.lists):
+        mine = drop[slice(*numbering.starts[t : t + 2])]
+        few[t] |= any(lists.lacking(part) for part in mine.T)
+    return few
+
+
+def _short_pieces(numbering: Numbering, label, drop):
+    """Component, multipliers, their classes and number wanted of pieces that are left with less."""
+    n = numbering.ties[0].surfaces[1].gdim
     for component in range(drop.shape[1]):
         piece = pieces(numbering, label, drop[:, component])
         order = np.argsort(piece, kind="stable")
         for numbers in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):
-            places, first, at = np.unique(label[numbers], return_index=True, return_inverse=True)
+            classes = np.unique(label[numbers])
             degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
             polynomials = degree if n == 2 else degree * (degree + 1) // 2
-            wanted = min(len(places), max(n, polynomials))
-            kept = ~drop[numbers[first], component]
-            if kept.sum() >= wanted:
-                continue
-            columns, free, B = _gathered(numbering, numbers, prescribed, component)
-            units = (at.ravel() == np.arange(len(places))[:, None]).astype(float)
-            values = _polynomials(numbering.x(numbers), degree) + [
-                (unit, INDEPENDENT_ROWS) for unit in units[kept]
-            ]
-            found.append(Replacement(component, numbers, columns, free, B, units, values, wanted))
+            wanted = min(len(classes), max(n, polynomials))
+            if len(np.unique(label[numbers[~drop[numbers, component]]])) < wanted:
+                yield component, numbers, classes, wanted
+
+
+def _short_patches(numbering: Numbering, label, drop, prescribed) -> list[Replacement]:
+    """Pieces that are left with too few multipliers. Collective."""
+    found = []
+    for component, numbers, classes, wanted in _short_pieces(numbering, label, drop):
+        columns, free, B = _gathered(numbering, numbers, prescribed, component)
+        units = (label[numbers] == classes[:, None]).astype(float)
+        kept = np.isin(classes, label[numbers[~drop[numbers, component]]])
+        degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
+        values = _polynomials(numbering.x(numbers), degree) + [
+            (unit, INDEPENDENT_ROWS) for unit in units[kept]
+        ]
+        found.append(Replacement(component, numbers, columns, free, B, units, values, wanted))
     return found
 
 
