@@ -66,6 +66,8 @@ int has_corner(int num, int size, const int *behind, const double *normals, doub
 typedef struct {
   double t[3], turn; // unit vector along it, and by what normals turn there
   int a, b;          // its ends
+  int beyond[4];     // the next vertices of the facet on one side and on the other
+  int is_kink;
 } Turn;
 
 // The turns at inner edges, of facets with lower numbers than those behind them. Returns the largest.
@@ -99,6 +101,15 @@ static double find_turns(int num, int size, const int *facets, const int *behind
                                m[0] * n[1] - m[1] * n[0]};
       Turn *own = turns + (*num_turns)++;
       own->a = facets[size * f + k], own->b = facets[size * f + (k + 1) % size];
+      own->is_kink = 0;
+      int l = 0;
+      while (l < size - 1 && behind[size * g + l] != f)
+        ++l;
+      for (int i = 0; i < 2; ++i)
+      {
+        own->beyond[i] = facets[size * f + (k + (i ? size - 1 : 2)) % size];
+        own->beyond[2 + i] = facets[size * g + (l + (i ? size - 1 : 2)) % size];
+      }
       own->turn = atan2(sqrt(dot(cross, cross)), dot(m, n));
       minus(x + 3 * own->b, x + 3 * own->a, own->t);
       double length = sqrt(dot(own->t, own->t));
@@ -111,21 +122,46 @@ static double find_turns(int num, int size, const int *facets, const int *behind
   return most;
 }
 
-// True if some other edge at a vertex, without a common end, turns about as much in its direction.
-static int turns_beside(const Turn *turns, const int *offset, const int *at, int vertex,
-                        const Turn *own, double stands_out)
+// The turn about an edge's direction at others at a vertex that aren't kinks and have no end in common.
+static double turn_at(const Turn *turns, const int *offset, const int *at, int vertex,
+                      const Turn *own)
 {
+  double sum = 0;
   for (int i = offset[vertex]; i < offset[vertex + 1]; ++i)
   {
     const Turn *other = turns + at[i];
-    if (other->a != own->a && other->a != own->b && other->b != own->a && other->b != own->b
-        && stands_out * other->turn * fabs(dot(own->t, other->t)) >= own->turn)
-      return 1;
+    double cosine = dot(own->t, other->t);
+    if (!other->is_kink && other->a != own->a && other->a != own->b && other->b != own->a
+        && other->b != own->b)
+      sum += other->turn * cosine * cosine;
   }
-  return 0;
+  return sum;
+}
+
+// True if a surface turns beside an edge too: on both sides, or far more on one. What lies at its
+// boundary tells little: it counts where nothing else is known.
+static int goes_on(const Turn *turns, const int *offset, const int *at, const char *boundary,
+                   const Turn *own, double stands_out)
+{
+  double beside[2] = {INFINITY, INFINITY}, outside = 0;
+  for (int i = 0; i < 4; ++i)
+  {
+    double turn = turn_at(turns, offset, at, own->beyond[i], own);
+    if (boundary[own->beyond[i]])
+      outside = larger(outside, turn);
+    else
+      beside[i / 2] = smaller(beside[i / 2], turn);
+  }
+  double least = smaller(beside[0], beside[1]), most = larger(beside[0], beside[1]);
+  if (least == INFINITY)
+    least = outside;
+  if (most == INFINITY)
+    most = least;
+  return stands_out * least >= own->turn || most >= stands_out * own->turn;
 }
 
 // Find the edges at which a surface turns by more than a corner does, or by much more than beside.
+// Other such edges, which run up to a corner of the body, don't count as beside.
 //
 // n, x        vertices
 // num, size   facets, and corners of each
@@ -135,7 +171,7 @@ static int turns_beside(const Turn *turns, const int *offset, const int *at, int
 // limit       turn that is treated as zero
 // noise       error of coordinates' differences, which adds to that
 // corner      turn that is a corner whatever is beside it
-// stands_out  times the turns beside it from which a turn is one
+// stands_out  times the turn beside it from which a turn is one
 // kinks       (num, size): 1 for these edges, on one of their two facets
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
                const double *normals, double limit, double noise, double corner,
@@ -144,7 +180,8 @@ int find_kinks(int n, const double *x, int num, int size, const int *facets, con
   int num_turns, status = NO_MEMORY;
   Turn *turns = malloc((size_t)(num * size + 1) * sizeof(Turn));
   int *ends = NULL, *at = NULL, *offset = calloc(n + 2, sizeof(int));
-  if (!turns || !offset)
+  char *boundary = calloc(n + 1, 1);
+  if (!turns || !offset || !boundary)
     goto finish;
   // ``kinks`` has the turns' numbers first
   double shortest;
@@ -163,23 +200,22 @@ int find_kinks(int n, const double *x, int num, int size, const int *facets, con
   for (int i = 0; i < num_turns; ++i)
     ends[2 * i] = turns[i].a, ends[2 * i + 1] = turns[i].b;
   sort_at_vertices(n, 2, num_turns, ends, offset, at);
-  for (int f = 0; f < num; ++f)
-    for (int k = 0; k < size; ++k)
-    {
-      int i = kinks[size * f + k], g = behind[size * f + k], m = 0;
-      kinks[size * f + k] = 0;
-      if (i < 0 || turns[i].turn <= limit)
-        continue;
-      while (m < size - 1 && behind[size * g + m] != f)
-        ++m;
-      int p = facets[size * f + (k + 2) % size], s = facets[size * g + (m + 2) % size];
-      kinks[size * f + k] = turns[i].turn > corner
-                            || !(turns_beside(turns, offset, at, p, turns + i, stands_out)
-                                 || turns_beside(turns, offset, at, s, turns + i, stands_out));
-    }
+  for (int i = 0; i < num * size; ++i)
+    if (behind[i] < 0)
+      boundary[facets[i]] = boundary[facets[i % size + 1 < size ? i + 1 : i + 1 - size]] = 1;
+  for (int again = 1; again;)
+  {
+    again = 0;
+    for (int i = 0; i < num_turns; ++i)
+      if (turns[i].turn > limit && !turns[i].is_kink
+          && (turns[i].turn > corner || !goes_on(turns, offset, at, boundary, turns + i, stands_out)))
+        turns[i].is_kink = again = 1;
+  }
+  for (int i = 0; i < num * size; ++i)
+    kinks[i] = kinks[i] >= 0 && turns[kinks[i]].is_kink;
   status = DONE;
 finish:
-  free(turns), free(ends), free(at), free(offset);
+  free(turns), free(ends), free(at), free(offset), free(boundary);
   return status;
 }
 
