@@ -21,9 +21,9 @@ Three rules lead there:
    that is prescribed, or that another interface has on its Γ1 too: there λ follows its neighbours,
    as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if ties
    lead round in a circle through both, or if that one is left with too few multipliers. Elsewhere
-   B is triangular: in an order in which Γ0's body comes before Γ1's, a row's dof of Γ1 is in rows of
-   bodies behind only. (If a compliance determines λ between two prescribed sides, no dof has to
-   answer.)
+   B is triangular: in an order in which Γ0's body comes before Γ1's, a row's dof of Γ1 is else in
+   rows of later bodies only. (If a compliance determines λ between two prescribed sides, no dof has
+   to answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
@@ -187,7 +187,7 @@ def _at_cross_points(numbering: Numbering, users, label, members, alone):
             for side in (0, 1)
         }
         for s, side in sorted(others):
-            if s in mine if side else not (alone[s] or circle[s] and circle[mine].any()):
+            if s in mine if side else not (alone[s] or (circle[s] and circle[mine].any())):
                 continue
             between = frozenset((numbering.body(s, 0), numbering.body(s, 1))) if ending else None
             crossed[m] |= s in mine or between not in ending
@@ -251,15 +251,15 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
         ]
     )
     covered, alone = _covered(numbering, label, members), np.zeros(num, dtype=bool)
-    while True:
+    changed = True
+    while changed:
         gone = _at_cross_points(numbering, users, label, members, alone) | ~covered
         drop = held | gone[:, None]
         for same in members.values():
             drop[same] = held[same].all(axis=0) | gone[same].any()
-        before = alone.copy()
-        alone |= ties_with_too_few(numbering, label, drop)
-        if (alone == before).all():
-            break
+        few = ties_with_too_few(numbering, label, drop) if users else alone
+        changed = bool((few & ~alone).any())
+        alone |= few
     chosen = _Assembly(numbering, groups, label, held, drop, prescribed).choice()
     chosen.undetermined = [undetermined for _, undetermined in by_compliance]
     return chosen

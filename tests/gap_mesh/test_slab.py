@@ -329,3 +329,17 @@ def test_kinks():
         surface = create_surface(space, facets, "Γ0")
         found = kinks(surface, neighbours(surface.facets, "Γ0", surface.x))
         assert len(found[0]) == number
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("cell", ("hexahedron", "tetrahedron"))
+def test_kinks_of_skew_blocks(cell):
+    """All twelve edges, and nothing else: at corners other edges don't explain a turn."""
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        A = np.eye(3) + rng.uniform(-0.35, 0.35, (3, 3))
+        n = rng.integers(2, 6, 3)
+        mesh, ft = meshes.block(comm, tuple(n), lambda x, A=A: x @ A, cell=cell)
+        surface = create_surface(fem.functionspace(mesh, ("Lagrange", 1)), ft.indices, "Γ0")
+        found = kinks(surface, neighbours(surface.polygons, "Γ0", surface.x))
+        assert len(found[0]) == 4 * n.sum()
