@@ -276,12 +276,12 @@ class Coincidences:
         self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
         """True if the values are displacements."""
 
-    def check(self, name: str, prescribed, values, size: float, jump=None):
+    def check(self, name: str, both, values, size: float, jump=None):
         """Raise if both sides are prescribed, and differently.
 
         Args:
             name: Name of the tie in the message.
-            prescribed: Masks of prescribed components on both sides, ``(num_pairs, block_size)``.
+            both: Mask of components that are prescribed on both, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Largest displacement that is prescribed anywhere on either body.
             jump: Prescribed u₁ − u₀, as the values; zero if not given.
@@ -289,7 +289,6 @@ class Coincidences:
         Raises:
             InterfaceError: With the place and the values.
         """
-        both = prescribed[0] & prescribed[1]
         noise = NOTHING * self.extent if self.lengths else 0.0
         difference = values[1] - values[0] - (0 if jump is None else jump)
         wrong = both & (np.abs(difference) > CONTRADICT * size + noise)

@@ -236,8 +236,8 @@ def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     sums = []
     for values in (extent, np.ones(len(cells))):
         total = la.vector(nodes)
-        of_dofs = np.repeat(values, cells.shape[1])
-        total.array[:] = np.bincount(cells.ravel(), of_dofs, len(total.array))
+        weights: npt.NDArray[np.float64] = np.repeat(values, cells.shape[1])
+        total.array[:] = np.bincount(cells.ravel(), weights, len(total.array))
         total.scatter_reverse(la.InsertMode.add)
         sums.append(total.array[: nodes.size_local])
     return sums[0] / sums[1]
@@ -319,8 +319,8 @@ class Hindrance:
         for f, ((i, part), modes) in enumerate(zip(fields, moved, strict=True)):
             free.append(part.into_body(np.where(held[f][:, None], 0, modes)))
             # Fields have units of their own, and so have their columns
-            whole = part.dofs is None
-            size = (row_length(K[i]) if whole else column_length(K[i], part.dofs)) or 1.0
+            dofs = part.dofs
+            size = (row_length(K[i]) if dofs is None else column_length(K[i], dofs)) or 1.0
             rows = np.vstack((product(K[i], free[f]) / size, modes[held[f]]))
             self._bodies.append((columns[f], rows))
         self._ties = []

@@ -39,5 +39,6 @@ def _created(form, known, compiler_options, jit_options) -> fem.Form:
     key = form.signature()
     if key not in known:
         known[key] = fem.compile_form(V[0].mesh.comm, form, compiler_options, jit_options)
-    values = ({value: value for value in of} for of in (form.coefficients(), form.constants()))
-    return fem.create_form(replace(known[key], ufl_form=form), V, V[0].mesh, {}, *values)
+    functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))
+    compiled = replace(known[key], ufl_form=form)
+    return fem.create_form(compiled, V, V[0].mesh, {}, functions, constants)
