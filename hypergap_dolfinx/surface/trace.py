@@ -3,7 +3,7 @@
 """Trace of a function space on the facets of an interface, gathered over the ranks."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -194,6 +194,7 @@ def _match(points, reference) -> npt.NDArray[np.intp] | None:
     return index if distance[np.arange(len(points)), index].max() < SAME_NODE else None
 
 
+@cache
 def _facet_tables(cell_type, element, facet_element):
     """Cell nodes at facet nodes for both orientations, ``(num_local_facets, 2, num_nodes)``."""
     fdim = len(basix.topology(cell_type)) - 2
