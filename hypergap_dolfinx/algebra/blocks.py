@@ -258,7 +258,7 @@ class ConstraintBlocks:
     def _own_dofs(columns: Columns, tie: Interface) -> npt.NDArray[np.int64]:
         """Dofs of Γ1's body that answer to this rank's multipliers, of an interface."""
         part = tie.components[1]
-        own = columns.own[(columns.rank == tie.sigma.comm.rank) & (columns.own >= 0)]
+        own = columns.own[(columns.rank == tie.domain.comm.rank) & (columns.own >= 0)]
         start = part.space.dofmap.index_map.local_range[0] * tie.block_size
         return part.global_dofs()[own - start]
 
@@ -279,7 +279,7 @@ class ConstraintBlocks:
         tie, own = self._ties[t], self._of_tie.get(t)
         if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
             return {own: Extension()}
-        comm, block_size = tie.sigma.comm, tie.block_size
+        comm, block_size = tie.domain.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
         row = tie.constraint.rows[multiplier] * block_size + component
@@ -349,10 +349,10 @@ class ConstraintBlocks:
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
-        largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
+        largest = tie.domain.comm.allreduce(size.max(initial=0), MPI.MAX)
         untied = (size[lost - start] > NOTHING * largest).sum()
         B0.destroy()
-        untied = tie.sigma.comm.allreduce(int(untied))
+        untied = tie.domain.comm.allreduce(int(untied))
         if untied:
             raise PrescribedSideError(
                 f"{untied} displacements of Γ1 of {self._names[t]} are prescribed on whole facets "

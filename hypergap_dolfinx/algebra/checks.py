@@ -273,7 +273,7 @@ class Coincidences:
         """Their positions, ``(num_pairs, n)``."""
         self.extent = float(np.ptp(x[0], axis=0).max())
         """Size of Γ0."""
-        self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
+        self.lengths = tie.spaces[0].value_shape == (tie.surfaces[0].gdim,)
         """True if the values are displacements."""
 
     def check(self, name: str, both, values, size: float, jump=None):
