@@ -138,7 +138,8 @@ class TiedProblem(TiedSystem):
             with b.localForm() as local:
                 local.set(0.0)
             petsc.assemble_vector(b, L)
-            petsc.apply_lifting(b, [a], bcs=[bcs])
+            if bcs:
+                petsc.apply_lifting(b, [a], bcs=[bcs])
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             petsc.set_bc(b, bcs)
             b.array[self._constraints.prescribed[i]] *= self._scales[i]

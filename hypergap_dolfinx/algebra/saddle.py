@@ -100,6 +100,8 @@ class Errors:
         self._A = A
         self._state: int | None = None
         self._sizes: list[dict[int, float]] = []
+        self.norms: tuple[list[float], list[float]] | None = None
+        """|b − Ax| and |b| of each row of blocks for the KSP's solution, if they are known."""
 
     def _measured(self) -> list[dict[int, float]]:
         """Sizes of the blocks. Collective."""
@@ -119,8 +121,8 @@ class Errors:
             b: The right-hand side.
         """
         sizes, lengths = self._measured(), [part.norm() for part in x.getNestSubVecs()]
-        found = [0.0]
-        for i, (row, r, b_i) in enumerate(zip(sizes, *self._residuals(x, b), strict=True)):
+        found, self.norms = [0.0], self._residuals(x, b)
+        for i, (row, r, b_i) in enumerate(zip(sizes, *self.norms, strict=True)):
             beside = max(lengths[k] for j in row for k in sizes[j])
             size = b_i + BACKWARD * row.get(i, 0.0) * beside
             size += sum(scale * lengths[j] for j, scale in row.items())
@@ -129,8 +131,8 @@ class Errors:
 
     def residual(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[float, float]:
         """|b − Ax| and |b|, with rows of ties in units of K (forces). Collective."""
-        units = scales(self._measured())
-        r, size = (np.linalg.norm(np.multiply(units, part)) for part in self._residuals(x, b))
+        units, norms = scales(self._measured()), self.norms or self._residuals(x, b)
+        r, size = (np.linalg.norm(np.multiply(units, part)) for part in norms)
         return float(r), float(size)
 
     def _residuals(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[list[float], list[float]]:

@@ -352,11 +352,14 @@ class _Refined:
 
     def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float) -> bool:
         """True if another step of refinement is no use. Collective."""
-        last = self._last
-        self._last = error = np.inf
-        if iteration:
-            self._last = error = self._errors.backward(ksp.getSolution(), ksp.getRhs())
-        return iteration > 0 and not REFINED < error < last / 2
+        last, self._last, self._errors.norms = self._last, np.inf, None
+        if not iteration:
+            return False
+        self._last = error = self._errors.backward(ksp.getSolution(), ksp.getRhs())
+        if REFINED < error < last / 2:
+            self._errors.norms = None  # of what is refined now
+            return False
+        return True
 
 
 PLANE = {"mat_mumps_icntl_7": 2}
