@@ -23,6 +23,7 @@ from hypergap_dolfinx.core.sparse import (
     row_length,
 )
 from hypergap_dolfinx.surface.component import Component, lagrange_components
+from hypergap_dolfinx.surface.trace import extents
 
 
 def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
@@ -163,14 +164,15 @@ def free_motions(
     for g in range(max(int(group.max()) for group in groups) + 1):
         moved = {f: group[in_part[f][0]] == g for f, group in enumerate(groups) if g in group}
         centre = mean(comm, [x[f][mask] for f, mask in moved.items()])
-        parts_of_common = [np.zeros((modes.shape[1], 0)) for modes in alone]
+        common = []
         for f, mask in moved.items():
-            V, modes = fields[f][1].space, alone[f]
+            V = fields[f][1].space
             mask = np.repeat(mask, V.dofmap.index_map_bs)
-            parts_of_common[f] = comm.allreduce(modes[mask].T @ motions(V, centre, x[f])[mask])
-        num = max(part.shape[1] for part in parts_of_common)
-        common = [np.pad(part, ((0, 0), (0, num - part.shape[1]))) for part in parts_of_common]
-        together.append(orthonormal(MPI.COMM_SELF, np.vstack(common)))
+            common.append(comm.allreduce(alone[f][mask].T @ motions(V, centre, x[f])[mask]))
+        together.append(np.zeros((hindrance.num, common[0].shape[1])))
+        columns = np.concatenate([hindrance.columns[f] for f in moved])
+        together[-1][columns] = np.vstack(common)
+        together[-1] = orthonormal(MPI.COMM_SELF, together[-1])
     free = hindrance.unhindered(all_rows), hindrance.unhindered(apart, np.hstack(together))
     return max(map(len, free))
 
@@ -231,8 +233,7 @@ def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Mean extent of the cells around each of this rank's owned nodes, ``(num_nodes,)``."""
     nodes, topology = V.dofmap.index_map, V.mesh.topology
     cells = V.dofmap.list[: topology.index_map(topology.dim).size_local]
-    coordinates = V.tabulate_dof_coordinates().T.copy()
-    extent = np.max([np.ptp(x[cells], axis=1) for x in coordinates], axis=0)
+    extent = extents(V.tabulate_dof_coordinates()[cells])
     sums = []
     for values in (extent, np.ones(len(cells))):
         total = la.vector(nodes)
@@ -311,8 +312,10 @@ class Hindrance:
         """
         self._comm = K[0].comm.tompi4py()
         ends = np.cumsum([0, *(modes.shape[1] for modes in moved)])
-        columns = [np.arange(*pair) for pair in pairwise(ends)]
-        self._num = int(ends[-1])
+        self.columns = [np.arange(*pair) for pair in pairwise(ends)]
+        """Number of each field's motions among all."""
+        self.num = int(ends[-1])
+        """Number of motions."""
         held = [part.of_body(constraints.prescribed[i]) for i, part in fields]
         free = []  # on the bodies' dofs
         self._bodies = []  # columns and rows of each field
@@ -322,7 +325,7 @@ class Hindrance:
             dofs = part.dofs
             size = (row_length(K[i]) if dofs is None else column_length(K[i], dofs)) or 1.0
             rows = np.vstack((product(K[i], free[f]) / size, modes[held[f]]))
-            self._bodies.append((columns[f], rows))
+            self._bodies.append((self.columns[f], rows))
         self._ties = []
         for row in constraints.free:
             blocks = {i: B for i, B in enumerate(row[: len(K)]) if B is not None}
@@ -330,7 +333,7 @@ class Hindrance:
             size = max(row_length(B) for B in blocks.values()) or 1.0
             of = [f for f, (i, _) in enumerate(fields) if i in blocks]
             forces = [product(blocks[fields[f][0]], free[f]) / size for f in of]
-            self._ties.append((np.hstack([columns[f] for f in of]), np.hstack(forces)))
+            self._ties.append((np.hstack([self.columns[f] for f in of]), np.hstack(forces)))
 
     def unhindered(self, rows, combinations: npt.NDArray | None = None) -> npt.NDArray:
         """The combinations of motions that nothing hinders. Collective.
@@ -342,11 +345,11 @@ class Hindrance:
         Returns:
             Orthonormal combinations of the motions or of those columns, ``(num_free, num)``.
         """
-        found = [np.zeros((1, self._num))]  # on this rank: rows whose null space is free motions
+        found = [np.zeros((1, self.num))]  # on this rank: rows whose null space is free motions
         of_ties = [(at, part[mask]) for (at, part), mask in zip(self._ties, rows, strict=True)]
         for columns, part in (*self._bodies, *of_ties):
             R = np.linalg.qr(part, mode="r")  # at most as many rows as there are motions
-            found.append(np.zeros((len(R), self._num), dtype=R.dtype))
+            found.append(np.zeros((len(R), self.num), dtype=R.dtype))
             found[-1][:, columns] = R
         R = np.vstack(found)
         R = np.linalg.qr(R if combinations is None else R @ combinations, mode="r")

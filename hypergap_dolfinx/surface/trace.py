@@ -162,6 +162,17 @@ def lengths(vectors) -> npt.NDArray[np.float64]:
     return np.sqrt(np.einsum("vi,vi->v", vectors, vectors))
 
 
+def extents(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Largest extents along an axis of groups of points, ``(num, num_points, n)``.
+
+    A point at a time: NumPy's reductions are slow over a short axis.
+    """
+    low = high = points[:, 0]
+    for k in range(1, points.shape[1]):
+        low, high = np.minimum(low, points[:, k]), np.maximum(high, points[:, k])
+    return (high - low).max(axis=1)
+
+
 def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Unit normals of facets with the given vertices, ``(num, num_vertices, n)``.
 
