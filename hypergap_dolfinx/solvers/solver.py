@@ -392,7 +392,8 @@ class Direct(KSPSolver):
     def __init__(self, system: System, prefix: str, options: dict | None = None):
         """Create the KSP, which by default refines until the residual is round-off. Collective."""
         super().__init__(system, prefix, options)
-        if self._ksp.getNormType() == PETSc.KSP.NormType.NONE:
+        unnormed = self._ksp.getNormType() == PETSc.KSP.NormType.NONE
+        if unnormed and self._ksp.getPC().getType() == PETSc.PC.Type.LU:
             self._ksp.setConvergenceTest(_Refined(self._errors))
 
     @classmethod
