@@ -422,7 +422,7 @@ def fits(domain):
     And whether each face inside of it has two cells.
     """
     topology = domain.mesh.topology
-    cells = topology.connectivity(3, 0).array.reshape(-1, 4)
+    cells = topology.connectivity(3, 0).array.reshape(-1, 4)[domain.in_mesh]
     faces = np.sort(cells[:, [(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)]].reshape(-1, 3), axis=1)
     faces, count = np.unique(faces, axis=0, return_counts=True)
     if count.max() > 2:

@@ -200,7 +200,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
         return None, []
     every = Multipliers.of(whole.constraint, whole.domain)
     places = [_places(tie, whole, every) for tie in ties]
-    comm = whole.sigma.comm
+    comm = whole.domain.comm
     failed = any(at is None for at in places)
     failed |= not adjusts and any(_has_moved(tie, whole) for tie in ties)
     if comm.allreduce(failed):

@@ -189,7 +189,7 @@ def traction(
         filename: Path of the picture to save.
         window: True to open a window.
     """
-    comm, dim = tie.sigma.comm, tie.sigma.geometry.dim
+    comm, dim = tie.domain.comm, tie.surfaces[0].gdim
     plotter = _plotter(comm, window)
     drawn = tie.spaces if dim == 2 else tie.spaces[:1]
     for mesh in {id(V.mesh): V.mesh for V in drawn}.values():
@@ -384,7 +384,7 @@ def _draw_gap_domains(
     ties: Sequence[Tie], f: fem.Function | None, title: str, filename, distance, window: bool
 ) -> pyvista.Plotter | None:
     """Bodies pulled apart and Σ between them, coloured by a function on it or else by α."""
-    comm, dim = ties[0].sigma.comm, ties[0].sigma.geometry.dim
+    comm, dim = ties[0].domain.comm, ties[0].surfaces[0].gdim
     if distance is None:
         distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
     places = _pulled_apart(ties, distance)
@@ -424,7 +424,7 @@ def _sigma(
         drawn = vtk_mesh(V, cells)  # type: ignore[arg-type]
     weights = np.column_stack((1 - points.sum(axis=1), points))
     alpha = np.zeros(nodes.max(initial=-1) + 1)
-    alpha[nodes[cells]] = domain.alpha_vertices @ weights.T
+    alpha[nodes[domain.in_mesh]] = domain.alpha_vertices @ weights.T
     values = alpha
     if f is not None:
         components = f.x.array.real.reshape(-1, f.function_space.dofmap.index_map_bs)

@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
+from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
@@ -121,16 +122,12 @@ class TiedProblem(TiedSystem):
                 )
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
-        options = {
-            "dtype": PETSc.ScalarType,
-            "form_compiler_options": form_compiler_options,
-            "jit_options": jit_options,
-        }
         checks.check_scalars((*a, *loads), u or ())
-        self._L = fem.form(loads, **options)
+        self._L = create_forms(loads, form_compiler_options, jit_options)
         spaces = [form.arguments()[0].ufl_function_space() for form in loads]
         solutions = u if u is not None else [fem.Function(V) for V in spaces]
-        super().__init__(fem.form(list(a), **options), bcs or (), Joined(ties), solutions)
+        compiled = create_forms(a, form_compiler_options, jit_options)
+        super().__init__(compiled, bcs or (), Joined(ties), solutions)
         self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
 
     def assemble_vector(self):
@@ -141,7 +138,8 @@ class TiedProblem(TiedSystem):
             with b.localForm() as local:
                 local.set(0.0)
             petsc.assemble_vector(b, L)
-            petsc.apply_lifting(b, [a], bcs=[bcs])
+            if bcs:
+                petsc.apply_lifting(b, [a], bcs=[bcs])
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             petsc.set_bc(b, bcs)
             b.array[self._constraints.prescribed[i]] *= self._scales[i]

@@ -287,7 +287,7 @@ class Tie(collective.Owner):
                 given["law"] = laws.Law(given["law"]).reversed()
             tie = cls(*((b, a) if swapped else (a, b)), **given)
             tie._swapped = swapped
-            if tie.sigma.comm.rank == 0:
+            if tie.domain.comm.rank == 0:
                 LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
             return tie
 
@@ -434,12 +434,15 @@ class Tie(collective.Owner):
 
     @property
     def sigma(self) -> Mesh:
-        """Σ's mesh. Its cells may have no volume: never integrate over it with ``ufl.dx``."""
+        """Σ's mesh, made when it is asked for first. Collective.
+
+        Its cells may have no volume: never integrate over it with ``ufl.dx``.
+        """
         return self._domain.mesh
 
     @property
     def alpha(self) -> fem.Function:
-        """The field α on Σ, from 0 on Γ0 to 1 on Γ1."""
+        """The field α on Σ, from 0 on Γ0 to 1 on Γ1. Collective."""
         return self._domain.alpha
 
     @property
@@ -600,7 +603,7 @@ class Tie(collective.Owner):
         return self._recovery.traction(int(on[-1]), shape, multipliers)
 
     def quadrature(self, degree: int) -> fields.GapQuadrature:
-        """Gauss points on Σ with the measure dΓ_α dα, to integrate there.
+        """Gauss points on Σ with the measure dΓ_α dα, to integrate there. Collective.
 
         Args:
             degree: Degree of the Gauss rule.

@@ -161,3 +161,14 @@ def elasticity(V):
 def stress(u):
     """σ with λ = μ = 1."""
     return 2 * ufl.sym(ufl.grad(u)) + ufl.div(u) * ufl.Identity(2)
+
+
+def nodal_space(domain):
+    """The space of the φ_a on Σ's mesh, and its dofs of the domain's cells."""
+    V = fem.functionspace(domain.mesh, ("Lagrange", domain.element.degree))
+    return V, V.dofmap.list[domain.in_mesh]
+
+
+def at_own_nodes(domain, values):
+    """Values at the nodes of this rank's cells, ``(num_cells, num_nodes, …)``, at its own ones."""
+    return values.reshape(-1, *values.shape[2:])[domain.first_of_nodes()[1]]

@@ -61,7 +61,7 @@ class ConstraintBlocks:
         """Γ0's and Γ1's body of each tie."""
         self.prescribed = [self._prescribed(V, b) for V, b in zip(spaces, bcs, strict=True)]
         """Mask of each body's owned dofs (unrolled) that are prescribed."""
-        self._pairs: dict[int, Coincidences] = {}
+        self._pairs: dict[int, tuple[Coincidences, npt.NDArray[np.bool_]] | None] = {}
         held = [part.of_body(self.prescribed[i]) for i, part in self._components]
         choice = choose(self._ties, tied, held)
         self._interfaces = choice.interfaces
@@ -182,13 +182,14 @@ class ConstraintBlocks:
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
-            jump = tie.nodal_jump()
             if t not in self._pairs:
-                self._pairs[t] = Coincidences(tie)
-            pairs, both, given = self._pairs[t], [], []
-            for i, (body, dofs) in enumerate(zip(bodies, pairs.dofs, strict=True)):
-                part = tie.components[i]
-                both.append(prescribed_dofs(tie, i, part.of_body(self.prescribed[body]), dofs))
+                self._pairs[t] = self._both_prescribed(t)
+            known = self._pairs[t]
+            if known is None:
+                continue
+            pairs, both = known
+            jump, given = tie.nodal_jump(), []
+            for i, (part, body, dofs) in enumerate(zip(tie.components, bodies, pairs.dofs)):
                 owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
                 given.append(values_at(tie, i, owned, dofs))
             size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
@@ -197,6 +198,23 @@ class ConstraintBlocks:
                 side, nodal = jump
                 at = values_at(tie, side, nodal, pairs.dofs[side])
             pairs.check(self._names[t], both, given, size, at)
+
+    def _both_prescribed(self, t: int) -> tuple[Coincidences, npt.NDArray[np.bool_]] | None:
+        """Nodes of a tie at one place, and the mask of components that both sides prescribe.
+
+        None without any such component. Collective.
+        """
+        tie = self._ties[t]
+
+        def held(i: int, dofs: npt.NDArray) -> npt.NDArray[np.bool_]:
+            part = tie.components[i].of_body(self.prescribed[self.sides[t][i]])
+            return prescribed_dofs(tie, i, part, dofs)
+
+        if not all(held(i, np.unique(side.dofs)).any() for i, side in enumerate(tie.surfaces)):
+            return None
+        pairs = Coincidences(tie)
+        both = held(0, pairs.dofs[0]) & held(1, pairs.dofs[1])
+        return (pairs, both) if both.any() else None
 
     def multipliers(self, t: int, x: Sequence[PETSc.Vec]) -> npt.NDArray:
         """All multipliers λ = E λ' of a tie, ``(num_multipliers, block_size)``. Collective.
@@ -240,7 +258,7 @@ class ConstraintBlocks:
     def _own_dofs(columns: Columns, tie: Interface) -> npt.NDArray[np.int64]:
         """Dofs of Γ1's body that answer to this rank's multipliers, of an interface."""
         part = tie.components[1]
-        own = columns.own[(columns.rank == tie.sigma.comm.rank) & (columns.own >= 0)]
+        own = columns.own[(columns.rank == tie.domain.comm.rank) & (columns.own >= 0)]
         start = part.space.dofmap.index_map.local_range[0] * tie.block_size
         return part.global_dofs()[own - start]
 
@@ -261,7 +279,7 @@ class ConstraintBlocks:
         tie, own = self._ties[t], self._of_tie.get(t)
         if own is not None and choice.complete[t] and len(choice.interfaces[own]) == 1:
             return {own: Extension()}
-        comm, block_size = tie.sigma.comm, tie.block_size
+        comm, block_size = tie.domain.comm, tie.block_size
         i, group, j, value = choice.entries[t]
         multiplier, component = np.divmod(i, block_size)
         row = tie.constraint.rows[multiplier] * block_size + component
@@ -331,10 +349,10 @@ class ConstraintBlocks:
         lost = lost[(start <= lost) & (lost < end)]
         indptr, _, values = B0.getValuesCSR()
         size = np.add.reduceat(np.append(np.abs(values), 0), indptr[:-1]) * (np.diff(indptr) > 0)
-        largest = tie.sigma.comm.allreduce(size.max(initial=0), MPI.MAX)
+        largest = tie.domain.comm.allreduce(size.max(initial=0), MPI.MAX)
         untied = (size[lost - start] > NOTHING * largest).sum()
         B0.destroy()
-        untied = tie.sigma.comm.allreduce(int(untied))
+        untied = tie.domain.comm.allreduce(int(untied))
         if untied:
             raise PrescribedSideError(
                 f"{untied} displacements of Γ1 of {self._names[t]} are prescribed on whole facets "

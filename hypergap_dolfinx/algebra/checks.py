@@ -25,6 +25,7 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
+from hypergap_dolfinx.surface.trace import extents
 
 LOG = logging.getLogger("hypergap_dolfinx")
 UNNAMED = "", "mesh"
@@ -89,7 +90,7 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
     for x, det, num_inside in (
         part for lot in lots for part in _determinants(mesh.geometry.x[:, :n], element, *lot)
     ):
-        size = np.ptp(x, axis=1).max(axis=1) ** n
+        size = extents(x) ** n
         sign = np.sign(det[:, :1])
         bad = ~(sign * det[:, :num_inside] > NOISE * size[:, None]).all(axis=1)
         # At a corner of 180° det J is zero, which is allowed; a corner beyond 180° is turned over
@@ -165,10 +166,11 @@ def _determinants(x, element, cells, inside, boundary):
 
 def _det(J: npt.NDArray) -> npt.NDArray:
     """Determinants ``(...,)`` of small matrices ``(..., n, n)``: LAPACK takes ten times as long."""
-    if J.shape[-1] == 1:
-        return J[..., 0, 0]
-    minors = (_det(np.delete(J[..., 1:, :], k, axis=-1)) for k in range(J.shape[-1]))
-    return sum((-1) ** k * J[..., 0, k] * minor for k, minor in enumerate(minors))
+    n = J.shape[-1]
+    if n < 3:
+        return J[..., 0, 0] if n == 1 else J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+    a, b, c = np.moveaxis(J, (-2, -1), (0, 1))
+    return sum(a[k] * (b[k - 2] * c[k - 1] - b[k - 1] * c[k - 2]) for k in range(3))
 
 
 def check_finite(objects: Sequence[PETSc.Object], what: str, spaces: Sequence[fem.FunctionSpace]):
@@ -273,15 +275,15 @@ class Coincidences:
         """Their positions, ``(num_pairs, n)``."""
         self.extent = float(np.ptp(x[0], axis=0).max())
         """Size of Γ0."""
-        self.lengths = tie.spaces[0].value_shape == (tie.sigma.geometry.dim,)
+        self.lengths = tie.spaces[0].value_shape == (tie.surfaces[0].gdim,)
         """True if the values are displacements."""
 
-    def check(self, name: str, prescribed, values, size: float, jump=None):
+    def check(self, name: str, both, values, size: float, jump=None):
         """Raise if both sides are prescribed, and differently.
 
         Args:
             name: Name of the tie in the message.
-            prescribed: Masks of prescribed components on both sides, ``(num_pairs, block_size)``.
+            both: Mask of components that are prescribed on both, ``(num_pairs, block_size)``.
             values: The prescribed values.
             size: Largest displacement that is prescribed anywhere on either body.
             jump: Prescribed u₁ − u₀, as the values; zero if not given.
@@ -289,7 +291,6 @@ class Coincidences:
         Raises:
             InterfaceError: With the place and the values.
         """
-        both = prescribed[0] & prescribed[1]
         noise = NOTHING * self.extent if self.lengths else 0.0
         difference = values[1] - values[0] - (0 if jump is None else jump)
         wrong = both & (np.abs(difference) > CONTRADICT * size + noise)

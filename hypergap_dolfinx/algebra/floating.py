@@ -14,12 +14,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import (
+    Hindrance,
     fields_of,
     mean,
     motions,
     places,
     tied_groups,
-    unhindered,
 )
 from hypergap_dolfinx.algebra.tolerances import ASTRAY, DEPENDENT, MOVES, ROTATES
 from hypergap_dolfinx.core.collective import spot
@@ -48,14 +48,14 @@ class FreeMotions:
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         fields = fields_of(spaces)
-        alone = unhindered(fields, K, ties, [{i: part} for i, part in enumerate(modes)], rows)
+        hindrance = Hindrance(fields, K, ties, modes)
+        alone = hindrance.unhindered(rows)
         # Tied bodies move as one, even if that strains a tie by an error of its mesh
-        groups, apart = tied_groups(fields, self._parts, ties)
+        groups, apart = tied_groups(fields, self._parts, self.places, ties)
         together = np.zeros((0, ends[-1]))
         for g in range(max(int(group.max()) for group in groups) + 1):
             common = self._common(groups, g)
-            moved = {i: modes[i] @ common[a:b] for i, (a, b) in enumerate(pairwise(ends))}
-            found = unhindered(fields, K, ties, [moved], apart)
+            found = hindrance.unhindered(apart, common)
             together = np.vstack((together, found @ common.T))
         _, values, found = np.linalg.svd(np.vstack((alone, together)), full_matrices=False)
         found = found[values > DEPENDENT]

@@ -3,7 +3,7 @@
 """Rigid motions of bodies, as columns over their dofs, and those that nothing hinders."""
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -23,6 +23,7 @@ from hypergap_dolfinx.core.sparse import (
     row_length,
 )
 from hypergap_dolfinx.surface.component import Component, lagrange_components
+from hypergap_dolfinx.surface.trace import extents
 
 
 def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
@@ -47,14 +48,14 @@ def motions(
     """
     n, block_size = V.mesh.geometry.dim, V.dofmap.index_map_bs
     x = places(V) if x is None else x
-    modes = [np.tile(unit, (len(x), 1)) for unit in np.eye(block_size)]
-    if V.value_shape == (n,):
+    planes = list(combinations(range(n), 2)) if V.value_shape == (n,) else []
+    modes = np.zeros((len(x), block_size, block_size + len(planes)))
+    modes[:, range(block_size), range(block_size)] = 1.0
+    if planes:
         x = x - (mean(V.mesh.comm, [x]) if centre is None else centre)
-        for i, j in combinations(range(n), 2):
-            mode = np.zeros((len(x), n))
-            mode[:, i], mode[:, j] = x[:, j], -x[:, i]
-            modes.append(mode)
-    return np.stack([mode.ravel() for mode in modes], axis=1)
+    for mode, (i, j) in enumerate(planes, block_size):
+        modes[:, i, mode], modes[:, j, mode] = x[:, j], -x[:, i]
+    return modes.reshape(-1, modes.shape[2])
 
 
 def rigid_modes(
@@ -62,6 +63,7 @@ def rigid_modes(
     prescribed: npt.NDArray[np.bool_],
     part: npt.NDArray[np.int32],
     num_parts: int,
+    x: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.float64]:
     """A basis of the :func:`motions` of a body's parts, 0 where it is prescribed. Collective.
 
@@ -70,12 +72,13 @@ def rigid_modes(
         prescribed: Mask of the owned dofs (unrolled) that are prescribed.
         part: The part of each node, from :func:`hypergap_dolfinx.core.graph.parts`.
         num_parts: Number of parts.
+        x: Its :func:`places`, if they are known.
 
     Returns:
         Orthonormal columns, this rank's owned rows, ``(num_dofs, num_modes)``.
     """
     part = np.repeat(part, V.dofmap.index_map_bs)[:, None]
-    modes = np.where(prescribed[:, None], 0, motions(V))
+    modes = np.where(prescribed[:, None], 0, motions(V, x=x))
     modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])
     return orthonormal(V.mesh.comm, modes)
 
@@ -121,9 +124,6 @@ def mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np
 
 Field = tuple[int, Component]
 """A body and one of its fields: each field of a mixed space has motions of its own."""
-Modes = dict[int, npt.NDArray[np.float64]]
-"""By a field's number, this rank's rows of motions that fields make together,
-``(num_dofs, num_modes)``."""
 
 
 def fields_of(spaces: Sequence[fem.FunctionSpace]) -> list[Field]:
@@ -150,22 +150,30 @@ def free_motions(
     fields = fields_of(spaces)
     if not fields:
         return 0
+    comm = fields[0][1].space.mesh.comm
     in_part = [parts(part.space) for _, part in fields]
-    alone: list[Modes] = []
-    for f, ((i, part), numbered) in enumerate(zip(fields, in_part, strict=True)):
+    x = [places(part.space) for _, part in fields]
+    alone = []
+    for (i, part), numbered, at in zip(fields, in_part, x, strict=True):
         nothing = np.zeros_like(part.of_body(constraints.prescribed[i]))
-        alone.append({f: rigid_modes(part.space, nothing, *numbered)})
+        alone.append(rigid_modes(part.space, nothing, *numbered, at))
+    hindrance = Hindrance(fields, K, constraints, alone)
     all_rows = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
-    groups, apart = tied_groups(fields, in_part, constraints)
-    together: list[Modes] = []
+    groups, apart = tied_groups(fields, in_part, x, constraints)
+    together = []
     for g in range(max(int(group.max()) for group in groups) + 1):
-        nodes = {f: group[in_part[f][0]] == g for f, group in enumerate(groups) if g in group}
-        modes = common_modes([fields[f][1].space for f in nodes], list(nodes.values()))
-        together.append(dict(zip(nodes, modes, strict=True)))
-    free = (
-        unhindered(fields, K, constraints, alone, all_rows),
-        unhindered(fields, K, constraints, together, apart),
-    )
+        moved = {f: group[in_part[f][0]] == g for f, group in enumerate(groups) if g in group}
+        centre = mean(comm, [x[f][mask] for f, mask in moved.items()])
+        common = []
+        for f, mask in moved.items():
+            V = fields[f][1].space
+            mask = np.repeat(mask, V.dofmap.index_map_bs)
+            common.append(comm.allreduce(alone[f][mask].T @ motions(V, centre, x[f])[mask]))
+        together.append(np.zeros((hindrance.num, common[0].shape[1])))
+        columns = np.concatenate([hindrance.columns[f] for f in moved])
+        together[-1][columns] = np.vstack(common)
+        together[-1] = orthonormal(MPI.COMM_SELF, together[-1])
+    free = hindrance.unhindered(all_rows), hindrance.unhindered(apart, np.hstack(together))
     return max(map(len, free))
 
 
@@ -181,6 +189,7 @@ def _rotates(V: fem.FunctionSpace) -> bool:
 
 def _apart(
     fields: Sequence[Field],
+    places: Sequence[npt.NDArray[np.float64]],
     num_bodies: int,
     sizes: Sequence[npt.NDArray[np.float64] | None],
     row: Sequence[PETSc.Mat | None],
@@ -191,6 +200,7 @@ def _apart(
 
     Args:
         fields: The bodies' fields.
+        places: Positions of this rank's owned nodes of each.
         num_bodies: Number of bodies.
         sizes: Size of the cells around each node, of fields that are displacements.
         row: The tie's block on each field.
@@ -201,13 +211,12 @@ def _apart(
     if any(B is not None for B in row[num_bodies:]):
         return np.zeros(num_rows, dtype=bool)
     moment, weight, size = np.zeros((num_rows, n)), np.zeros(num_rows), np.zeros(num_rows)
-    for (i, part), h in zip(fields, sizes, strict=True):
+    # Digits are few far from the origin, which may be anywhere, but the same for all bodies
+    origin = first.mesh.comm.bcast(places[0][:1].sum(axis=0))
+    for (i, part), x, h in zip(fields, places, sizes, strict=True):
         B = row[i]
         if B is None or h is None:
             continue
-        x = places(part.space)
-        # Digits are few far from the origin, which may be anywhere, but the same for all bodies
-        origin = first.mesh.comm.bcast(places(first)[:1].sum(axis=0))
         columns = np.column_stack((x - origin, np.ones(len(x)), h))
         columns = part.into_body(np.repeat(columns, part.space.dofmap.index_map_bs, axis=0))
         moment += product(B, columns[:, :n]).real
@@ -224,25 +233,29 @@ def _cell_sizes(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Mean extent of the cells around each of this rank's owned nodes, ``(num_nodes,)``."""
     nodes, topology = V.dofmap.index_map, V.mesh.topology
     cells = V.dofmap.list[: topology.index_map(topology.dim).size_local]
-    extent = np.ptp(V.tabulate_dof_coordinates()[cells], axis=1).max(axis=1, initial=0.0)
+    extent = extents(V.tabulate_dof_coordinates()[cells])
     sums = []
     for values in (extent, np.ones(len(cells))):
         total = la.vector(nodes)
-        total.array[:] = 0.0
-        np.add.at(total.array, cells, values[:, None])
+        weights: npt.NDArray[np.float64] = np.repeat(values, cells.shape[1])
+        total.array[:] = np.bincount(cells.ravel(), weights, len(total.array))
         total.scatter_reverse(la.InsertMode.add)
         sums.append(total.array[: nodes.size_local])
     return sums[0] / sums[1]
 
 
 def tied_groups(
-    fields: Sequence[Field], in_part, constraints: ConstraintBlocks
+    fields: Sequence[Field],
+    in_part,
+    places: Sequence[npt.NDArray[np.float64]],
+    constraints: ConstraintBlocks,
 ) -> tuple[list[npt.NDArray[np.int32]], list[npt.NDArray[np.bool_]]]:
     """Groups of parts that ties without a distance connect. Collective.
 
     Args:
         fields: The bodies' fields.
         in_part: Part of each of their nodes, and the number of parts.
+        places: Positions of this rank's owned nodes of each.
         constraints: The ties.
 
     Returns:
@@ -253,7 +266,7 @@ def tied_groups(
     num_places = num_bodies + len(constraints.interior_sizes)
     sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
     apart = [
-        _apart(fields, num_bodies, sizes, row[:num_places]) | carried
+        _apart(fields, places, num_bodies, sizes, row[:num_places]) | carried
         for row, carried in zip(constraints.full, constraints.carried(), strict=True)
     ]
     comm = fields[0][1].space.mesh.comm
@@ -279,67 +292,67 @@ def tied_groups(
     return np.split(components(starts[-1], i, j), starts[1:-1]), apart
 
 
-def unhindered(
-    fields: Sequence[Field],
-    K: Sequence[PETSc.Mat],
-    constraints: ConstraintBlocks,
-    moved: Sequence[Modes],
-    rows,
-) -> npt.NDArray:
-    """The combinations of motions that nothing hinders. Collective.
+class Hindrance:
+    """Forces against rigid motions of bodies: of their stiffness, of supports and of ties."""
 
-    Args:
-        fields: The bodies' fields.
-        K: Stiffness of each body.
-        constraints: The ties.
-        moved: The motions.
-        rows: Mask of each tie's rows that hinder them.
+    def __init__(
+        self,
+        fields: Sequence[Field],
+        K: Sequence[PETSc.Mat],
+        constraints: ConstraintBlocks,
+        moved: Sequence[npt.NDArray[np.float64]],
+    ):
+        """Measure them. Collective.
 
-    Returns:
-        Orthonormal, ``(num_free, num_motions)``.
-    """
-    comm, prescribed = K[0].comm.tompi4py(), constraints.prescribed
-    ends = np.cumsum([0, *(next(iter(modes.values())).shape[1] for modes in moved)])
-    found = [np.zeros((1, ends[-1]))]  # on this rank: rows whose null space is free motions
+        Args:
+            fields: The bodies' fields.
+            K: Stiffness of each body.
+            constraints: The ties.
+            moved: The motions of each field, this rank's rows, ``(num_dofs, num_motions)``.
+        """
+        self._comm = K[0].comm.tompi4py()
+        ends = np.cumsum([0, *(modes.shape[1] for modes in moved)])
+        self.columns = [np.arange(*pair) for pair in pairwise(ends)]
+        """Number of each field's motions among all."""
+        self.num = int(ends[-1])
+        """Number of motions."""
+        held = [part.of_body(constraints.prescribed[i]) for i, part in fields]
+        free = []  # on the bodies' dofs
+        self._bodies = []  # columns and rows of each field
+        for f, ((i, part), modes) in enumerate(zip(fields, moved, strict=True)):
+            free.append(part.into_body(np.where(held[f][:, None], 0, modes)))
+            # Fields have units of their own, and so have their columns
+            dofs = part.dofs
+            size = (row_length(K[i]) if dofs is None else column_length(K[i], dofs)) or 1.0
+            rows = np.vstack((product(K[i], free[f]) / size, modes[held[f]]))
+            self._bodies.append((self.columns[f], rows))
+        self._ties = []
+        for row in constraints.free:
+            blocks = {i: B for i, B in enumerate(row[: len(K)]) if B is not None}
+            # One for all blocks: the sum of the bodies' contributions is to vanish
+            size = max(row_length(B) for B in blocks.values()) or 1.0
+            of = [f for f, (i, _) in enumerate(fields) if i in blocks]
+            forces = [product(blocks[fields[f][0]], free[f]) / size for f in of]
+            self._ties.append((np.hstack([self.columns[f] for f in of]), np.hstack(forces)))
 
-    def add(parts: dict[int, npt.NDArray]):
-        """Add rows, compressed to at most as many as there are motions."""
-        if parts:
-            R = np.linalg.qr(np.hstack(list(parts.values())), mode="r")
-            found.append(np.zeros((len(R), ends[-1]), dtype=R.dtype))
-            columns = [np.arange(ends[m], ends[m + 1]) for m in parts]
-            found[-1][:, np.concatenate(columns)] = R
+    def unhindered(self, rows, combinations: npt.NDArray | None = None) -> npt.NDArray:
+        """The combinations of motions that nothing hinders. Collective.
 
-    held = [part.of_body(prescribed[i])[:, None] for i, part in fields]
-    for f, (i, part) in enumerate(fields):
-        mine = {m: modes[f] for m, modes in enumerate(moved) if f in modes}
-        # Fields have units of their own, and so have their columns
-        size = (row_length(K[i]) if part.dofs is None else column_length(K[i], part.dofs)) or 1.0
-        add(
-            {
-                m: np.vstack(
-                    (
-                        product(K[i], part.into_body(np.where(held[f], 0, modes))) / size,
-                        np.where(held[f], modes, 0),
-                    )
-                )
-                for m, modes in mine.items()
-            }
-        )
-    for row, hinder in zip(constraints.free, rows, strict=True):
-        blocks = {i: B for i, B in enumerate(row[: len(K)]) if B is not None}
-        # One for all blocks: the sum of the bodies' contributions is to vanish
-        size = max(row_length(B) for B in blocks.values()) or 1.0
-        parts = {}
-        for m, modes in enumerate(moved):
-            forces = [
-                product(blocks[i], part.into_body(np.where(held[f], 0, modes[f])))
-                for f, (i, part) in enumerate(fields)
-                if i in blocks and f in modes
-            ]
-            if forces:
-                parts[m] = np.sum(forces, axis=0)[hinder] / size
-        add(parts)
-    R = np.linalg.qr(np.vstack(found), mode="r")
-    _, values, combinations = np.linalg.svd(np.vstack(comm.allgather(R)), full_matrices=False)
-    return combinations[values < NOTHING * values.max(initial=1.0)]
+        Args:
+            rows: Mask of each tie's rows that hinder them.
+            combinations: Combinations to choose from, in columns; all if not given.
+
+        Returns:
+            Orthonormal combinations of the motions or of those columns, ``(num_free, num)``.
+        """
+        found = [np.zeros((1, self.num))]  # on this rank: rows whose null space is free motions
+        of_ties = [(at, part[mask]) for (at, part), mask in zip(self._ties, rows, strict=True)]
+        for columns, part in (*self._bodies, *of_ties):
+            R = np.linalg.qr(part, mode="r")  # at most as many rows as there are motions
+            found.append(np.zeros((len(R), self.num), dtype=R.dtype))
+            found[-1][:, columns] = R
+        R = np.vstack(found)
+        R = np.linalg.qr(R if combinations is None else R @ combinations, mode="r")
+        R = np.vstack(self._comm.allgather(R))
+        _, values, combinations = np.linalg.svd(R, full_matrices=False)
+        return combinations[values < NOTHING * values.max(initial=1.0)]

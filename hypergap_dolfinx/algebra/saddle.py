@@ -92,40 +92,65 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
         database[key] = before
 
 
-def backward_error(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec) -> float:
-    """Largest residual of the rows of blocks, each relative to the size of its terms. Collective.
+class Errors:
+    """Errors of solutions with a nested matrix, whose blocks are measured when it has changed."""
 
-    Forces that :data:`BACKWARD` times the displacements beside a body make in it are round-off.
+    def __init__(self, A: PETSc.Mat):
+        """Measure nothing yet."""
+        self._A = A
+        self._state: int | None = None
+        self._sizes: list[dict[int, float]] = []
+        self.norms: tuple[list[float], list[float]] | None = None
+        """|b − Ax| and |b| of each row of blocks for the KSP's solution, if they are known."""
 
-    Args:
-        A: The nested matrix.
-        x: The solution.
-        b: The right-hand side.
-    """
-    worst = 0.0
-    num, lengths = len(x.getNestSubVecs()), [part.norm() for part in x.getNestSubVecs()]
-    blocks: list[dict[int, PETSc.Mat]] = [
-        {j: block for j in range(num) if (block := A.getNestSubMatrix(i, j))} for i in range(num)
-    ]
-    for i, (row, b_i) in enumerate(zip(blocks, b.getNestSubVecs(), strict=True)):
-        r, product = b_i.copy(), b_i.duplicate()
-        scale = {j: row_length(block) for j, block in row.items()}
-        beside = max(lengths[k] for j in row for k in blocks[j])
-        size = b_i.norm() + BACKWARD * scale.get(i, 0.0) * beside
-        for j, block in row.items():
-            block.mult(x.getNestSubVecs()[j], product)
-            r.axpy(-1.0, product)
-            size += scale[j] * lengths[j]
-        if size:
-            worst = max(worst, r.norm() / size)
-        for obj in (r, product):
-            obj.destroy()
-    return worst
+    def _measured(self) -> list[dict[int, float]]:
+        """Sizes of the blocks. Collective."""
+        state = self._A.stateGet()
+        if state != self._state:
+            self._state, self._sizes = state, block_sizes(self._A)
+        return self._sizes
+
+    def backward(self, x: PETSc.Vec, b: PETSc.Vec) -> float:
+        """Largest residual of the rows of blocks, each relative to the size of its terms.
+
+        Forces that :data:`BACKWARD` times the displacements beside a body make in it are round-off.
+        Collective.
+
+        Args:
+            x: The solution.
+            b: The right-hand side.
+        """
+        sizes, lengths = self._measured(), [part.norm() for part in x.getNestSubVecs()]
+        found, self.norms = [0.0], self._residuals(x, b)
+        for i, (row, r, b_i) in enumerate(zip(sizes, *self.norms, strict=True)):
+            beside = max(lengths[k] for j in row for k in sizes[j])
+            size = b_i + BACKWARD * row.get(i, 0.0) * beside
+            size += sum(scale * lengths[j] for j, scale in row.items())
+            found.append(r / size if size else 0.0)
+        return float(np.max(found))
+
+    def residual(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[float, float]:
+        """|b − Ax| and |b|, with rows of ties in units of K (forces). Collective."""
+        units, norms = scales(self._measured()), self.norms or self._residuals(x, b)
+        r, size = (np.linalg.norm(np.multiply(units, part)) for part in norms)
+        return float(r), float(size)
+
+    def _residuals(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[list[float], list[float]]:
+        """|b − Ax| and |b| of each row of blocks. Collective."""
+        r = b.duplicate()
+        self._A.mult(x, r)
+        r.aypx(-1.0, b)
+        of_r = r.getNestSubVecs()
+        norms = [part.norm() for part in of_r], [part.norm() for part in b.getNestSubVecs()]
+        destroy_parts(of_r)
+        r.destroy()
+        return norms
 
 
 def failure(
     ksp: PETSc.KSP,
     advice: str = "",
+    errors: Errors | None = None,
     units: npt.NDArray | None = None,
     bound: float = RESIDUAL_ACCEPTED,
 ) -> str | None:
@@ -137,7 +162,8 @@ def failure(
     Args:
         ksp: The solver.
         advice: End of the message.
-        units: Units of this rank's rows, if the matrix isn't nested and they differ.
+        errors: Errors of solutions, if the matrix is nested.
+        units: Units of this rank's rows, if it isn't and they differ.
         bound: Largest residual of a direct solve, relative to the right-hand side.
 
     Returns:
@@ -149,7 +175,9 @@ def failure(
         # Solvers that compute their residual have checked it
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
             return None
-        residual, size = _residual(ksp, units)
+        residual, size = (
+            errors.residual(ksp.getSolution(), ksp.getRhs()) if errors else _residual(ksp, units)
+        )
         if residual <= bound * size:
             return None
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
@@ -174,42 +202,36 @@ def failure(
 
 
 def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
-    """|b − Ax| and |b|, with rows of ties in units of K (forces)."""
+    """|b − Ax| and |b|, in units of this rank's rows."""
     A, b = ksp.getOperators()[0], ksp.getRhs()
     r = b.duplicate()
     A.mult(ksp.getSolution(), r)
     r.aypx(-1.0, b)
-    if units is not None:
-        own = np.array([np.linalg.norm(units * part.array_r) ** 2 for part in (r, b)])
-        lengths = tuple(np.sqrt(A.comm.tompi4py().allreduce(own)))
-    elif A.getType() != PETSc.Mat.Type.NEST:
-        lengths = r.norm(), b.norm()
-    else:
-        squares = np.zeros(2)
-        of_r = r.getNestSubVecs()
-        for scale, *parts in zip(scales(A), of_r, b.getNestSubVecs(), strict=True):
-            squares += [(scale * part.norm()) ** 2 for part in parts]
-        lengths = tuple(np.sqrt(squares))
-        destroy_parts(of_r)
+    parts = (part.array_r if units is None else units * part.array_r for part in (r, b))
+    own = np.array([np.linalg.norm(part) ** 2 for part in parts])
     r.destroy()
-    return lengths
+    length, size = np.sqrt(A.comm.tompi4py().allreduce(own))
+    return float(length), float(size)
 
 
-def scales(A: PETSc.Mat) -> list[float]:
-    """Units of the rows of blocks: 1 for bodies, for ties the size of the softest K over B's."""
+def block_sizes(A: PETSc.Mat) -> list[dict[int, float]]:
+    """Mean length of a row in each block of a nested matrix, by row and column. Collective."""
     num = A.getNestSize()[0]
+    rows = [[A.getNestSubMatrix(i, j) for j in range(num)] for i in range(num)]
+    return [{j: row_length(block) for j, block in enumerate(row) if block} for row in rows]
 
-    def size(i: int, j: int) -> float:
-        block = A.getNestSubMatrix(i, j)
-        return row_length(block) if block else 0.0
 
+def scales(sizes: Sequence[dict[int, float]]) -> list[float]:
+    """Units of the rows of blocks: 1 for bodies, for ties the size of the softest K over B's.
+
+    Args:
+        sizes: The :func:`block_sizes`.
+    """
     # The first tie is the first with blocks on the left of its own
-    tie = next((i for i in range(num) if any(A.getNestSubMatrix(i, j) for j in range(i))), num)
-    stiffness = [size(i, i) if i < tie else 0.0 for i in range(num)]
+    tie = next((i for i, row in enumerate(sizes) if any(j < i for j in row)), len(sizes))
+    stiffness = [row.get(i, 0.0) if i < tie else 0.0 for i, row in enumerate(sizes)]
     scales = []
-    for i in range(num):
-        ratios = [
-            stiffness[j] / size(i, j) for j in range(num) if stiffness[j] and size(i, j) and i != j
-        ]
+    for i, row in enumerate(sizes):
+        ratios = [stiffness[j] / s for j, s in row.items() if stiffness[j] and s and i != j]
         scales.append(1.0 if stiffness[i] or not ratios else min(ratios))
     return scales

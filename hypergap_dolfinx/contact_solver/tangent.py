@@ -496,7 +496,9 @@ class Tangent:
         units = None
         if num > self._num_bodies:
             units = np.ones(size)
-            of_nest = np.repeat(saddle.scales(nest), numbering.sizes[:num, comm.rank])
+            of_nest = np.repeat(
+                saddle.scales(saddle.block_sizes(nest)), numbering.sizes[:num, comm.rank]
+            )
             units[: len(of_nest)] = of_nest
         return _Retained(
             patterns, mine, num_base, A, entries, units, numbers, self._load_step, A.createVecs()

@@ -137,13 +137,13 @@ class Weighting:
             varies = given_values.is_read(part) and not isinstance(part, fem.Constant)
             # Between nodes a polynomial may be negative
             found[k] = np.maximum(self._along_normals(nodal, surface), 0) if varies else nodal[0]
-        raise_on_all(self._domain.mesh.comm, error, ValueError)
+        raise_on_all(self._domain.comm, error, ValueError)
         return found
 
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; collective for a function."""
         if isinstance(part, fem.Function):
-            comm = self._domain.mesh.comm
+            comm = self._domain.comm
             start, end = surface.dof_range[comm.rank : comm.rank + 2]
             mine = (start <= dofs) & (dofs < end)
             values = np.zeros(len(dofs), dtype=part.x.array.dtype)
@@ -199,7 +199,7 @@ class Compliance(Weighting):
         """
         point, multiplier, _ = triplets(self._samples.D)
         point -= self._samples.D.getOwnershipRange()[0]
-        comm = self._domain.mesh.comm
+        comm = self._domain.comm
         none = np.zeros((len(self._parts), self._samples.D.getSize()[1]), dtype=bool)
         for part, values in zip(none, self.values(), strict=True):
             most = comm.allreduce(values.max(initial=0), MPI.MAX)

@@ -142,7 +142,7 @@ class Response:
             c: fem.Constant(points, np.asarray(c.value)) for c in extract_constants(both)
         }
         self._law = fem.Expression(
-            ufl.replace(both, self._constants), np.array([[0.5]]), comm=domain.mesh.comm
+            ufl.replace(both, self._constants), np.array([[0.5]]), comm=domain.comm
         )
         self._mesh = points
         f, df = self._at_points(np.zeros((num, self._block_size)))
@@ -154,7 +154,7 @@ class Response:
                     f"{values[~np.isfinite(values)][0]}; the root of a square, as in a norm, wants "
                     "a small number added below it."
                 )
-        raise_on_all(domain.mesh.comm, error, ValueError)
+        raise_on_all(domain.comm, error, ValueError)
 
     def destroy(self):
         """Destroy the PETSc matrix. Collective."""

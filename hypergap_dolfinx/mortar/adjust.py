@@ -128,7 +128,7 @@ def _without(constraint: Constraint, domain, drop: npt.NDArray[np.bool_]) -> PET
     entries = [np.concatenate([*parts, np.empty(0)]) for parts in (i, j, value)]
     entries[1] -= np.searchsorted(gone, entries[1])
     num_kept = int((here & ~drop).sum())
-    return coo_matrix(domain.mesh.comm, (end - start, num_kept), *entries)
+    return coo_matrix(domain.comm, (end - start, num_kept), *entries)
 
 
 def _solve(constraint: Constraint, domain, X) -> npt.NDArray[np.float64]:

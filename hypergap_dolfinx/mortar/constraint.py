@@ -73,16 +73,9 @@ def create_constraint(
         B_i = R_Aᵀ G R_i. In narrow cells large entries of G would cancel each other in the
         product: there the factors of G = Dᵀ w D are multiplied first, (D R_A)ᵀ w (D R_i).
     """
-    comm = domain.mesh.comm
-    dofmap, hosts = domain.space.dofmap, domain.hosts
-    index_map = dofmap.index_map
-    cell_dofs = dofmap.list
-    owned = index_map.size_local
-
-    # Each node of Σ once, on the rank that owns it
-    node, first = np.unique(cell_dofs.ravel(), return_index=True)
-    node, first = node[node < owned], first[node < owned]
-    row = node + index_map.local_range[0]
+    comm = domain.comm
+    hosts, owned = domain.hosts, domain.owned[1] - domain.owned[0]
+    row, first = domain.first_of_nodes()
     alpha = hosts.alpha.ravel()[first]
     interior = (alpha > ON_SURFACE) & (alpha < 1 - ON_SURFACE)
     free = interior & free_interior

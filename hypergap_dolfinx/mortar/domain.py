@@ -3,9 +3,9 @@
 """The gap domain Σ as a distributed DOLFINx mesh with the field α, and warnings about it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 from mpi4py import MPI
 
@@ -36,17 +36,22 @@ Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 class GapDomain:
     """Σ: simplices with nodes (x, α), and the nodes' places on the bodies' surfaces.
 
-    The rows of the arrays are the cells of this rank, in the order of ``mesh``.
+    The rows of the arrays are the cells of this rank. A DOLFINx mesh of them is made for results on
+    Σ only, and orders them anew.
     """
 
     surfaces: tuple[Surface, Surface]
     """Γ0 and Γ1."""
-    mesh: Mesh
-    """n-dimensional mesh with coordinates x; its cells have no volume where Γ0 and Γ1 coincide."""
-    alpha: fem.Function
-    """α, linear on each cell."""
-    space: fem.FunctionSpace
-    """The scalar Lagrange space of the φ_a."""
+    comm: MPI.Comm
+    """Communicator of the bodies."""
+    geometry: basix.finite_element.FiniteElement
+    """Basix element of the cells' geometry."""
+    element: basix.finite_element.FiniteElement
+    """Basix element of the φ_a."""
+    nodes: npt.NDArray[np.int64]
+    """Global nodes of the φ_a of this rank's cells, ``(num_cells, num_nodes)``."""
+    owned: tuple[int, int]
+    """The first of this rank's own nodes, and the one after the last."""
     x: npt.NDArray[np.float64]
     """Geometry nodes, ``(num_cells, num_geometry_nodes, n)``."""
     alpha_vertices: npt.NDArray[np.float64]
@@ -64,25 +69,48 @@ class GapDomain:
     least: npt.NDArray[np.float64]
     """Least share of a function's square that this part has, ``(num_facets1,)``; see
     :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
+    create_mesh: Callable[[], tuple[Mesh, npt.NDArray[np.intp]]]
+    """Makes the mesh and tells the order of its cells, as :func:`distributed` does."""
     overhang: Overhang | None = None
     """Parts of cells beyond what both sides have in common, to be subtracted from integrals; None
     without any. See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
 
     @cached_property
-    def geometry(self) -> basix.finite_element.FiniteElement:
-        """Basix element of the cells' geometry."""
-        return self.mesh.ufl_domain().ufl_coordinate_element().basix_element  # type: ignore[union-attr]
+    def _made(self) -> tuple[Mesh, npt.NDArray[np.intp]]:
+        """The mesh, and this rank's cells in its order. Collective."""
+        mesh, order = self.create_mesh()
+        return mesh, np.argsort(np.argsort(order))
+
+    @property
+    def mesh(self) -> Mesh:
+        """n-dimensional mesh with coordinates x; its cells have no volume where Γ0 and Γ1 coincide.
+
+        Made when it is asked for first, as what lies on it is. Collective.
+        """
+        return self._made[0]
+
+    @property
+    def order(self) -> npt.NDArray[np.intp]:
+        """This rank's cells in the order of the mesh. Collective."""
+        return self._made[1]
 
     @cached_property
-    def element(self) -> basix.finite_element.FiniteElement:
-        """Basix element of the φ_a."""
-        return self.space.ufl_element().basix_element
+    def in_mesh(self) -> npt.NDArray[np.intp]:
+        """Number in the mesh of each of this rank's cells. Collective."""
+        return np.argsort(self.order)
 
     @cached_property
-    def nodes(self) -> npt.NDArray[np.int64]:
-        """Global nodes of this rank's cells, ``(num_cells, num_nodes)``."""
-        dofmap = self.space.dofmap
-        return dofmap.index_map.local_to_global(dofmap.list.ravel()).reshape(dofmap.list.shape)
+    def alpha(self) -> fem.Function:
+        """α, linear on each cell. Collective."""
+        alpha = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)), name="alpha")
+        alpha.x.array[alpha.function_space.dofmap.list] = self.alpha_vertices[self.order]
+        return alpha
+
+    def first_of_nodes(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.intp]]:
+        """This rank's own nodes, each with its first place in the flattened ``nodes``."""
+        node, first = np.unique(self.nodes, return_index=True)
+        mine = slice(*np.searchsorted(node, self.owned))
+        return node[mine], first[mine]
 
     def entries(self, W: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Rows and columns (nodes), and values, of a sum of element matrices."""
@@ -97,7 +125,7 @@ class GapDomain:
         element = self.quadrature(1)
         N, _ = kernel.geometry_at_points(element, self.x, self.alpha_vertices)
         area = (element.weights * np.linalg.norm(N, axis=2)).sum()
-        total = self.mesh.comm.allreduce(np.array((volume / math.factorial(n), area)))
+        total = self.comm.allreduce(np.array((volume / math.factorial(n), area)))
         return float(total[0] / total[1])
 
     def quadrature(self, degree: int) -> kernel.GapElement:
@@ -135,7 +163,7 @@ class GapDomain:
                 )
         except InvertedCellError as e:
             error = str(e)
-        raise_on_all(self.mesh.comm, error, InvertedCellError)
+        raise_on_all(self.comm, error, InvertedCellError)
         return G
 
     def summable_gap_matrices(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
@@ -216,29 +244,66 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
     if g > 1:
         cells, first = _number_nodes(gap.cells, _lattice(coordinates.basix_element), g)
         x = gap.geometry_nodes(surfaces, points).reshape(-1, tdim)[first]
-    mesh, order = distributed(comm, cells, x, gap.rank, coordinates)
-
-    alpha_vertices = gap.alpha[gap.cells[order]]
-    linear = fem.functionspace(mesh, ("Lagrange", 1))
-    alpha = fem.Function(linear, name="alpha")
-    alpha.x.array[linear.dofmap.list] = alpha_vertices
-    space = fem.functionspace(mesh, ("Lagrange", gap.degree)) if gap.degree > 1 else linear
-    x_cells = x[cells[order]]
+    element = _nodal_element(tdim, gap.degree)
+    nodes = (
+        gap.cells if gap.degree == 1 else _number_nodes(gap.cells, _lattice(element), gap.degree)[0]
+    )
+    mine = np.flatnonzero(gap.rank == comm.rank)
+    nodes, owned = _by_owner(comm, nodes, gap.rank)
+    x_cells = x[cells[mine]]
     return GapDomain(
         surfaces=surfaces,
-        mesh=mesh,
-        alpha=alpha,
-        space=space,
+        comm=comm,
+        geometry=coordinates.basix_element,
+        element=element,
+        nodes=nodes[mine],
+        owned=owned,
         x=x_cells,
-        alpha_vertices=alpha_vertices,
-        normal=gap.normal[order],
+        alpha_vertices=gap.alpha[gap.cells[mine]],
+        normal=gap.normal[mine],
         curved=_curved(x_cells, points, np.abs(x).max()),
-        hosts=gap.hosts(space.ufl_element().basix_element.points, order),
+        hosts=gap.hosts(element.points, mine),
         patch=gap.patch,
         covered=gap.covered,
         least=gap.least,
-        overhang=gap.overhang and gap.overhang.at(order, len(gap.cells)),
+        create_mesh=partial(distributed, comm, cells, x, gap.rank, coordinates),
+        overhang=gap.overhang and gap.overhang.at(mine, len(gap.cells)),
     )
+
+
+@cache
+def _nodal_element(n: int, degree: int) -> basix.finite_element.FiniteElement:
+    """Element of the φ_a, as DOLFINx makes it."""
+    cell = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}[n]
+    variant = basix.LagrangeVariant.gll_warped
+    return basix.create_element(basix.ElementFamily.P, cell, degree, variant)
+
+
+def _by_owner(
+    comm: MPI.Comm, nodes: npt.NDArray, rank: npt.NDArray
+) -> tuple[npt.NDArray[np.int64], tuple[int, int]]:
+    """Nodes renumbered such that each rank's own ones follow each other.
+
+    The lowest rank with a node owns it.
+
+    Args:
+        comm: Communicator.
+        nodes: Nodes of the cells, ``(num_cells, num_nodes)``, the same on every rank.
+        rank: Rank of each cell.
+
+    Returns:
+        The new numbers, and this rank's range of them.
+    """
+    used, at = np.unique(nodes, return_inverse=True)
+    at = at.reshape(nodes.shape)
+    owner = np.empty(len(used), dtype=np.intp)
+    last = np.argsort(-rank, kind="stable")  # lower ranks overwrite higher ones
+    owner[at[last]] = rank[last, None]
+    order = np.argsort(owner, kind="stable")
+    number = np.empty(len(used), dtype=np.int64)
+    number[order] = np.arange(len(used))
+    start, end = np.searchsorted(owner[order], (comm.rank, comm.rank + 1))
+    return number[at], (int(start), int(end))
 
 
 def distributed(
@@ -445,7 +510,7 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
     v, facet, area = v[some], facet[some], area[some]
     ratio, width = _widths(v, other.x[other.facets[facet]])
     mine = np.column_stack((np.minimum(ratio, depth / width), area))
-    value, area = np.concatenate(domain.mesh.comm.allgather(mine)).T
+    value, area = np.concatenate(domain.comm.allgather(mine)).T
     order = np.argsort(value)
     total = np.cumsum(area[order])
     if not len(total):

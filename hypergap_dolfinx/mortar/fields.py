@@ -53,14 +53,15 @@ class GapQuadrature:
 
 
 def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
-    """Gauss points on Σ (eqs. 10–13)."""
+    """Gauss points on Σ (eqs. 10–13). Collective."""
     points, _ = basix.make_quadrature(domain.element.cell_type, degree)
     element = domain.quadrature(degree)
     N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
     length = np.linalg.norm(N, axis=2)
     x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
     weights = element.weights * length - _beyond(domain, points, degree)
-    return GapQuadrature(domain.mesh, points, x, N / length[..., None], weights)
+    arrays = (array[domain.order] for array in (x, N / length[..., None], weights))
+    return GapQuadrature(domain.mesh, points, *arrays)
 
 
 def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
@@ -95,15 +96,7 @@ def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.ND
     Returns:
         ``(num_cells, num_nodes, block_size)``.
     """
-    at_nodes = product(R, values)
-    f = fem.Function(domain.space)
-    dofs = domain.space.dofmap.list
-    nodal = np.empty((*dofs.shape, values.shape[1]), dtype=f.dtype)
-    for component, column in enumerate(at_nodes.T):
-        f.x.array[: len(column)] = column
-        f.x.scatter_forward()
-        nodal[:, :, component] = f.x.array[dofs]
-    return nodal
+    return np.concatenate(domain.comm.allgather(product(R, values)))[domain.nodes]
 
 
 def _create(
@@ -150,7 +143,9 @@ def _create(
                 load = table.T @ ((weights * length)[..., None] * values)
                 values = np.linalg.solve(mass, load)
             V = f.function_space
-            f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[cells]] = values
+            f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[domain.in_mesh[cells]]] = (
+                values
+            )
     return found
 
 
@@ -171,7 +166,7 @@ def traction(
     mean = (alpha * nodal).sum(axis=1, keepdims=True) / (alpha**2).sum(axis=1, keepdims=True)
     (f,) = _create(domain, nodal - alpha * mean, {"traction": shape}, lambda dx, n: (dx,))
     V = f.function_space
-    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list] += mean
+    f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[domain.in_mesh]] += mean
     return f
 
 

@@ -18,7 +18,7 @@ cofactor matrix of :math:`\mathbf X`, in any dimension and without an inverse:
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -102,6 +102,7 @@ class GapElement:
         return cls(gradients(geometry), phi, gradients(element), np.asarray(weights))
 
     @classmethod
+    @cache
     def with_quadrature(cls, geometry, element, degree: int) -> "GapElement":
         """Tabulate basix elements at the points of a Gauss rule of a given degree."""
         return cls.at(geometry, element, *basix.make_quadrature(element.cell_type, degree))

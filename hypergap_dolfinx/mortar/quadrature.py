@@ -24,7 +24,7 @@ class Samples(collective.Owner):
             domain: Σ.
             constraint: The constraint on it.
         """
-        self._ticket = collective.enter(domain.mesh.comm)
+        self._ticket = collective.enter(domain.comm)
         self.domain = domain
         n = domain.x.shape[2]
         # On straight cells c and both derivatives are polynomials of degree k − 1
@@ -53,7 +53,7 @@ class Samples(collective.Owner):
             self.sign = np.append(self.sign, -np.sign(beyond.weights))
             D = np.vstack((D, root[:, None] * dphi))
             cells = np.append(cells, beyond.cells)
-        comm = domain.mesh.comm
+        comm = domain.comm
         self._start = sum(comm.allgather(len(self.root))[: comm.rank])
         rows = self._start + np.arange(len(self.root))
         sizes = len(rows), constraint.R_A.getLocalSize()[0]
@@ -99,7 +99,7 @@ class Samples(collective.Owner):
         size = len(W) * block_size
         i = np.broadcast_to(rows[:, :, None], W.shape)
         j = np.broadcast_to(rows[:, None, :], W.shape)
-        weights = coo_matrix(self.domain.mesh.comm, (size, size), i, j, W)
+        weights = coo_matrix(self.domain.comm, (size, size), i, j, W)
         D = expand(self.D, block_size)
         scaled = weights.matMult(D)
         product = D.transposeMatMult(scaled)

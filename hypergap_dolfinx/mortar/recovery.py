@@ -134,7 +134,7 @@ class Faces:
             assert (distance.min(axis=1) < SAME_NODE).all()
             local[some] = distance.argmin(axis=1)
         each = self.cells[:, None]
-        nodes = compat.geometry_dofmap(mesh)[each, local]
+        nodes = compat.geometry_dofmap(mesh)[self.domain.in_mesh[each], local]
         nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
         gathered = comm.allgather((nodes, self.domain.x[each, local]))
         nodes, x = [np.concatenate(parts) for parts in zip(*gathered, strict=True)]
@@ -183,10 +183,10 @@ class Recovery(collective.Owner):
             domain: Σ.
             constraint: The constraint on it.
         """
-        self._ticket = collective.enter(domain.mesh.comm)
+        self._ticket = collective.enter(domain.comm)
         self._domain, self._constraint = domain, constraint
         self._faces = Faces.of(domain, 0), Faces.of(domain, 1)
-        comm, owned = domain.mesh.comm, domain.space.dofmap.index_map.size_local
+        comm, owned = domain.comm, domain.owned[1] - domain.owned[0]
         unknowns = Unknowns(domain, constraint)
         num, rows = unknowns.num_local, constraint.R_A.getLocalSize()[1]
         mass, difference = self._entries()
@@ -246,12 +246,12 @@ class Recovery(collective.Owner):
     def _size(self, t: npt.NDArray) -> float:
         """‖t‖ on both sides. Collective."""
         product = _of_columns(self._mass.mult, self._mass.createVecs(), t)
-        squares = self._domain.mesh.comm.allreduce(np.vdot(t, product))
+        squares = self._domain.comm.allreduce(np.vdot(t, product))
         return float(np.sqrt(abs(squares)))
 
     def _recovered(self, forces: npt.NDArray) -> npt.NDArray:
         """Tractions after the best number of passes; found once for both sides. Collective."""
-        comm = self._domain.mesh.comm
+        comm = self._domain.comm
         if comm.allreduce(np.array_equal(forces, self._last[0])) == comm.size:
             return self._last[1]
         *fewer, t = self._after_passes(forces)
@@ -318,20 +318,14 @@ class Unknowns:
         """Number them. Collective."""
         self._domain = domain
         self._num_patches = int(domain.patch.max()) + 1
-        comm, dofmap = domain.mesh.comm, domain.space.dofmap
-        owned = dofmap.index_map.size_local
-        node, first = np.unique(dofmap.list.ravel(), return_index=True)
-        patch = np.zeros(owned, dtype=np.int64)  # of each owned node of Σ
-        facet = domain.hosts.facets[1].ravel()[first]
-        patch[node[node < owned]] = domain.patch[facet[node < owned]]
+        comm, (_, first) = domain.comm, domain.first_of_nodes()
+        patch = domain.patch[domain.hosts.facets[1].ravel()[first]]  # of each owned node of Σ
         self._num_multipliers = constraint.R_A.getSize()[1]
         matrices = (*constraint.R, constraint.R_A, *constraint.B[:2])
         *R, self._R_A, B0, B1 = [triplets(matrix) for matrix in matrices]
         self._pairs = [facet_pairs(surface) for surface in domain.surfaces]
         self._R, self._B = R, (B0, B1)
-        self._patch = [
-            patch[nodes - dofmap.index_map.local_range[0]] for nodes, _, _ in (*R, self._R_A)
-        ]
+        self._patch = [patch[nodes - domain.owned[0]] for nodes, _, _ in (*R, self._R_A)]
         self._keys, ends = [], []
         for (_, dof, _), of_dof, surface in zip(R, self._patch[:2], domain.surfaces, strict=True):
             mine = np.unique(dof * self._num_patches + of_dof)
@@ -362,7 +356,7 @@ class Unknowns:
         A patch's unknowns get those of its own multipliers. Collective.
         """
         pairs = np.unique(np.column_stack((self._R_A[1], self._patch[2])), axis=0)
-        pairs = np.vstack(self._domain.mesh.comm.allgather(pairs))
+        pairs = np.vstack(self._domain.comm.allgather(pairs))
         patch = np.zeros(self._num_multipliers, dtype=np.int64)
         patch[pairs[:, 0]] = pairs[:, 1]
         parts = []
@@ -375,7 +369,7 @@ class Unknowns:
 
     def smoothing(self):
         """Rows, columns and values of Σ ∫ (t − Πt) · (v − Πv) over this rank's pairs of facets."""
-        comm = self._domain.mesh.comm
+        comm = self._domain.comm
         parts = [(np.empty(0, np.int64),) * 2 + (np.empty(0),)]
         sides = zip(self._domain.surfaces, self._pairs, strict=True)
         for side, (surface, pairs) in enumerate(sides):

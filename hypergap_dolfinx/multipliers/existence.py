@@ -289,7 +289,7 @@ def _from_compliance(numbering: Numbering, t: int, prescribed) -> tuple[npt.NDAr
         i, j, _ = triplets(tie.constraint.B[side])
         m = order[np.searchsorted(tie.constraint.rows[order], i)]
         np.logical_or.at(moves, m, free[np.searchsorted(dofs, j)])
-    fixed = ~tie.sigma.comm.allreduce(moves)  # of truth values the sum is "or"
+    fixed = ~tie.domain.comm.allreduce(moves)  # of truth values the sum is "or"
     if tie.compliance is None:
         return fixed, False
     parts = tie.compliance.gives_way()[:, tie.constraint.rows]

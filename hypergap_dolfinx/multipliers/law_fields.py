@@ -84,7 +84,7 @@ class Compliances:
                 self._soft.append((tie.compliance, row))
                 if name:
                     self._unknown.append((tie.compliance, name, tie.compliance.gives_way()))
-        self._comm = ties[0].sigma.comm if ties else None
+        self._comm = ties[0].domain.comm if ties else None
         self.blocks: list[list[PETSc.Mat | None]] = [[None] * num for _ in range(num)]
         """−C, ``[interface][interface]``; None is zero."""
         self._values: list[npt.NDArray] = []

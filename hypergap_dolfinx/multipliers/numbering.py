@@ -54,7 +54,7 @@ def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[
     """
     owned = prescribed.reshape(-1, tie.block_size).astype(np.int8)
     offset = tie.spaces[side].dofmap.index_map.local_range[0]
-    held = look_up(tie.sigma.comm, owned, offset, dofs).astype(bool)
+    held = look_up(tie.domain.comm, owned, offset, dofs).astype(bool)
     if side == 0 and tie.turn is not None:
         held = ~(~held @ (tie.turn != 0).T)
     return held
@@ -63,7 +63,7 @@ def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[
 def values_at(tie: Interface, side: int, owned: npt.NDArray, dofs) -> npt.NDArray:
     """Values at dofs of one side on every rank, as they are compared; R u₀ of Γ0. Collective."""
     offset = tie.spaces[side].dofmap.index_map.local_range[0]
-    values = look_up(tie.sigma.comm, owned, offset, dofs)
+    values = look_up(tie.domain.comm, owned, offset, dofs)
     return values if side or tie.turn is None else values @ tie.turn.T
 
 
@@ -151,7 +151,7 @@ class Numbering:
 def _touched(tie: Interface) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Dofs (blocks) of both sides that the tie's Σ reaches, on every rank. Collective."""
     columns = np.unique(triplets(tie.constraint.B[0])[1]).astype(np.int64)
-    return np.unique(np.concatenate(tie.sigma.comm.allgather(columns))), tie.constraint.dofs
+    return np.unique(np.concatenate(tie.domain.comm.allgather(columns))), tie.constraint.dofs
 
 
 class Rows:
@@ -235,7 +235,7 @@ def _rows(tie: Interface, side: int, multipliers) -> tuple[npt.NDArray, npt.NDAr
     use = np.isin(i, rows)
     order = np.argsort(rows)
     entries = np.column_stack((order[np.searchsorted(rows, i[use], sorter=order)], j[use]))
-    comm = tie.sigma.comm
+    comm = tie.domain.comm
     entries = np.concatenate(comm.allgather(entries.astype(np.int64)))
     columns, at = np.unique(entries[:, 1], return_inverse=True)
     B = np.zeros((len(rows), len(columns)))

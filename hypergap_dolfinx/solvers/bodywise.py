@@ -136,7 +136,7 @@ class BodywiseSystem(Substitute):
         return True
 
     def _scales_now(self) -> npt.NDArray[np.float64]:
-        return np.array(saddle.scales(self._A)[len(self._K) :])
+        return np.array(saddle.scales(saddle.block_sizes(self._A))[len(self._K) :])
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""

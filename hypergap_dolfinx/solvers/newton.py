@@ -15,6 +15,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.system import TiedSystem
 
@@ -117,19 +118,15 @@ class NonlinearSystem(TiedSystem):
                 "one of each for every body."
             )
 
-        options = {
-            "dtype": PETSc.ScalarType,
-            "form_compiler_options": form_compiler_options,
-            "jit_options": jit_options,
-        }
         wanted = (
             "not a UFL form with a trial and a test function; left out, it is the residual's "
             "derivative."
         )
         _check_ranks(J, 2, "Jacobian form", wanted)
         checks.check_scalars((*F, *J), u)
-        self._F = fem.form(list(F), **options)
-        super().__init__(fem.form(list(J), **options), bcs, pieces, u)
+        options = form_compiler_options, jit_options
+        self._F = create_forms(F, *options)
+        super().__init__(create_forms(J, *options), bcs, pieces, u)
         self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of

@@ -3,7 +3,7 @@
 """Trace of a function space on the facets of an interface, gathered over the ranks."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -162,6 +162,17 @@ def lengths(vectors) -> npt.NDArray[np.float64]:
     return np.sqrt(np.einsum("vi,vi->v", vectors, vectors))
 
 
+def extents(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Largest extents along an axis of groups of points, ``(num, num_points, n)``.
+
+    A point at a time: NumPy's reductions are slow over a short axis.
+    """
+    low = high = points[:, 0]
+    for k in range(1, points.shape[1]):
+        low, high = np.minimum(low, points[:, k]), np.maximum(high, points[:, k])
+    return (high - low).max(axis=1)
+
+
 def unit_normals(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Unit normals of facets with the given vertices, ``(num, num_vertices, n)``.
 
@@ -194,6 +205,7 @@ def _match(points, reference) -> npt.NDArray[np.intp] | None:
     return index if distance[np.arange(len(points)), index].max() < SAME_NODE else None
 
 
+@cache
 def _facet_tables(cell_type, element, facet_element):
     """Cell nodes at facet nodes for both orientations, ``(num_local_facets, 2, num_nodes)``."""
     fdim = len(basix.topology(cell_type)) - 2

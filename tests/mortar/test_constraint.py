@@ -8,7 +8,18 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from helpers import close, comm, dense, interpolated, residual, skew, two_blocks, two_rings
+from helpers import (
+    at_own_nodes,
+    close,
+    comm,
+    dense,
+    interpolated,
+    nodal_space,
+    residual,
+    skew,
+    two_blocks,
+    two_rings,
+)
 
 import dolfinx
 import ufl
@@ -23,11 +34,14 @@ MODES = "interpolated", "free"
 
 def interior_points(domain):
     """Places of this rank's free interior nodes, in the order of B_Σ's columns."""
-    alpha = fem.Function(domain.space)
-    alpha.interpolate(domain.alpha)
-    owned = domain.space.dofmap.index_map.size_local
-    inside = (alpha.x.array[:owned] > 1e-10) & (alpha.x.array[:owned] < 1 - 1e-10)
-    return domain.space.tabulate_dof_coordinates()[:owned][inside].T
+    alpha = at_own_nodes(domain, domain.hosts.alpha)
+    return own_nodes(domain)[(alpha > 1e-10) & (alpha < 1 - 1e-10)].T
+
+
+def own_nodes(domain):
+    """Places of this rank's nodes of Σ, in the order of R's rows."""
+    V, dofs = nodal_space(domain)
+    return at_own_nodes(domain, V.tabulate_dof_coordinates()[dofs])
 
 
 def fields(tie, f):
@@ -135,18 +149,14 @@ def gathered(u):
 
 def gap_matrix(domain):
     """G on all nodes of Σ, dense."""
-    index_map, cells = domain.space.dofmap.index_map, domain.space.dofmap.list
-    dofs = index_map.local_to_global(cells.ravel()).reshape(cells.shape)
-    G = np.zeros((index_map.size_global,) * 2)
-    for dof, G_e in zip(dofs, domain.gap_matrices(), strict=True):
+    G = np.zeros((comm.allreduce(np.diff(domain.owned).item()),) * 2)
+    for dof, G_e in zip(domain.nodes, domain.gap_matrices(), strict=True):
         G[np.ix_(dof, dof)] += G_e
     return comm.allreduce(G)
 
 
 def nodal_alpha(domain):
-    alpha = fem.Function(domain.space)
-    alpha.interpolate(domain.alpha)
-    return gathered(alpha)
+    return np.concatenate(comm.allgather(at_own_nodes(domain, domain.hosts.alpha)))
 
 
 @pytest.mark.ranks(2, k=[2])
@@ -231,10 +241,7 @@ def test_pull_back_of_polynomials(k):
     sides = two_blocks((3, 5), k, shape=(), mapping=skew)
     tie = Tie(*sides)
     R0, R1 = map(dense, tie.constraint.R)
-    x = comm.allgather(
-        tie.domain.space.tabulate_dof_coordinates()[: tie.domain.space.dofmap.index_map.size_local]
-    )
-    x, alpha = np.vstack(x).T, nodal_alpha(tie.domain)
+    x, alpha = np.vstack(comm.allgather(own_nodes(tie.domain))).T, nodal_alpha(tie.domain)
 
     def f(x):
         return (1 + x[0] - 2 * x[1]) ** min(k)

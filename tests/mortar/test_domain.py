@@ -8,11 +8,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, comm, skew, two_blocks, two_rings
+from helpers import close, comm, nodal_space, skew, two_blocks, two_rings
 
+import dolfinx.mesh
 import meshes
-from dolfinx import fem, la
-from hypergap_dolfinx import Tie
+import ufl
+from dolfinx import default_scalar_type, fem, la
+from hypergap_dolfinx import Tie, TiedProblem
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
 
@@ -28,8 +30,9 @@ def parts(domain, degree=8):
 
 def assembled(domain, values):
     """Sums of ``(cell, node)`` at the nodes of this rank's cells."""
-    f = fem.Function(domain.space)
-    np.add.at(f.x.array, domain.space.dofmap.list, values)
+    V, dofs = nodal_space(domain)
+    f = fem.Function(V)
+    np.add.at(f.x.array, dofs, values)
     f.x.scatter_reverse(la.InsertMode.add)
     f.x.scatter_forward()
     return f.x.array
@@ -38,7 +41,7 @@ def assembled(domain, values):
 def base_integrals(domain, side):
     """∫ φ_a over Γ_i from its own edges, ``(cell, node)``."""
     t, w = np.polynomial.legendre.leggauss(6)
-    along, result = (1 + t) / 2, np.zeros(domain.space.dofmap.list.shape)
+    along, result = (1 + t) / 2, np.zeros(domain.nodes.shape)
     corners = np.array([(0, 0), (1, 0), (0, 1)])
     for a, b in ((0, 1), (1, 2), (2, 0)):
         points = corners[a] + along[:, None] * (corners[b] - corners[a])
@@ -69,10 +72,11 @@ def test_partition_of_unity(k, rings):
     """Eq. (21) at every point, on flat and on curved interfaces."""
     sides = two_rings((4, 6), (k, k), g=2) if rings else two_blocks((3, 5), (k, k), mapping=skew)
     domain = Tie(*sides).domain
-    alpha = fem.Function(domain.space)
+    V, dofs = nodal_space(domain)
+    alpha = fem.Function(V)
     alpha.interpolate(domain.alpha)
     dphi, _ = parts(domain)
-    sums = np.einsum("cpa,ca->cp", dphi, alpha.x.array[domain.space.dofmap.list])
+    sums = np.einsum("cpa,ca->cp", dphi, alpha.x.array[dofs])
     np.testing.assert_allclose(sums, 1, rtol=0, atol=1e-13)
 
 
@@ -81,10 +85,11 @@ def test_smooth_fields_have_no_gap_on_a_flat_interface(k):
     """∂f/∂α = 0 for polynomials of degree k; a linear field among them."""
     domain = Tie(*two_blocks((3, 5), (k, k), mapping=skew)).domain
     dphi, _ = parts(domain)
+    V, dofs = nodal_space(domain)
     for degree in range(1, k + 1):
-        f = fem.Function(domain.space)
+        f = fem.Function(V)
         f.interpolate(lambda x, p=degree: (1 + 2 * x[0] - 3 * x[1]) ** p)
-        nodal = f.x.array[domain.space.dofmap.list]
+        nodal = f.x.array[dofs]
         values = np.einsum("cpa,ca->cp", dphi, nodal)
         scale = np.abs(dphi).max(initial=0) * np.abs(nodal).max(initial=0)
         np.testing.assert_allclose(values, 0, rtol=0, atol=1e-13 * scale)
@@ -153,7 +158,8 @@ def test_numbers_of_cells_and_nodes(k, interface):
     assert domain.mesh.topology.index_map(2).size_global == cells
     nodes = k * cells + 2 * ends  # on both sides
     nodes += (k - 1) * (cells + ends) + cells * (k - 1) * (k - 2) // 2
-    assert domain.space.dofmap.index_map.size_global == nodes
+    assert comm.allreduce(np.diff(domain.owned).item()) == nodes
+    assert nodal_space(domain)[0].dofmap.index_map.size_global == nodes
 
 
 @pytest.mark.ranks
@@ -172,10 +178,10 @@ def test_arrays_are_those_of_the_mesh(g):
     """Coordinates, α and the normals, cell by cell, on each rank; DOLFINx reorders a ring."""
     tie = Tie(*two_rings((24, 32), (2, 2), g=g, angle=2 * np.pi))
     domain, mesh = tie.domain, tie.sigma
-    dofmap = compat.geometry_dofmap(mesh)
+    dofmap = compat.geometry_dofmap(mesh)[domain.in_mesh]
     assert len(domain.x) == len(dofmap)
     np.testing.assert_array_equal(domain.x, mesh.geometry.x[dofmap][..., :2])
-    dofs = tie.alpha.function_space.dofmap.list
+    dofs = tie.alpha.function_space.dofmap.list[domain.in_mesh]
     np.testing.assert_array_equal(tie.alpha.x.array[dofs], domain.alpha_vertices)
     assert set(np.unique(domain.alpha_vertices)) <= {0.0, 1.0}
     radial = domain.x[:, :3].mean(axis=1) / 2.5
@@ -208,7 +214,8 @@ def test_hosts_lie_where_the_nodes_are(k):
         for s, f, X in zip(domain.surfaces, hosts.facets, hosts.X, strict=True)
     ]
     alpha = hosts.alpha[..., None]
-    nodes = domain.space.tabulate_dof_coordinates()[domain.space.dofmap.list][..., :2]
+    V, dofs = nodal_space(domain)
+    nodes = V.tabulate_dof_coordinates()[dofs][..., :2]
     # A node on a side is that side's node; one between is off both curves by h³ at most
     np.testing.assert_allclose((1 - alpha) * x[0] + alpha * x[1], nodes, atol=2e-3)
     for i in (0, 1):
@@ -246,3 +253,28 @@ def test_distance_in_space(caplog):
         tie = Tie(*sides)
     assert tie.domain.distance() == pytest.approx(0.5, abs=1e-14)
     assert comm.allreduce(len(caplog.records)) == 1
+
+
+@pytest.mark.ranks(2)
+def test_a_mesh_for_results_only(monkeypatch):
+    """Neither the constraint nor a problem needs Σ's mesh; it is made once, when asked for."""
+    made, create = [], dolfinx.mesh.create_mesh
+    sides = two_blocks((3, 5), shape=())
+    monkeypatch.setattr(
+        dolfinx.mesh,
+        "create_mesh",
+        lambda *args, **of: made.append(create(*args, **of)) or made[-1],
+    )
+    tie = Tie(*sides)
+    a, L, bcs = [], [], []
+    for i, (V, _) in enumerate(sides):
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        a.append(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+        L.append(None)
+        dofs = fem.locate_dofs_geometrical(V, lambda x, at=(-1, 1)[i]: np.isclose(x[1], at))
+        bcs.append(fem.dirichletbc(default_scalar_type(i), dofs, V))
+    problem = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    problem.solve()
+    assert not made
+    tie.traction(problem)
+    assert made == [tie.sigma] and tie.alpha.function_space.mesh is tie.sigma

@@ -454,6 +454,33 @@ def test_a_changed_matrix_is_factorised_anew():
 
 
 @two_ranks()
+def test_a_step_solves_once(monkeypatch):
+    """All steps have one factorisation; a residual that isn't round-off is solved for too."""
+    a, L, bcs, ties = pile(2)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    problem.assemble_matrix()
+    events = [PETSc.Log.Event(name) for name in ("MatLUFactorNum", "MatSolve")]
+    for event in events:
+        with event:
+            pass
+    PETSc.Log.begin()
+
+    def counts():
+        problem.assemble_vector()
+        problem.solve_system()
+        return np.array([event.getPerfInfo()["count"] for event in events])
+
+    first = counts()
+    assert (counts() - first).tolist() == [0, 1]
+    exact = [u.x.array.copy() for u in problem.u]
+    monkeypatch.setattr("hypergap_dolfinx.solvers.solver.REFINED", 0.0)
+    factors, solves = counts() - first
+    assert factors == 0 and solves > 2
+    for u, values in zip(problem.u, exact, strict=True):
+        np.testing.assert_allclose(u.x.array, values, atol=1e-13 * np.abs(values).max(initial=0))
+
+
+@two_ranks()
 def test_the_default(monkeypatch):
     """The whole system is factorised in the plane and for small bodies; one name overrules that."""
     a, L, bcs, ties = pile(2)

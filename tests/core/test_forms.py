@@ -1,0 +1,44 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Forms of several bodies, compiled together."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx.core.forms import create_forms
+
+comm = MPI.COMM_WORLD
+
+
+@pytest.mark.ranks(2)
+def test_equal_forms_are_looked_up_once(monkeypatch):
+    """Each has its own mesh, values and tags."""
+    looked_up, compile_form = [], fem.compile_form
+
+    def counted(comm, form, *options):
+        looked_up.append(form)
+        return compile_form(comm, form, *options)
+
+    monkeypatch.setattr(fem, "compile_form", counted)
+    bodies = [meshes.block(comm, n, lambda x: x, cell="triangle") for n in ((2, 3), (5, 4))]
+    forms, tagged = [], []
+    for i, (mesh, tags) in enumerate(bodies):
+        V = fem.functionspace(mesh, ("Lagrange", 1))
+        f, c = fem.Function(V), fem.Constant(mesh, default_scalar_type(2 + i))
+        f.interpolate(lambda x, i=i: x[0] + i * x[1])
+        v = ufl.TestFunction(V)
+        forms.append(ufl.inner(c * f, v) * ufl.dx + ufl.inner(f, v) * ufl.ds)
+        ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+        tagged.append(ufl.inner(f, v) * ds(meshes.TOP))
+    values = [create_forms(some, None, None) for some in (forms, tagged)]
+    assert looked_up == forms[:1]
+    for some, ufl_forms in zip(values, (forms, tagged), strict=True):
+        for form, ufl_form in zip(some, ufl_forms, strict=True):
+            b, exact = (fem.assemble_vector(each).array for each in (form, fem.form(ufl_form)))
+            np.testing.assert_allclose(b, exact, atol=1e-15)
+            assert comm.allreduce(np.abs(b).sum()) > 0.1
