@@ -39,6 +39,9 @@ def _created(form, known, compiler_options, jit_options) -> fem.Form:
     key = form.signature()
     if key not in known:
         known[key] = fem.compile_form(V[0].mesh.comm, form, compiler_options, jit_options)
+    if known[key].ufcx_form.num_coefficients < len(form.coefficients()):
+        # DOLFINx 0.9 takes one function for another where a form doesn't need all of them
+        return fem.form(form, PETSc.ScalarType, compiler_options, jit_options)
     functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))
     compiled = replace(known[key], ufl_form=form)
     return fem.create_form(compiled, V, V[0].mesh, {}, functions, constants)

@@ -42,3 +42,19 @@ def test_equal_forms_are_looked_up_once(monkeypatch):
             b, exact = (fem.assemble_vector(each).array for each in (form, fem.form(ufl_form)))
             np.testing.assert_allclose(b, exact, atol=1e-15)
             assert comm.allreduce(np.abs(b).sum()) > 0.1
+
+
+def test_functions_that_a_derivative_loses():
+    """Those that are left are the right ones."""
+    forms = []
+    for n in (2, 3):
+        mesh = meshes.block(comm, (n, n), cell="triangle")[0]
+        V = fem.functionspace(mesh, ("Lagrange", 1))
+        u, f, g = (fem.Function(V) for _ in range(3))
+        f.x.array[:], g.x.array[:] = 3, 5
+        v = ufl.TestFunction(V)
+        F = ufl.inner(f, v) * ufl.dx + ufl.inner(g * u, v) * ufl.dx
+        forms.append(ufl.derivative(F, u))
+    for form in create_forms(forms, None, None):
+        total = fem.assemble_matrix(form).data.sum()
+        np.testing.assert_allclose(comm.allreduce(total), 5)
