@@ -9,16 +9,16 @@ from itertools import combinations
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.algebra.load_path import LoadPath
 from hypergap_dolfinx.contact import Contact
-from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows
+from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows, SystemState
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
-from hypergap_dolfinx.core import progress
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.sparse import mean_diagonal
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
@@ -170,7 +170,7 @@ class ContactProblem(ContactSystem):
         told = [part for one in contacts for part in (one.friction, one.compliance) if part]
         arrays += [part.array for part in told]
         self._path = LoadPath(forms, self._u, bcs, moved, arrays)
-        self._halvings = self._num_steps = 0
+        self._halvings = 0
         self._told_far: set[int] = set()
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
@@ -231,25 +231,45 @@ class ContactProblem(ContactSystem):
         Raises:
             SolveError: No load step, however small, was solved; says why.
             InterfaceError: There is no Σ between the surfaces where the bodies start.
+            KeyboardInterrupt: Ctrl-C, on all ranks, at the end of the Newton step: the last state
+                that was found remains.
             ValueError: A coefficient of friction that is negative.
         """
         self._check_usable()
-        comm = self._u[0].function_space.mesh.comm
+        with self._interrupts:
+            self._records.start(self._num_steps + 1, self._tangent.iterations)
+            self._iterations = self._halvings = 0
+            try:
+                self._solve_step()
+            except BaseException as error:
+                why = str(error) or "interrupted"
+                self._records.end(why, halvings=self._halvings, solved=False)
+                raise
+            self._num_steps += 1
+            self._solved = True
+            self._records.end(self._summary(), halvings=self._halvings)
+            if self._num_steps == 1:
+                self._warn_of_reach(self._comm)
+            self._warn_of_distance(self._comm)
+            self._interrupts.check()
+        return self._every
+
+    def _solve_step(self):
+        """Solve one load step, in parts if need be. Collective."""
         self._path.start_step()
         wrong = self._path.wrong
-        raise_on_all(comm, wrong and f"{wrong} is no number.", SolveError)
-        changes = comm.allreduce(self._path.changes, MPI.LOR)
-        self._iterations = self._halvings = 0
+        raise_on_all(self._comm, wrong and f"{wrong} is no number.", SolveError)
+        changes = self._comm.allreduce(self._path.changes, MPI.LOR)
         self._prepare()
         if not self._num_steps:
-            self._warn_of_stiffness(comm)
+            self._warn_of_stiffness(self._comm)
         done, size = 0.0, 1.0
         while done < 1:
-            before = self._state()
+            before, values = self._state(), [u.x.array.copy() for u in self._u]
             s = min(done + size, 1.0)
             self._path.interpolate(s)
             try:
-                steps = self._newton()
+                self._newton()
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
                 self._restore(before)
@@ -264,27 +284,49 @@ class ContactProblem(ContactSystem):
                 size /= 2
                 self._halvings += 1
                 if size < 0.5**HALVINGS:
-                    self._path.commit(done)
-                    if done or self._solved:
-                        for rows in self._rows:
-                            rows.update_geometry()
+                    self._stop_at(done)
                     raise SolveError(
                         f"contact: no solution beyond {done:.3g} of the load step; {error}{lost}"
                     ) from error
-                progress.show(comm, f"load {s:.3g}: {error}")
+                self._records.tell(f"halved at {s:.3g} of it: {error}")
+            except BaseException:
+                self._interrupted(before, values, done)
+                raise
             else:
                 for rows in self._rows:
                     rows.commit()
                 done, size = s, min(2 * size, 1.0)
-                progress.show(comm, f"load {s:.3g}: {steps} Newton steps")
+                if done < 1:
+                    self._records.tell(f"solved up to {done:.3g} of it")
         self._path.commit()
-        self._num_steps += 1
-        self._solved = True
-        progress.show(comm, self._summary(), keep=True)
-        if self._num_steps == 1:
-            self._warn_of_reach(comm)
-        self._warn_of_distance(comm)
-        return self._every
+
+    def _stop_at(self, done: float):
+        """End a load step at the state that was found last. Collective.
+
+        Args:
+            done: Part of the load step that was reached.
+        """
+        self._path.commit(done)
+        if done or self._solved:
+            for rows in self._rows:
+                rows.update_geometry()
+
+    def _interrupted(self, before: SystemState, values: Sequence[npt.NDArray], done: float):
+        """Go back to the state that was found last, from wherever the load step was.
+
+        Not collective unless all ranks have agreed on it: others may know nothing of it.
+        """
+        for u, array in zip(self._u, values, strict=True):
+            u.x.array[:] = array
+        for part, array in zip(self._x.getNestSubVecs(), before.values, strict=True):
+            part.array[:] = array
+        for rows, contact in zip(self._rows, before.contacts, strict=True):
+            rows.restore(contact)
+        self._known = [None] * len(self._known)  # matrices may be half assembled
+        if self._interrupts.agreed:
+            self._stop_at(done)
+        else:
+            self._path.commit(done)
 
     def _summary(self) -> str:
         """Summary of a load step, in one line."""
@@ -296,8 +338,8 @@ class ContactProblem(ContactSystem):
         frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         sticking = f", {sum(rows.stuck.sum() for rows in frictional)} of them stick"
         return (
-            f"load step {self._num_steps}: {self._iterations} Newton steps{halved}, "
-            f"{num} of {every} vertices in contact{sticking if frictional else ''}"
+            f"{self._iterations} Newton steps{halved}, {num} of {every} vertices in contact"
+            f"{sticking if frictional else ''}"
         )
 
     def _warn_of_stiffness(self, comm):

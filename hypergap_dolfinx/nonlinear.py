@@ -105,6 +105,8 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._snes.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
         self._snes.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
         self._snes.setOptionsPrefix(petsc_options_prefix)
+        self._snes.setUpdate(lambda snes, step: me._interrupts.check())
+        self._snes.setMonitor(lambda snes, step, norm: me._record(step, norm))
         self._snes.setKSP(self._solver.as_ksp(f"{petsc_options_prefix}step_"))
         with self._solver.options.in_use():
             self._snes.setFromOptions()
@@ -120,8 +122,24 @@ class NonlinearTiedProblem(NonlinearSystem):
 
         Raises:
             SolveError: The Newton iteration or a linear solve failed; says how.
+            KeyboardInterrupt: Ctrl-C, on all ranks, at the end of the Newton step: u and the
+                multipliers are what they were.
         """
         self._check_usable()
+        with self._interrupts:
+            self._records.start(self._num_steps + 1)
+            try:
+                self._solve_step()
+            except BaseException as error:
+                self._records.end(str(error) or "interrupted", solved=False)
+                raise
+            self._num_steps += 1
+            self._records.end(f"{self._snes.getIterationNumber()} Newton steps")
+            self._interrupts.check()
+        return self._u
+
+    def _solve_step(self):
+        """Solve for the present values. Collective."""
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False
@@ -133,19 +151,27 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._constraints.compliances.update()  # the first residual comes before the first matrix
         of_ties = self._x.getNestSubVecs()[len(self._u) :]
         before = [part.array_r.copy() for part in of_ties]
-        with self._solver.options.in_use():
-            self._snes.solve(None, self._x)
+        bodies = [u.x.array.copy() for u in self._u]
         try:
+            with self._solver.options.in_use():
+                self._snes.solve(None, self._x)
             self._check_solved()
-        except SolveError:  # users can reset u, but not the multipliers
+        except BaseException as error:
             for part, values in zip(of_ties, before, strict=True):
                 part.array[:] = values
+            if not isinstance(error, SolveError):  # then users can reset u, and may look at it
+                for u, array in zip(self._u, bodies, strict=True):
+                    u.x.array[:] = array
             raise
         if self._snes.getIterationNumber():
             self._check_constants()
         self._assign(self._x)
         self._solved = True
-        return self._u
+
+    def _record(self, step: int, norm: float):
+        """Record a Newton step."""
+        iterations = self._snes.getLinearSolveIterations()
+        self._records.note(norm / (np.linalg.norm(self._forces) or 1), iterations, step=step)
 
     def _check_solved(self):
         reason = self._snes.getConvergedReason()

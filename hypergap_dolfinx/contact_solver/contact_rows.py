@@ -608,9 +608,11 @@ class ContactRows:
         if (np.minimum(p + EXCEEDS * np.abs(p).max(initial=0), 0) * m < -nothing).any():
             return False
         apart = self.distance[self.valid & ~self.state.active]
-        return self._largest_gap() <= self.closed and bool((apart >= -self.closed).all())
+        return self.largest_gap <= self.closed and bool((apart >= -self.closed).all())
 
-    def _largest_gap(self) -> float:
+    @property
+    def largest_gap(self) -> float:
+        """Largest gap, or overlap, of the active set, a length."""
         return float(np.abs(self.distance[self.state.active]).max(initial=0))
 
     @property

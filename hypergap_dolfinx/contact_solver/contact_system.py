@@ -131,6 +131,7 @@ class ContactSystem(NonlinearSystem):
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
+        self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _sides(self) -> list:
         contacts = [pair.contact for pair in self._pairs]
@@ -215,7 +216,10 @@ class ContactSystem(NonlinearSystem):
                 rows.start_set(stiffness, zero)
             if self._num_free:
                 self._hold()
-            if self._balances(continuation.is_at_kink) and (step or self._is_exact):
+            is_balanced = self._balances(continuation.is_at_kink)
+            self._record(step)
+            self._interrupts.check()
+            if is_balanced and (step or self._is_exact):
                 if polished or all(rows.is_exact for rows in self._rows):
                     self._check_held()
                     return step
@@ -236,6 +240,19 @@ class ContactSystem(NonlinearSystem):
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             if continuation.goes_back(moves, work):
                 self._go(*way, -1.0)
+
+    def _record(self, step: int):
+        """Record a Newton step."""
+        now, last = [rows.state.active for rows in self._rows], self._recorded
+        came, went = (
+            sum(int((a & ~b).sum()) for a, b in zip(*pair, strict=True))
+            for pair in ((now, last), (last, now))
+        )
+        gap = max(rows.largest_gap for rows in self._rows)
+        residual = self._unbalanced / (self._in_bodies or 1)
+        found = {"gap": gap, "came": came, "went": went, "step": step}
+        self._records.note(residual, self._tangent.iterations, **found)
+        self._recorded = [part.copy() for part in now]
 
     def _is_finite(self) -> bool:
         """True if the residual is one of numbers. Collective."""
@@ -452,22 +469,23 @@ class ContactSystem(NonlinearSystem):
             least += length**2 * square
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
         nothing = ROUND_OFF_FORCES * self._largest
-        if not all([rows.is_closed(nothing) for rows in self._rows]):
-            return False  # forces needn't be known to see that
         size = sum([force**2 for force in self._forces])
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
+        self._in_bodies = size = float(np.sqrt(size))
+        if not all([rows.is_closed(nothing) for rows in self._rows]):
+            return False
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
-        if none or worst <= self._rtol * np.sqrt(size):
+        if none or worst <= self._rtol * size:
             return True
-        if not at_kink or worst > AT_KINK * np.sqrt(size):
+        if not at_kink or worst > AT_KINK * size:
             return False
         if self._comm.rank == 0:
             LOG.info(
                 "contact: equilibrium at a kink of the gaps; forces are off by %.1e of those in "
                 "the bodies",
-                worst / np.sqrt(size),
+                worst / size,
             )
         return True
 

@@ -337,7 +337,7 @@ class FrictionRows(ContactRows):
     @property
     def is_exact(self) -> bool:
         """True if gaps are so small that moments of friction balance."""
-        return self._largest_gap() <= EXACT * self._size
+        return self.largest_gap <= EXACT * self._size
 
     def holds_too_much(self, nothing: float) -> bool:
         """True if traction exceeds friction where sticking alone holds a body.

@@ -148,6 +148,11 @@ class _Retained:
         self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
         return bool(0 < sums[0] <= REUSED**2 * sums[1])
 
+    @property
+    def iterations(self) -> int:
+        """Iterations of the last :meth:`iterate`."""
+        return self._iterating.getIterationNumber() if self._iterating is not None else 0
+
     def iterate(self, start: npt.NDArray) -> bool:
         """Solve by GMRES with factors of a similar matrix; True if that converged. Collective.
 
@@ -218,7 +223,7 @@ class Tangent:
         self._prefix, self._ways = prefix, list(ways)
         self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
-        self._load_step = 0
+        self._load_step = self.iterations = 0
 
     def destroy(self):
         """Destroy the PETSc objects."""
@@ -331,9 +336,11 @@ class Tangent:
             b.array[:] -= beside
         start = [np.zeros_like(part) for part in right] + [one.start[mine] for one, mine in pairs]
         retained.old = near and retained.iterate(np.concatenate(start))
+        self.iterations += retained.iterations if near else 0
         if not retained.old:
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
+            self.iterations += ksp.getIterationNumber()
             message = saddle.failure(ksp, units=retained.units, bound=way.residual)
             if message:
                 raise SolveError(message)

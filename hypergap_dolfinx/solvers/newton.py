@@ -16,7 +16,9 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.forms import create_forms
+from hypergap_dolfinx.core.interrupt import Interrupts
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
+from hypergap_dolfinx.solvers.records import Recorder, StepRecord
 from hypergap_dolfinx.solvers.system import TiedSystem
 
 
@@ -135,6 +137,8 @@ class NonlinearSystem(TiedSystem):
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
+        comm = self._u[0].function_space.mesh.comm
+        self._interrupts, self._records, self._num_steps = Interrupts(comm), Recorder(comm), 0
 
     def _release(self) -> list:
         return [*super()._release(), *self.__dict__.pop("_now", [])]
@@ -226,6 +230,11 @@ class NonlinearSystem(TiedSystem):
     def _jacobian(self, x: PETSc.Vec):
         self._assign(x)
         self.assemble_matrix()
+
+    @property
+    def history(self) -> list[StepRecord]:
+        """Records of the last 1000 calls of ``solve()``, with their Newton steps."""
+        return list(self._records.done)
 
     @property
     def F(self) -> list[fem.Form]:
