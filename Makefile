@@ -29,7 +29,7 @@ mpi_options = $(shell $(MPIRUN) --version 2>/dev/null | grep -q 'Open MPI' && \
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 .PHONY: help env demo test test-all forget lint types test-serial test-mpi-2 test-mpi-3 \
-	test-mpi-4 test-blas env-complex test-complex test-container sanitize clean
+	test-mpi-4 test-blas env-complex test-complex test-container sanitize docs package clean
 
 help:
 	@echo "make demo      set up and run demos/pressurised_cylinder.py (DEMO_ARGS=...)"
@@ -37,6 +37,8 @@ help:
 	@echo "               1, 2 and 3 ranks (PYTEST_ARGS=...)"
 	@echo "make test-all  the same with the slow ones, the serial ones with BLAS for other processors,"
 	@echo "               and some with complex scalars"
+	@echo "make docs      set up and build the site, docs/_build/html/index.html, and check its links"
+	@echo "make package   build sdist and wheel, install the wheel in a new environment and try it"
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make test-container  build the Dockerfile and run its tests, on one rank and on two, with docker,"
 	@echo "               podman or buildah, whichever is there"
@@ -75,6 +77,27 @@ $(COMPLEX)/installed: pyproject.toml
 	@$(COMPLEX_BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
 		--editable '.[dev-complex]'
 	@touch $@
+
+# The site's programs go into the same environment. Its pictures are made by the pages' own Python
+$(VENV)/docs: $(VENV)/installed
+	@echo "Installing what builds the site (60 MB)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+docs: $(VENV)/docs
+	$(BIN)/python -m sphinx -b html -W --keep-going -q docs docs/_build/html
+	$(BIN)/python docs/_ext/links.py docs/_build/html
+	@echo "The site: docs/_build/html/index.html"
+
+# The wheel is made from the sdist, and installed with PyPI's DOLFINx in an environment of its own
+package: env
+	rm -rf build/package
+	$(BIN)/python -m build --outdir build/package/dist
+	$(BIN)/python -m venv build/package/venv
+	build/package/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
+		"hypergap-dolfinx[dolfinx] @ file://$$(echo $(CURDIR)/build/package/dist/*.whl)"
+	cd build/package && PATH=$(CURDIR)/build/package/venv/bin:$$PATH \
+		venv/bin/python $(CURDIR)/conda/try_installed.py
 
 demo: env
 	$(BIN)/python demos/pressurised_cylinder.py $(DEMO_ARGS)
@@ -160,5 +183,6 @@ sanitize: env
 		$(BIN)/python -m pytest -p no:cacheprovider $(PYTEST_ARGS) $(sanitized_tests)
 
 clean:
-	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(COMPLEX) build dist *.egg-info .*_cache .hypothesis \
+		docs/_build docs/gallery docs/gallery.md docs/pictures
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

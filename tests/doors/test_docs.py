@@ -1,17 +1,26 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What the documentation says is so: examples in docstrings, versions."""
+"""What the documentation says is so: examples in docstrings and pages, versions, links."""
 
 import doctest
+import logging
 import re
 from pathlib import Path
 
+from mpi4py import MPI
+
+import gallery
+import links
+import messages
 import pytest
+import snippets
 
 import hypergap_dolfinx
 
 FOLDER = Path(__file__).parents[2]
-PACKAGE = FOLDER / "hypergap_dolfinx"
+DOCS = FOLDER / "docs"
+PAGES = [str(page.relative_to(DOCS)) for page in snippets.pages()]
+ON_RANKS = "index.md", "tutorial/contact-1.md", "tutorial/contact-2.md", "tutorial/ties-1.md"
 
 
 TIES = "Tie", "TiedProblem", "NonlinearTiedProblem", "find_touching"
@@ -43,12 +52,54 @@ def test_readme(capsys):
 
 
 def test_version():
-    """It stands in four files."""
+    """It comes from the package; what can't read it there has the same."""
     version = re.escape(hypergap_dolfinx.__version__)
     for file, line in {
-        "pyproject.toml": f'^version = "{version}"',
+        "conda/recipe.yaml": f'^  version: "{version}"$',
         "CITATION.cff": f"^version: {version}$",
         "CHANGELOG.md": rf"^## {version}\b",
     }.items():
         text = (FOLDER / file).read_text(encoding="utf-8")
         assert re.search(line, text, re.MULTILINE), file
+
+
+@pytest.mark.ranks(2, page=ON_RANKS)
+@pytest.mark.parametrize("page", PAGES)
+def test_page(page, tmp_path, monkeypatch, caplog):
+    """A page's Python runs, prints what stands there, and makes its pictures, without a warning."""
+    page = DOCS / page
+    text = page.read_text(encoding="utf-8")
+    for package, sign in {
+        "gmsh": "import gmsh",
+        "pyvista": "import plot",
+        "matplotlib": "import matplotlib",
+    }.items():
+        if sign in text:
+            pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    with caplog.at_level(logging.WARNING):
+        assert not snippets.wrong(page)
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
+    MPI.COMM_WORLD.barrier()  # rank 0 draws
+    assert not [name for name in snippets.pictures(page) if not (tmp_path / name).exists()]
+
+
+def test_messages():
+    """Each message says what to do, or has advice on the page of errors; all advice is used."""
+    found = messages.messages()
+    assert len(found) > 150
+    assert not [message.text for message in found if message.whole and not message.tells]
+    texts = [message.text for message in found]
+    unused = [p.pattern for p, _ in messages.advice() if not any(map(p.search, texts))]
+    assert not unused
+
+
+def test_links():
+    """Links of Markdown in the repository lead somewhere (those of the site: `make docs`)."""
+    assert not [link for _, link in links.of_markdown() if not links.is_outside(link)]
+
+
+def test_gallery():
+    """Each demo has a page."""
+    names = {row["name"] for row in gallery.rows() if not isinstance(row, str)}
+    assert names == {file.stem for file in gallery.DEMOS.glob("*.py")}
