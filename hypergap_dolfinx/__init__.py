@@ -9,6 +9,17 @@ surface, bounded by kinks. Union: several ties that share a piece of Γ1, solved
 
 from mpi4py import MPI as _MPI  # noqa: F401 (it finds the MPI library for DOLFINx)
 
+try:
+    import petsc4py as _petsc4py  # noqa: F401 (DOLFINx can be had without)
+
+    import dolfinx.fem.petsc as _petsc  # noqa: F401
+except ImportError as e:
+    raise ImportError(
+        f"hypergap_dolfinx needs DOLFINx with PETSc, and petsc4py ({e}): take "
+        "pip install 'hypergap-dolfinx[dolfinx]', conda-forge's fenics-dolfinx and petsc4py, or "
+        "Debian's python3-dolfinx."
+    ) from e
+
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.core import compat, progress

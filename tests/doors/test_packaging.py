@@ -41,8 +41,14 @@ def test_import_is_light():
     assert packages == ["hypergap_dolfinx"]
 
 
-def test_version():
-    assert PROJECT["version"] == hypergap_dolfinx.__version__
+@pytest.mark.parametrize("missing", ["petsc4py", "dolfinx"])
+def test_missing_petsc(missing):
+    """One line says what to install where DOLFINx has no PETSc."""
+    code = f"import sys; sys.modules[{missing!r}] = None; import hypergap_dolfinx"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    last = run.stderr.strip().splitlines()[-1]
+    assert run.returncode and last.startswith("ImportError: hypergap_dolfinx needs DOLFINx with")
+    assert missing in last and "pip install" in last
 
 
 def test_nothing_shadows_dolfinx():
@@ -63,6 +69,7 @@ def test_wheel_holds_the_package_alone(tmp_path):
     build = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
     subprocess.run([sys.executable, "-c", build, tmp_path], cwd=source, check=True)
     (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.name.split("-")[1] == hypergap_dolfinx.__version__
     inside = {Path(name) for name in zipfile.ZipFile(wheel).namelist()}
     modules = {path for path in inside if not path.parts[0].endswith(".dist-info")}
     package = {
