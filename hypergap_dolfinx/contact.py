@@ -11,8 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -25,6 +24,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
@@ -519,7 +519,7 @@ def _size(surface: Surface) -> float:
 def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     """Extent of a body along the mean normal of its surface, or its smallest one. Collective.
 
-    But no more than twice its volume over its area: a ring is as thin as its wall.
+    But no more than its thickness.
     """
     n = surface.gdim
     size = surface.size ** (n - 1)
@@ -529,10 +529,7 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     x = V.mesh.geometry.x[:, :n] @ along.T
     ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(part) for part in zip(*ends, strict=True))
-    one = fem.Constant(V.mesh, default_scalar_type(1))
-    here = [fem.assemble_scalar(fem.form(one * dx)).real for dx in (ufl.dx, ufl.ds)]
-    volume, area = V.mesh.comm.allreduce(np.array(here))
-    return float(min((high.max(axis=0) - low.min(axis=0)).min(), 2 * volume / area))
+    return float(min((high.max(axis=0) - low.min(axis=0)).min(), thickness(V.mesh)))
 
 
 def _is_round(surface: Surface) -> bool:

@@ -27,6 +27,7 @@ from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_mot
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AT_KINK,
+    LONGER,
     RAYS,
     REUSED,
     ROUND_OFF_FORCES,
@@ -40,6 +41,7 @@ from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
+from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
 from hypergap_dolfinx.surface.moving import Displacements
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -101,7 +103,7 @@ class ContactSystem(NonlinearSystem):
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
-        self._pairs = list(pairs)
+        self._pairs, self._stresses = list(pairs), list[PredictedStress]()
         super().__init__(F, u, bcs, pieces, **compiling)
         pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names = rtol, names
@@ -132,6 +134,13 @@ class ContactSystem(NonlinearSystem):
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths = list[float]()
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
+
+    def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
+        found = super()._derivative(F, u)
+        if is_slender(u) and u in ufl.algorithms.expand_derivatives(found).coefficients():
+            self._stresses.append(PredictedStress(u))
+            found += self._stresses[-1].stiffness(F)
+        return found
 
     def _sides(self) -> list:
         contacts = [pair.contact for pair in self._pairs]
@@ -193,6 +202,9 @@ class ContactSystem(NonlinearSystem):
         self._constraints.read_jumps()
         self._goal = self._lifted()
         self._lead()
+        for stress in self._stresses:
+            stress.start()
+        self._reach = np.inf
         continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
         self._largest, self._num_rays, polished = 0.0, 0, False
         self._holding: npt.NDArray[np.bool_] | None = None
@@ -227,6 +239,8 @@ class ContactSystem(NonlinearSystem):
             if step == STEPS:
                 raise SolveError(self._stalled(step))
             if step:
+                for stress in self._stresses:
+                    stress.update()
                 try:
                     self.assemble_matrix()
                 except ValueError as error:  # points of the residual needn't see cells inverted
@@ -281,7 +295,9 @@ class ContactSystem(NonlinearSystem):
         while True:
             equations = [rows.equations(jump if moves else None) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
-            found = problem.solve(self._right(), num_tied, self._held, nearness, fewest)
+            found = problem.solve(
+                self._right(), num_tied, self._held, nearness, fewest, self._reach
+            )
             if not found.is_guess:
                 break
             fewest = sum(int(part.sum()) for part in found.changed)
@@ -297,6 +313,7 @@ class ContactSystem(NonlinearSystem):
         for x, dx in zip(parts, found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
+        self._reach = LONGER * problem.length(found.changes, self._held)
         work = self._comm.allreduce(sum(map(np.dot, found.changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()

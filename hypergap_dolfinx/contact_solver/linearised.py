@@ -106,12 +106,14 @@ class LinearisedContact:
         held: Sequence[npt.NDArray[np.bool_]],
         nearness: Callable[[], float] | None,
         fewest: float,
+        reach: float,
     ) -> Solution:
         """Solve it; where H isn't positive, with a share of the stiffness without stress added.
 
-        A matrix with more negative pivots than multipliers is accepted where there is a solution
-        on which H does positive work. Bodies that contact doesn't hold in the linearised problem
-        (a ray) get a share of the diagonal.
+        The same where a step goes too far, as near to snaps, where H is hardly positive. A matrix
+        with more negative pivots than multipliers is accepted where there is a solution on which H
+        does positive work. Bodies that contact doesn't hold in the linearised problem (a ray) get a
+        share of the diagonal.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
@@ -119,6 +121,7 @@ class LinearisedContact:
             held: Mask of each body's prescribed owned dofs.
             nearness: Gives the first share of the diagonal; None if no body is free.
             fewest: Fewest wrong states of guesses before.
+            reach: Largest displacement that is accepted, but for prescribed ones.
 
         Raises:
             SolveError: The linear solver failed.
@@ -132,9 +135,11 @@ class LinearisedContact:
             negative = self._tangent.negative
             is_positive = negative is not None and negative <= num
             if found.is_solved:
+                is_short = self.length(found.changes, held) <= reach
                 free = [np.where(on, 0, dx) for on, dx in zip(held, found.changes, strict=False)]
-                if is_positive or self._tangent.work(free) > 0:
+                if is_short and (is_positive or self._tangent.work(free) > 0):
                     break
+                is_positive &= is_short
             elif negative is None:  # of LU, with friction
                 is_positive = True
             if is_positive and nearness:
@@ -142,6 +147,11 @@ class LinearisedContact:
             else:
                 stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
+
+    def length(self, changes, held) -> float:
+        """Largest displacement that isn't prescribed. Collective."""
+        parts = [np.abs(dx[~on]).max(initial=0) for on, dx in zip(held, changes, strict=False)]
+        return self._comm.allreduce(float(max(parts)), MPI.MAX)
 
     def _solve(self, right, shift: tuple[float, float], fewest: float) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added."""

@@ -1,14 +1,16 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Compiled forms of several bodies."""
+"""Compiled forms of several bodies; thickness of one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 from petsc4py import PETSc
 
+import numpy as np
+
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.fem.forms import CompiledForm
 
 
@@ -45,3 +47,11 @@ def _created(form, known, compiler_options, jit_options) -> fem.Form:
     functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))
     compiled = replace(known[key], ufl_form=form)
     return fem.create_form(compiled, V, V[0].mesh, {}, functions, constants)
+
+
+def thickness(body: mesh.Mesh) -> float:
+    """Twice a body's volume over its area: a ring's is that of its wall. Collective."""
+    one = fem.Constant(body, default_scalar_type(1))
+    here = [fem.assemble_scalar(fem.form(one * dx)).real for dx in (ufl.dx, ufl.ds)]
+    volume, area = body.comm.allreduce(np.array(here))
+    return float(2 * volume / area)

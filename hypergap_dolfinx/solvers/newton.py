@@ -113,7 +113,7 @@ class NonlinearSystem(TiedSystem):
                         f"the residual form of body {i} has no u[{i}] in it: "
                         "write each form with the function that is given for its body."
                     )
-            J = [ufl.derivative(form, f) for form, f in zip(F, u, strict=False)]
+            J = [self._derivative(form, f) for form, f in zip(F, u, strict=False)]
         if not len(F) == len(u) == len(J) or not F:
             raise ValueError(
                 f"{len(F)} residual forms, {len(u)} functions and {len(J)} Jacobian forms: give "
@@ -139,6 +139,10 @@ class NonlinearSystem(TiedSystem):
         self._now = [compat.create_vector(f.function_space) for f in self._u]
         comm = self._u[0].function_space.mesh.comm
         self._interrupts, self._records, self._num_steps = Interrupts(comm), Recorder(comm), 0
+
+    def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
+        """Jacobian form of a body. Collective."""
+        return ufl.derivative(F, u)
 
     def _release(self) -> list:
         return [*super()._release(), *self.__dict__.pop("_now", [])]

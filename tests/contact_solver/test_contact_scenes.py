@@ -163,7 +163,7 @@ def test_pressure_far_away(caplog, monkeypatch):
 def test_slender_body():
     """A beam forty times as long as thick, bent far by a stiff round one: one or two nodes touch.
 
-    What curvature leaves of a gap that a step closes opens it again if it outweighs the pressure.
+    Without predicted stress in the beam's geometric stiffness it takes eight Newton steps.
     """
     u, F, bcs, sides, rise = [], [], [], [], 0.75
 
@@ -184,7 +184,7 @@ def test_slender_body():
         bcs += [held(V, 0, away), held(V, 1, away, -0.2 * i)]
         sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
     contact, problem = solve(F, u, bcs, sides, swap=True)
-    assert problem.iterations <= 25 and problem.halvings == 0 and contact.active.any()
+    assert problem.iterations <= 5 and problem.halvings == 0 and contact.active.any()
 
 
 def test_stiff_and_fine_on_soft_and_coarse(caplog):
