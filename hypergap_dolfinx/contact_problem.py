@@ -84,7 +84,8 @@ class ContactProblem(ContactSystem):
             bcs: Dirichlet conditions of any of the bodies.
             contacts: The contacts between them.
             ties: The ties between them.
-            J: Jacobian form of each body that has a form; F's derivative if not given.
+            J: Jacobian form of each body that has a form; F's derivative if not given, in
+                slender bodies with the stress that the last Newton step predicted.
             rtol: Residual, over the forces in the bodies, treated as zero.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP of Newton's steps (its matrix is an AIJ); if they name
