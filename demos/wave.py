@@ -4,7 +4,7 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# With complex numbers (DOLFINx's complex build, see README.md) a tie couples fields that oscillate
+# With complex numbers (DOLFINx's complex build) a tie couples fields that oscillate
 # in time: the Helmholtz equation $-\Delta u - k^2 u = 0$ on a parallelogram, four wavelengths wide
 # and high. An oblique line cuts it in two, with 10 cells a wavelength on its left and 11 on its
 # right. A plane wave $e^{ik d \cdot x}$ comes in and goes out, by impedance conditions all around;
@@ -40,7 +40,7 @@ parser.add_argument("--json", type=Path, metavar="FILE")
 parser.add_argument("--plot", type=Path, metavar="DIR")
 args = parser.parse_args()
 if not np.issubdtype(default_scalar_type, np.complexfloating):
-    sys.exit("wave.py needs DOLFINx with complex numbers: see Complex numbers in README.md.")
+    sys.exit("wave.py needs DOLFINx with complex numbers: see docs/how-to/complex-numbers.md.")
 comm = MPI.COMM_WORLD
 # -
 

@@ -20,7 +20,7 @@ def rows():
     for line in (DEMOS / "README.md").read_text(encoding="utf-8").splitlines():
         if match := ROW.match(line):
             yield match
-        elif line.endswith(":") and not line.startswith(("#", "|")):
+        elif line.endswith(":") and line != "What this says:" and line[0] not in "#|-":
             yield line.rstrip(":")
 
 
