@@ -27,7 +27,8 @@ from hypergap_dolfinx.surface.trace import Surface, is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
-_BODY, _EDGE, _SHEAR = "#e8e4da", "#555555", "#1b7837"
+_BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#0d0887"
+_BESIDE = 0.86  # part of a picture's width that is left of its scale
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -264,7 +265,12 @@ def contact(
             overlap = -(rows.g[rows.state.active] / rows.m[rows.state.active]).min(initial=0)
             x = x - (lift + 2 * overlap) * direction
             drawn.points = x
-        plotter.add_mesh(drawn, line_width=8, **scale, **bar)
+        # What isn't pressed is thin, or lets Γ0's body be seen
+        pressed = drawn.point_data_to_cell_data()["pressure"] > 0.01 * largest
+        plotter.add_mesh(drawn.extract_cells(pressed), line_width=8, **scale, **bar)
+        away, look = drawn.extract_cells(~pressed), {"opacity": 1.0 if dim == 2 else 0.15}
+        if away.n_cells:
+            plotter.add_mesh(away, line_width=3, color=_AWAY, lighting=False, **look)
         on = contact.active
         if on.any():
             points = pyvista.PolyData(_padded(x[on]))
@@ -484,11 +490,15 @@ def _finish(plotter, dim: int, filename, window: bool, look_from=(1, 1, 1), up=(
     if plotter is None:
         return None
     if dim == 2:
+        x0, x1, y0, y1, _, _ = plotter.bounds
         plotter.view_xy()
         plotter.enable_parallel_projection()
-        plotter.camera.zoom(1.1)
+        width, height = plotter.window_size
+        # Half of the picture's height: bodies fill it, or what is left of the scale
+        plotter.camera.parallel_scale = 0.58 * max(y1 - y0, (x1 - x0) / _BESIDE * height / width)
     else:
         plotter.view_vector(look_from, up)
+    plotter.camera.SetWindowCenter(1 - _BESIDE, 0)
     if filename is not None:
         Path(filename).parent.mkdir(parents=True, exist_ok=True)
         plotter.screenshot(filename)

@@ -104,7 +104,7 @@ def setup(app):
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(DOCS.parent))
+    sys.path.append(str(DOCS.parent))
     page = Path(sys.argv[1]).resolve()
     if "--write" in sys.argv:
         sys.exit(write(page))
