@@ -267,10 +267,11 @@ def contact(
             drawn.points = x
         # What isn't pressed is thin, or lets Γ0's body be seen
         pressed = drawn.point_data_to_cell_data()["pressure"] > 0.01 * largest
-        plotter.add_mesh(drawn.extract_cells(pressed), line_width=8, **scale, **bar)
-        away, look = drawn.extract_cells(~pressed), {"opacity": 1.0 if dim == 2 else 0.15}
-        if away.n_cells:
-            plotter.add_mesh(away, line_width=3, color=_AWAY, lighting=False, **look)
+        if pressed.any():
+            plotter.add_mesh(drawn.extract_cells(pressed), line_width=8, **scale, **bar)
+        if not pressed.all():
+            away, seen = drawn.extract_cells(~pressed), 1.0 if dim == 2 else 0.15
+            plotter.add_mesh(away, line_width=3, color=_AWAY, lighting=False, opacity=seen)
         on = contact.active
         if on.any():
             points = pyvista.PolyData(_padded(x[on]))
