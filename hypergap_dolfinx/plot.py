@@ -28,7 +28,6 @@ from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
 _BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#0d0887"
-_BESIDE = 0.86  # part of a picture's width that is left of its scale
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -490,16 +489,17 @@ def _finish(plotter, dim: int, filename, window: bool, look_from=(1, 1, 1), up=(
     """Set the camera, save, show."""
     if plotter is None:
         return None
+    beside = 0.86  # part of the picture's width that is left of the scale
     if dim == 2:
         x0, x1, y0, y1, _, _ = plotter.bounds
         plotter.view_xy()
         plotter.enable_parallel_projection()
         width, height = plotter.window_size
         # Half of the picture's height: bodies fill it, or what is left of the scale
-        plotter.camera.parallel_scale = 0.58 * max(y1 - y0, (x1 - x0) / _BESIDE * height / width)
+        plotter.camera.parallel_scale = 0.58 * max(y1 - y0, (x1 - x0) / beside * height / width)
     else:
         plotter.view_vector(look_from, up)
-    plotter.camera.SetWindowCenter(1 - _BESIDE, 0)
+    plotter.camera.SetWindowCenter(1 - beside, 0)
     if filename is not None:
         Path(filename).parent.mkdir(parents=True, exist_ok=True)
         plotter.screenshot(filename)
