@@ -26,6 +26,7 @@ from hypergap_dolfinx.core import compat, progress
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
+from hypergap_dolfinx.solvers.checkpoint import State
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.touching import find_touching
 
@@ -36,6 +37,7 @@ __all__ = [
     "InvertedCellError",
     "NonlinearTiedProblem",
     "SolveError",
+    "State",
     "Tie",
     "TiedProblem",
     "compat",

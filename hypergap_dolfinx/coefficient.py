@@ -55,11 +55,9 @@ class Coefficient:
         self.at_vertices()
 
     @property
-    def array(self) -> npt.NDArray:
-        """The values that a user can change."""
-        if isinstance(self._value, fem.Function):
-            return self._value.x.array
-        return self._value.value if isinstance(self._value, fem.Constant) else self._value
+    def given(self) -> npt.NDArray | fem.Constant | fem.Function:
+        """The object in which a user changes it."""
+        return self._value
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """Values at Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
@@ -68,11 +66,12 @@ class Coefficient:
             ValueError: A value that is negative or no number.
         """
         if not isinstance(self._value, fem.Function):
-            found = np.full(self._num, float(self.array))
+            now = self._value.value if isinstance(self._value, fem.Constant) else self._value
+            found = np.full(self._num, float(now))
         else:
             assert self._at is not None
             dofmap = self._value.function_space.dofmap
-            owned = self.array[: dofmap.index_map.size_local, None]
+            owned = self._value.x.array[: dofmap.index_map.size_local, None]
             offset = dofmap.index_map.local_range[0]
             found = look_up(self._comm, owned, offset, self._at.vertex_dofs)[:, 0]
         wrong = found[~(np.isfinite(found) & (found >= 0))]

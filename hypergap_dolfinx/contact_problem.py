@@ -14,7 +14,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import name_of_body
-from hypergap_dolfinx.algebra.load_path import LoadPath
+from hypergap_dolfinx.algebra.load_path import LoadPath, Value, values_of
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows, SystemState
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
@@ -23,6 +23,7 @@ from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.sparse import mean_diagonal
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.joining import Joined
+from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
@@ -166,11 +167,9 @@ class ContactProblem(ContactSystem):
         )
         self._contacts = list(contacts)
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        laws = [law for tie in ties for law in (tie.jump, tie.compliance, tie.law) if law]
-        arrays = [array for law in laws for array in law.arrays]
         told = [part for one in contacts for part in (one.friction, one.compliance) if part]
-        arrays += [part.array for part in told]
-        self._path = LoadPath(forms, self._u, bcs, moved, arrays)
+        values = [*(v for tie in ties for v in tie.given), *(part.given for part in told)]
+        self._path = LoadPath(values_of(forms, bcs, moved, values, without=self._u))
         self._halvings = 0
         self._told_far: set[int] = set()
 
@@ -311,6 +310,35 @@ class ContactProblem(ContactSystem):
         if done or self._solved:
             for rows in self._rows:
                 rows.update_geometry()
+
+    def restore(self, state: State):
+        """Go back, or on, to a state of this problem or of one made by the same script. Collective.
+
+        Values in forms, boundary conditions, ties and contacts are set too.
+
+        Args:
+            state: From :meth:`state` or ``State.load``.
+
+        Raises:
+            ValueError: It is of another problem or of other meshes; nothing has changed then.
+        """
+        self._check_usable()
+        if self._free is None:
+            self._prepare()  # the stiffness at the start is a measure later on
+        super().restore(state)
+
+    def _values(self) -> Sequence[Value]:
+        return self._path.values
+
+    def _parts(self, checkpoint: Checkpoint, lost: list[str]) -> list[Part]:
+        """Arrays of the state: also those at the start of a load step, and of contacts."""
+        parts = super()._parts(checkpoint, lost)
+        for k, value in enumerate(zip(self._path.values, self._path.start, strict=True)):
+            parts.append(checkpoint.start(f"start{k}", *value))
+        for c, rows in enumerate(self._rows):
+            orders = list(map(checkpoint.order, rows.spaces))
+            parts += checkpoint.contact(f"contact {c}", rows, orders)
+        return parts
 
     def _interrupted(self, before: SystemState, values: Sequence[npt.NDArray], done: float):
         """Go back to the state that was found last, from wherever the load step was.

@@ -485,6 +485,11 @@ class Tie(collective.Owner):
         """
         return self._weighting(soft.Compliance)
 
+    @property
+    def given(self) -> list[fem.Function | fem.Constant]:
+        """Objects in which a user changes its jump, compliance, conductance or law."""
+        return [v for one in (self.jump, self.compliance, self.law) if one for v in one.given]
+
     @cached_property
     def law(self) -> laws.Response | soft.Conductance | None:
         """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.

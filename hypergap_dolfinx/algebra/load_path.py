@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Interpolation of the loads, values of forms and boundary conditions, within a load step."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,45 +11,68 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+Value = Any
+"""A function, a constant, a compiled one as boundary conditions have, or an array."""
+PRESCRIBED = "a prescribed displacement"
+LOAD = "a load or another value in a form"
+OF_INTERFACES = "a friction, a compliance or another value of a contact or a tie"
+
+
+def array_of(value: Value) -> npt.NDArray:
+    """The array in which a user changes a value."""
+    if isinstance(value, np.ndarray):
+        return value
+    return value.x.array if hasattr(value, "x") else value.value
+
+
+def _same(value: Value) -> int:
+    """Equal for one object, compiled or not."""
+    return id(getattr(value, "_cpp_object", value))
+
+
+def values_of(
+    F: Sequence[ufl.Form],
+    bcs: Sequence[fem.DirichletBC],
+    moved: Sequence[fem.Function] = (),
+    given: Sequence[Value] = (),
+    *,
+    without: Iterable[fem.Function] = (),
+) -> list[tuple[str, Value]]:
+    """All values that a user can change, each once, with their kinds.
+
+    Args:
+        F: Residual forms.
+        bcs: Boundary conditions.
+        moved: Displacements that the user prescribes as a whole.
+        given: Values of ties and contacts.
+        without: Functions in forms that aren't such values, as the solution.
+    """
+    found = [(PRESCRIBED, value) for value in (*moved, *(bc.g for bc in bcs))]
+    for form in F:
+        parts = (*form.constants(), *form.coefficients())
+        found += [(LOAD, f) for f in parts if isinstance(f, fem.Constant | fem.Function)]
+    found += [(OF_INTERFACES, value) for value in given]
+    known = {_same(f) for f in without}
+    each = {_same(value): (kind, value) for kind, value in reversed(found)}  # its first kind
+    return [pair for same, pair in reversed(each.items()) if same not in known]
+
 
 class LoadPath:
     """Linear path from the values of the last load step to those that a user has set since."""
 
-    def __init__(
-        self,
-        F: Sequence[ufl.Form],
-        u: Sequence[fem.Function],
-        bcs: Sequence[fem.DirichletBC],
-        moved: Sequence[fem.Function] = (),
-        arrays: Sequence[npt.NDArray] = (),
-    ):
-        """Find the values.
+    def __init__(self, values: Sequence[tuple[str, Value]]):
+        """Start at the present values.
 
         Args:
-            F: Residual forms.
-            u: Solution functions.
-            bcs: Boundary conditions.
-            moved: Displacements that the user prescribes as a whole.
-            arrays: Values of ties and contacts.
+            values: The values with their kinds, as :func:`values_of` gives them.
         """
-        of_forms: list[npt.NDArray] = []
-        for form in F:
-            of_forms += [c.value for c in form.constants() if isinstance(c, fem.Constant)]
-            of_forms += [
-                f.x.array
-                for f in form.coefficients()
-                if isinstance(f, fem.Function) and all(f is not solved for solved in u)
-            ]
-        held = [bc.g.x.array if hasattr(bc.g, "x") else bc.g.value for bc in bcs]
-        kinds = {
-            "a prescribed displacement": [*(f.x.array for f in moved), *held],
-            "a load or another value in a form": of_forms,
-            "a friction, a compliance or another value of a contact or a tie": list(arrays),
-        }
-        self._arrays = [a for of_kind in kinds.values() for a in of_kind]
-        self._kinds = [kind for kind, of_kind in kinds.items() for _ in of_kind]
-        self._start = [np.array(a) for a in self._arrays]
-        self._end = self._start
+        self._kinds = [kind for kind, _ in values]
+        self.values = [value for _, value in values]
+        """Objects in which the user changes values."""
+        self._arrays = [array_of(value) for value in self.values]
+        self.start = [np.array(a) for a in self._arrays]
+        """Values at the end of the last load step."""
+        self._end = self.start
 
     def start_step(self):
         """Take the present values for the end."""
@@ -60,7 +84,7 @@ class LoadPath:
         Args:
             s: 0 at the start, 1 at the end.
         """
-        for a, start, end in zip(self._arrays, self._start, self._end, strict=True):
+        for a, start, end in zip(self._arrays, self.start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
 
     def commit(self, s: float = 1.0):
@@ -70,13 +94,13 @@ class LoadPath:
             s: Part of this path that was reached.
         """
         self.interpolate(s)
-        self._start = [np.array(a) for a in self._arrays]
+        self.start = [np.array(a) for a in self._arrays]
         self.interpolate(1)
 
     @property
     def changes(self) -> bool:
         """True if any of this rank's values changes on the path."""
-        return not all(map(np.array_equal, self._start, self._end))
+        return not all(map(np.array_equal, self.start, self._end))
 
     @property
     def wrong(self) -> str | None:

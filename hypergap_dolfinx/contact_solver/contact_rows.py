@@ -221,6 +221,31 @@ class ContactRows:
         """Go back to a state that was copied before."""
         self.state = state.copy()
 
+    @property
+    def kept(self) -> dict[str, npt.NDArray]:
+        """Arrays on which the next load step depends, by name; the same on every rank.
+
+        With ``start``, which is in another order on each number of ranks.
+        """
+        return {**self.state.arrays, "diagonal": np.array(self._diagonal)}
+
+    def resume(self, kept: dict[str, npt.NDArray], start: Displacements | None):
+        """Go on from arrays that were kept, in this process or in another one. Collective.
+
+        Args:
+            kept: The arrays.
+            start: Displacements at both sides' dofs; None before the first load step.
+        """
+        self.start_solve()
+        for name, array in kept.items():
+            if name in self.state.arrays:
+                setattr(self.state, name, array.copy())
+        self.state.opening, self._diagonal = None, float(kept["diagonal"])
+        self.start, self._checked = start, start is not None
+        self.start_step()
+        if start is not None:
+            self.update_geometry()
+
     def forget(self):
         """Set all pressures to zero."""
         self.state.p = np.zeros_like(self.g)

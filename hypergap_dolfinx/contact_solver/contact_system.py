@@ -149,6 +149,10 @@ class ContactSystem(NonlinearSystem):
             *(side for c in contacts for side in zip(c.spaces, c.facets, strict=True)),
         ]
 
+    def _forget(self):
+        super()._forget()
+        self._tangent.destroy()
+
     def _release(self) -> list:
         return [self.__dict__.pop("_tangent", None), *super()._release()]
 

@@ -68,6 +68,18 @@ class FrictionRows(ContactRows):
         self.dissipated = 0.0
         self.slipped = np.zeros((len(self.state.p), self._n))
 
+    @property
+    def kept(self) -> dict[str, npt.NDArray]:
+        """The same with the elastic slip, and what was dissipated and slipped."""
+        own = {"elastic": self._elastic, "slipped": self.slipped}
+        return {**super().kept, **own, "dissipated": np.array(self.dissipated)}
+
+    def resume(self, kept: dict[str, npt.NDArray], start: Displacements | None):
+        """Go on from arrays that were kept. Collective."""
+        super().resume(kept, start)
+        self._elastic, self.slipped = kept["elastic"].copy(), kept["slipped"].copy()
+        self.dissipated, self._carried = float(kept["dissipated"]), False
+
     def start_step(self):
         """Start a load step: read the coefficient of friction too. Collective."""
         super().start_step()

@@ -105,9 +105,9 @@ class Weighting:
         self._samples.destroy()
 
     @property
-    def arrays(self) -> list[npt.NDArray]:
-        """Arrays in which a user changes it."""
-        return given_values.arrays(*self._parts)
+    def given(self) -> list[fem.Function | fem.Constant]:
+        """Objects in which a user changes it."""
+        return given_values.changing(*self._parts)
 
     def values(self) -> npt.NDArray[np.float64]:
         """Current values at this rank's points, ``(num_parts, num_points)``. Collective.

@@ -21,10 +21,9 @@ def is_read(value: Any) -> bool:
     return callable(value) and not isinstance(value, ufl.core.expr.Expr | type)  # UFL's are too
 
 
-def arrays(*values: Any) -> list[npt.NDArray]:
-    """Arrays in which a user changes values."""
-    changing = [v for v in values if isinstance(v, fem.Function | fem.Constant)]
-    return [v.x.array if isinstance(v, fem.Function) else v.value for v in changing]
+def changing(*values: Any) -> list[fem.Function | fem.Constant]:
+    """Objects among them in which a user changes values."""
+    return [v for v in values if isinstance(v, fem.Function | fem.Constant)]
 
 
 def check(value: Any, what: str):

@@ -44,9 +44,9 @@ class Jump:
         return self.sign, tuple(np.ravel(np.asarray(self.value)).tolist())
 
     @property
-    def arrays(self) -> list[npt.NDArray]:
-        """Arrays in which a user changes it."""
-        return given_values.arrays(self.value)
+    def given(self) -> list[fem.Function | fem.Constant]:
+        """Objects in which a user changes it."""
+        return given_values.changing(self.value)
 
     def nodal(
         self, sides: Sequence[Component], surfaces: tuple[Surface, Surface]

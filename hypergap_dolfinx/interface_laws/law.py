@@ -161,9 +161,9 @@ class Response:
         self._samples.destroy()
 
     @property
-    def arrays(self) -> list[npt.NDArray]:
-        """Arrays in which a user changes it."""
-        return [c.value for c in self._constants]
+    def given(self) -> list[fem.Constant]:
+        """Objects in which a user changes it."""
+        return list(self._constants)
 
     def _at_points(self, w: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
         """F and ∂f/∂w for values of w at this rank's points."""

@@ -90,6 +90,10 @@ class Interface(Protocol):
         """Law λ = f(w) of the jump w: F(w) − M λ = 0 and Σ_i B_i u_i − M w = c."""
 
     @property
+    def given(self) -> Sequence[fem.Function | fem.Constant]:
+        """Objects in which a user changes its values."""
+
+    @property
     def gives_way(self) -> Hashable:
         """Equal for interfaces with the same compliance, conductance or law; None without."""
 

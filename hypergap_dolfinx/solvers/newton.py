@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Residual and tangent of nonlinear bodies with ties between them, assembled when data change."""
 
+import logging
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -14,12 +15,17 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks
+from hypergap_dolfinx.algebra.input_order import orders_of_multipliers
+from hypergap_dolfinx.algebra.load_path import Value, values_of
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.core.interrupt import Interrupts
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
+from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.records import Recorder, StepRecord
 from hypergap_dolfinx.solvers.system import TiedSystem
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 class Dependence:
@@ -40,6 +46,10 @@ class Dependence:
         self._constants = list(form.constants())
         self._geometry = compiled.mesh.geometry
         self._before: tuple[list[npt.NDArray], list[npt.NDArray]] | None = None
+
+    def forget(self):
+        """Forget the last values."""
+        self._before = None
 
     def changed(self, slack: float = 0.0) -> bool:
         """True if something on this rank has changed since the last call that returned True.
@@ -127,11 +137,13 @@ class NonlinearSystem(TiedSystem):
         _check_ranks(J, 2, "Jacobian form", wanted)
         checks.check_scalars((*F, *J), u)
         options = form_compiler_options, jit_options
+        self._forms, self._given_bcs = list(F), list(bcs)
         self._F = create_forms(F, *options)
         super().__init__(create_forms(J, *options), bcs, pieces, u)
         self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
+        self._checkpoint: Checkpoint | None = None
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
@@ -143,6 +155,16 @@ class NonlinearSystem(TiedSystem):
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
         """Jacobian form of a body. Collective."""
         return ufl.derivative(F, u)
+
+    def _forget(self):
+        """Forget stiffness and factors, which next load steps would use again: all are made anew.
+
+        A problem that goes on after its state was taken, and one that goes on from this state,
+        do the same.
+        """
+        self._known = [None] * len(self._known)
+        for depends in self._depends:
+            depends.forget()
 
     def _release(self) -> list:
         return [*super()._release(), *self.__dict__.pop("_now", [])]
@@ -234,6 +256,83 @@ class NonlinearSystem(TiedSystem):
     def _jacobian(self, x: PETSc.Vec):
         self._assign(x)
         self.assemble_matrix()
+
+    def state(self) -> State:
+        """The state between two load steps: all that the next one depends on. Collective.
+
+        Displacements and multipliers, pressures, tractions and sets, elastic slip, values in forms,
+        boundary conditions, ties and contacts. Not in it are what the user computes with, nor
+        positions of meshes' nodes.
+        """
+        self._check_usable()
+        checkpoint = self._prepared_checkpoint()
+        self._forget()
+        return checkpoint.state(type(self).__name__, self._parts(checkpoint, []))
+
+    def restore(self, state: State):
+        """Go back, or on, to a state of this problem or of one made by the same script. Collective.
+
+        Values in forms, boundary conditions, ties and contacts are set too.
+
+        Args:
+            state: From :meth:`state` or ``State.load``.
+
+        Raises:
+            ValueError: It is of another problem or of other meshes; nothing has changed then.
+        """
+        self._check_usable()
+        lost = list[str]()
+        checkpoint = self._prepared_checkpoint()
+        checkpoint.restore(type(self).__name__, self._parts(checkpoint, lost), state)
+        if lost and checkpoint.comm.rank == 0:
+            LOG.warning(
+                f"multipliers of {', '.join(lost)} aren't found again in the state: they start "
+                "from zero, and the next solve takes other steps to the same solution."
+            )
+        for u, x in zip(self._u, self._x.getNestSubVecs()):
+            x.array[:] = u.x.array[: x.getLocalSize()]
+        self._assign(self._x)
+        self._forget()
+
+    def _prepared_checkpoint(self) -> Checkpoint:
+        """Orders for states. Collective."""
+        if self._checkpoint is None:
+            self._checkpoint = Checkpoint(self._u[0].function_space.mesh.comm)
+        return self._checkpoint
+
+    def _values(self) -> Sequence[Value]:
+        """Values that the user sets."""
+        given = [value for tie in self.ties for value in tie.given]
+        found = values_of(self._forms, self._given_bcs, (), given, without=self._u)
+        return [value for _, value in found]
+
+    def _parts(self, checkpoint: Checkpoint, lost: list[str]) -> list[Part]:
+        """Arrays of the state. Collective.
+
+        Args:
+            checkpoint: Orders of their entries.
+            lost: Takes the names of ties whose multipliers aren't found again.
+        """
+        spaces = [u.function_space for u in self._u]
+        parts = [checkpoint.mesh(f"body {i}", V) for i, V in enumerate(spaces)]
+        parts += [checkpoint.function(f"u{i}", u) for i, u in enumerate(self._u)]
+        of_ties = self._x.getNestSubVecs()[len(self._u) :]
+        if of_ties:
+            orders = list(map(checkpoint.order, spaces))
+            rows, columns = orders_of_multipliers(self._constraints.full, orders)
+            for k, (order, x) in enumerate(zip((*columns, *rows), of_ties, strict=True)):
+                parts += checkpoint.rows(f"unknowns {k} of ties", order, x, lost)
+        for k, value in enumerate(self._values()):
+            parts.append(checkpoint.function(f"value{k}", value))
+
+        def count(numbers: npt.NDArray):
+            self._num_steps, self._solved = int(numbers[0]), bool(numbers[1])
+
+        def scale(values: npt.NDArray):
+            self._scales = [float(value) for value in values]
+
+        counts = checkpoint.shared("counts", lambda: (self._num_steps, self._solved), count)
+        return [*parts, counts, checkpoint.shared("scales", lambda: self._scales, scale)]
 
     @property
     def history(self) -> list[StepRecord]:
