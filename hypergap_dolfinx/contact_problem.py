@@ -3,8 +3,9 @@
 """Bodies in contact: the user's door, load step by load step."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
+from typing import Any
 
 from mpi4py import MPI
 
@@ -24,6 +25,7 @@ from hypergap_dolfinx.core.sparse import mean_diagonal
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
+from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
@@ -72,6 +74,10 @@ class ContactProblem(ContactSystem):
         ties: Sequence[Tie] = (),
         J: Sequence[ufl.Form] | None = None,
         rtol: float = 1e-8,
+        before_step: Callable[[], Any] | None = None,
+        accepted: Callable[[float], Any] | None = None,
+        taken_back: Callable[[], Any] | None = None,
+        internal_variables: Sequence[fem.Function | fem.Constant] = (),
         petsc_options_prefix: str = "hypergap_",
         petsc_options: dict | None = None,
         form_compiler_options: dict | None = None,
@@ -88,6 +94,17 @@ class ContactProblem(ContactSystem):
             J: Jacobian form of each body that has a form; F's derivative if not given, in
                 slender bodies with the stress that the last Newton step predicted.
             rtol: Residual, over the forces in the bodies, treated as zero.
+            before_step: Function that is called before the residual is evaluated at new
+                displacements, in each Newton step: to update what the forms read, as stresses at
+                quadrature points. A SolveError in it is a step that failed.
+            accepted: Function that is called when a load step, or a part of one that was halved, is
+                solved, with the share of the load step that is reached: 1.0 in the end. To move
+                history on; of rates only at 1.0.
+            taken_back: Function that is called when a part of a load step failed, after the state
+                is what it was.
+            internal_variables: Functions and constants that these hooks change: not set to values
+                between when a load step is halved, set back with the state, part of
+                :meth:`state`.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the KSP of Newton's steps (its matrix is an AIJ); if they name
                 no type MUMPS's LDLᵀ or, with friction or where that doesn't solve, its LU.
@@ -135,6 +152,12 @@ class ContactProblem(ContactSystem):
                     f"{kind.__name__}(side0, side1)."
                 )
         _check_apart(contacts, ties)
+        hooks = Hooks(
+            internal_variables,
+            before_step=before_step,
+            accepted=accepted,
+            taken_back=taken_back,
+        )
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
@@ -162,6 +185,7 @@ class ContactProblem(ContactSystem):
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,
             J=J,
+            hooks=hooks,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
         )
@@ -169,7 +193,8 @@ class ContactProblem(ContactSystem):
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         told = [part for one in contacts for part in (one.friction, one.compliance) if part]
         values = [*(v for tie in ties for v in tie.given), *(part.given for part in told)]
-        self._path = LoadPath(values_of(forms, bcs, moved, values, without=self._u))
+        without = (*self._u, *hooks.internal_variables)
+        self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
         self._told_far: set[int] = set()
 
@@ -266,6 +291,7 @@ class ContactProblem(ContactSystem):
         done, size = 0.0, 1.0
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._u]
+            internal = self._hooks.copies()
             s = min(done + size, 1.0)
             self._path.interpolate(s)
             try:
@@ -273,6 +299,8 @@ class ContactProblem(ContactSystem):
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
                 self._restore(before)
+                self._hooks.restore(internal)
+                self._hooks("taken_back")
                 if not isinstance(error, SolveError) and not self._iterations:
                     self._path.commit(done)
                     raise  # surfaces without a Σ where the bodies were
@@ -290,11 +318,13 @@ class ContactProblem(ContactSystem):
                     ) from error
                 self._records.tell(f"halved at {s:.3g} of it: {error}")
             except BaseException:
+                self._hooks.restore(internal)
                 self._interrupted(before, values, done)
                 raise
             else:
                 for rows in self._rows:
                     rows.commit()
+                self._hooks("accepted", s)
                 done, size = s, min(2 * size, 1.0)
                 if done < 1:
                     self._records.tell(f"solved up to {done:.3g} of it")
@@ -353,6 +383,7 @@ class ContactProblem(ContactSystem):
             rows.restore(contact)
         self._known = [None] * len(self._known)  # matrices may be half assembled
         if self._interrupts.agreed:
+            self._hooks("taken_back")
             self._stop_at(done)
         else:
             self._path.commit(done)

@@ -3,7 +3,8 @@
 """Nonlinear bodies, tied: the counterpart of ``dolfinx.fem.petsc.NonlinearProblem``."""
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -14,6 +15,7 @@ from dolfinx import fem
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
+from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.tie import Tie
 
@@ -60,6 +62,10 @@ class NonlinearTiedProblem(NonlinearSystem):
         ties: Sequence[Tie] = (),
         J: Sequence[ufl.Form] | None = None,
         solver: str | None = None,
+        before_step: Callable[[], Any] | None = None,
+        accepted: Callable[[float], Any] | None = None,
+        taken_back: Callable[[], Any] | None = None,
+        internal_variables: Sequence[fem.Function | fem.Constant] = (),
         petsc_options_prefix: str = "hypergap_",
         petsc_options: dict | None = None,
         form_compiler_options: dict | None = None,
@@ -74,6 +80,14 @@ class NonlinearTiedProblem(NonlinearSystem):
             ties: The ties between them.
             J: Jacobian form of each body; F's derivative if not given.
             solver: Solver of Newton's steps as for :class:`TiedProblem`; default ``"direct"``.
+            before_step: Function that is called before the residual is evaluated at new values of
+                u, line searches included: to update what the forms read, as stresses at quadrature
+                points. A SolveError in it ends the solve.
+            accepted: Function that is called with 1.0 when a solve has succeeded: to move history
+                on.
+            taken_back: Function that is called when one has failed.
+            internal_variables: Functions and constants that these hooks change: set back where a
+                solve fails, part of :meth:`state`.
             petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
             petsc_options: Options of the SNES, and of the solver as for :class:`TiedProblem`.
             form_compiler_options: Options of FFCx.
@@ -88,21 +102,29 @@ class NonlinearTiedProblem(NonlinearSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
+        hooks = Hooks(
+            internal_variables,
+            before_step=before_step,
+            accepted=accepted,
+            taken_back=taken_back,
+        )
         super().__init__(
             F,
             u,
             bcs,
             Joined(ties),
             J=J,
+            hooks=hooks,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
         )
         self._solver = choice.create(
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
+        self._failed: BaseException | None = None
         self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
-        self._snes.setFunction(lambda snes, x, r: me._residual(x, r), self._b)
+        self._snes.setFunction(lambda snes, x, r: me._evaluated(x, r), self._b)
         self._snes.setJacobian(lambda snes, x, A, P: me._jacobian(x), self._A)
         self._snes.setOptionsPrefix(petsc_options_prefix)
         self._snes.setUpdate(lambda snes, step: me._interrupts.check())
@@ -143,7 +165,9 @@ class NonlinearTiedProblem(NonlinearSystem):
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False
+        internal, self._failed = self._hooks.copies(), None
         if not self._motions_known:
+            self._hooks("before_step")
             self.assemble_matrix()
             self._scales_fixed = True  # a residual that is compared with others keeps its units
             self._check_motions()
@@ -155,6 +179,8 @@ class NonlinearTiedProblem(NonlinearSystem):
         try:
             with self._solver.options.in_use():
                 self._snes.solve(None, self._x)
+            if self._failed is not None:
+                raise self._failed
             self._check_solved()
         except BaseException as error:
             for part, values in zip(of_ties, before, strict=True):
@@ -162,11 +188,24 @@ class NonlinearTiedProblem(NonlinearSystem):
             if not isinstance(error, SolveError):  # then users can reset u, and may look at it
                 for u, array in zip(self._u, bodies, strict=True):
                     u.x.array[:] = array
+            self._hooks.restore(internal)
+            self._hooks("taken_back")
             raise
         if self._snes.getIterationNumber():
             self._check_constants()
         self._assign(self._x)
+        self._hooks("accepted", 1.0)
         self._solved = True
+
+    def _evaluated(self, x: PETSc.Vec, r: PETSc.Vec):
+        """Evaluate the residual; an exception waits for the end of PETSc's call, which locks x."""
+        if self._failed is None:
+            try:
+                return self._residual(x, r)
+            except BaseException as error:
+                self._failed = error
+        for part in r.getNestSubVecs():
+            part.set(np.nan)
 
     def _record(self, step: int, norm: float):
         """Record a Newton step."""

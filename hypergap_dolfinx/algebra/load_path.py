@@ -36,7 +36,7 @@ def values_of(
     moved: Sequence[fem.Function] = (),
     given: Sequence[Value] = (),
     *,
-    without: Iterable[fem.Function] = (),
+    without: Iterable[Value] = (),
 ) -> list[tuple[str, Value]]:
     """All values that a user can change, each once, with their kinds.
 
@@ -45,7 +45,7 @@ def values_of(
         bcs: Boundary conditions.
         moved: Displacements that the user prescribes as a whole.
         given: Values of ties and contacts.
-        without: Functions in forms that aren't such values, as the solution.
+        without: Values in forms that are none of these, as the solution.
     """
     found = [(PRESCRIBED, value) for value in (*moved, *(bc.g for bc in bcs))]
     for form in F:

@@ -163,6 +163,7 @@ class ContactSystem(NonlinearSystem):
         for rows in self._rows:
             rows.start_solve()
         if self._free is None:
+            self._hooks("before_step")
             self.assemble_matrix()
             self._scales_fixed = True
             self._tangent.remember_stiffness()
@@ -217,6 +218,7 @@ class ContactSystem(NonlinearSystem):
         while True:
             for rows in self._rows:
                 rows.update_geometry()
+            self._hooks("before_step")
             self._evaluate(self._x, self._b)
             if not self._is_finite():
                 share *= SHORTENED

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.errors import InterfaceError, SolveError
 
 Ranks = tuple[int, ...]
 Ticket = tuple[Ranks, int]
@@ -109,6 +109,32 @@ def spot(x: npt.NDArray[np.floating]) -> str:
     decimals = digits - 1 - int(np.floor(np.log10(size))) if size > 0 else 0
     rounded = (round(float(value), decimals) + 0.0 for value in middle)
     return f"({', '.join(f'{value:.{digits}g}' for value in rounded)})"
+
+
+def run_on_all(comm: MPI.Comm, what: str, call: Callable[[], Any]):
+    """Call a user's function; an exception on some ranks is one on all. Collective.
+
+    Args:
+        comm: Communicator.
+        what: First words of the message on ranks without an exception of their own.
+        call: The function.
+
+    Raises:
+        SolveError: On other ranks; for other exceptions than a SolveError a RuntimeError.
+    """
+    error: BaseException | None = None
+    try:
+        call()
+    except BaseException as e:
+        error = e
+    told = error and (isinstance(error, SolveError), f"{type(error).__name__}: {error}")
+    every = comm.allgather(told)
+    if error is not None:
+        raise error
+    for rank, found in enumerate(every):
+        if found:
+            text = f"{what} on rank {rank}: {found[1]}"
+            raise SolveError(text) if found[0] else RuntimeError(text)
 
 
 def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = InterfaceError):

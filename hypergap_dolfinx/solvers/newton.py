@@ -22,6 +22,7 @@ from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.core.interrupt import Interrupts
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
+from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import Recorder, StepRecord
 from hypergap_dolfinx.solvers.system import TiedSystem
 
@@ -94,6 +95,7 @@ class NonlinearSystem(TiedSystem):
         pieces: TiedInterfaces,
         *,
         J: Sequence[ufl.Form] | None = None,
+        hooks: Hooks | None = None,
         form_compiler_options: dict | None = None,
         jit_options: dict | None = None,
     ):
@@ -105,6 +107,7 @@ class NonlinearSystem(TiedSystem):
             bcs: Dirichlet conditions of any of the bodies.
             pieces: The ties, and the interfaces that they are pieces of.
             J: Jacobian form of each body; F's derivative if not given.
+            hooks: The user's functions around Newton steps, and internal variables.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
@@ -150,6 +153,8 @@ class NonlinearSystem(TiedSystem):
         # then PETSc no longer knows of the communicator on some ranks, while others do
         self._now = [compat.create_vector(f.function_space) for f in self._u]
         comm = self._u[0].function_space.mesh.comm
+        self._hooks = hooks or Hooks()
+        self._hooks.comm = comm
         self._interrupts, self._records, self._num_steps = Interrupts(comm), Recorder(comm), 0
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
@@ -180,6 +185,7 @@ class NonlinearSystem(TiedSystem):
 
     def _residual(self, x: PETSc.Vec, r: PETSc.Vec):
         self._assign(x)
+        self._hooks("before_step")
         self._evaluate(x, r)
 
     def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
@@ -303,7 +309,8 @@ class NonlinearSystem(TiedSystem):
     def _values(self) -> Sequence[Value]:
         """Values that the user sets."""
         given = [value for tie in self.ties for value in tie.given]
-        found = values_of(self._forms, self._given_bcs, (), given, without=self._u)
+        without = (*self._u, *self._hooks.internal_variables)
+        found = values_of(self._forms, self._given_bcs, (), given, without=without)
         return [value for _, value in found]
 
     def _parts(self, checkpoint: Checkpoint, lost: list[str]) -> list[Part]:
@@ -324,6 +331,8 @@ class NonlinearSystem(TiedSystem):
                 parts += checkpoint.rows(f"unknowns {k} of ties", order, x, lost)
         for k, value in enumerate(self._values()):
             parts.append(checkpoint.function(f"value{k}", value))
+        for k, value in enumerate(self._hooks.internal_variables):
+            parts.append(checkpoint.function(f"internal variable {k}", value))
 
         def count(numbers: npt.NDArray):
             self._num_steps, self._solved = int(numbers[0]), bool(numbers[1])

@@ -1,0 +1,77 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Bodies with a history: a user's functions around Newton steps, and internal variables."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import fem
+from hypergap_dolfinx.core.collective import run_on_all
+
+
+class Hooks:
+    """Functions that a problem calls, and values that belong to its state."""
+
+    def __init__(
+        self,
+        internal_variables: Sequence[fem.Function | fem.Constant] = (),
+        *,
+        before_step: Callable[[], Any] | None = None,
+        accepted: Callable[[float], Any] | None = None,
+        taken_back: Callable[[], Any] | None = None,
+    ):
+        """Check what is given.
+
+        Args:
+            internal_variables: Functions and constants that the hooks change.
+            before_step: Called before a residual is evaluated at new displacements.
+            accepted: Called with the share of the load step that is reached.
+            taken_back: Called when a part of a load step was taken back.
+
+        Raises:
+            ValueError: A hook that is no function, or other internal variables.
+        """
+        hooks = {"before_step": before_step, "accepted": accepted, "taken_back": taken_back}
+        for name, hook in hooks.items():
+            if hook is not None and not callable(hook):
+                raise ValueError(f"{name} is a function, not a {type(hook).__name__}.")
+        single = isinstance(internal_variables, fem.Function | fem.Constant)
+        variables: list[Any] = [internal_variables] if single else list(internal_variables)
+        wrong = [v for v in variables if not isinstance(v, fem.Function | fem.Constant)]
+        if wrong:
+            raise ValueError(
+                "internal_variables are functions and constants in the forms, not a "
+                f"{type(wrong[0]).__name__}."
+            )
+        self.comm, self._hooks = MPI.COMM_SELF, hooks
+        self.internal_variables: list[fem.Function | fem.Constant] = variables
+        """Functions and constants that belong to the state."""
+
+    def __call__(self, name: str, *args):
+        """Call a hook, if there is one. Collective.
+
+        Raises:
+            Exception: What it raises on any rank, on all of them.
+        """
+        hook = self._hooks[name]
+        if hook is not None:
+            run_on_all(self.comm, f"{name} failed", lambda: hook(*args))
+
+    @property
+    def _arrays(self) -> list[npt.NDArray]:
+        every = self.internal_variables
+        return [v.x.array if isinstance(v, fem.Function) else v.value for v in every]
+
+    def copies(self) -> list[npt.NDArray]:
+        """Copies of the internal variables' values, ghosts included."""
+        return [np.array(array) for array in self._arrays]
+
+    def restore(self, copies: Sequence[npt.NDArray]):
+        """Set the internal variables to copies."""
+        for array, copy in zip(self._arrays, copies, strict=True):
+            array[...] = copy
