@@ -299,6 +299,12 @@ DEMOS = {
         pictures=("read_meshes",),
         needs=("gmsh",),
     ),
+    "plasticity": Demo(
+        "--cells 12 --steps 12",
+        {"first_yield": 1.58262, "mean_pressure": 2.82414, "imprint": 0.8767}
+        | {"springs_back": 0.85365, "dissipated": 0.96714},
+        {"energy": 0.03, "newton.*": 9, "newton_back.*": 6, "halvings": 0},
+    ),
     "press_fit": Demo(
         "--fine 1",
         {"pressure": 1.02348, "friction": 0.200727},
@@ -398,7 +404,8 @@ AS_OTHERS = (
     *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
     *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
-    *("contact_conductance", "contact_run_time", "peeling", "press_fit", "rolling"),
+    *("contact_conductance", "contact_run_time", "peeling", "plasticity", "press_fit"),
+    "rolling",
     "slender_contact",
 )
 """On ranks they show no more than the sphere or the plane: with ``make test`` on one rank."""
