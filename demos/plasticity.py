@@ -18,8 +18,8 @@
 # E* a / (σ_y R) of 40 or more; and what springs back, from a dent whose curvature differs from the
 # sphere's, is a motion of (9 π P p_m / 16 E*²)^½.
 #
-# A trap: after a load step the trial stress of what yields lies on the yield surface to round-off. A
-# condition `gt(f, 0)` is true there at random in the next step's first tangent, which is that of
+# A trap: after a load step the trial stress of what yields lies on the yield surface to round-off.
+# A condition `gt(f, 0)` is true there at random in the next step's first tangent, which is that of
 # loading then, though the body is unloaded: the first step back takes 33 Newton steps and is halved
 # (`--threshold 0`), with `gt(f, 1e-8 * sigma_y)` 4.
 #
@@ -103,10 +103,12 @@ def strain(w, x):
 
 
 def entries(tensor):
+    """Those that aren't zero."""
     return ufl.as_vector([tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 2]])
 
 
 def tensor(v):
+    """The tensor of these."""
     return ufl.as_tensor([[v[0], 0, v[3]], [0, v[1], 0], [v[3], 0, v[2]]])
 
 
@@ -287,6 +289,7 @@ def indent(comm, cells, steps, threshold, a=0.1 * R):
 
 
 def main():
+    """Print a table."""
     parser = argparse.ArgumentParser(description="A rigid sphere is pressed into a half-space.")
     parser.add_argument("--cells", type=int, default=24, help="cells across the contact's radius")
     parser.add_argument("--steps", type=int, default=24, help="load steps down")
