@@ -4,6 +4,7 @@
 
 import logging
 from collections.abc import Sequence
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -28,6 +29,7 @@ from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
+from hypergap_dolfinx.status import ContactStatus, table
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
@@ -119,6 +121,7 @@ class Contact:
         self._spaces = (side0[0], side1[0])
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
+        self._sides_chosen = "as given"
         self._shown: ContactRows | None = None
         self._comm = comm = side0[0].mesh.comm
         if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
@@ -189,18 +192,33 @@ class Contact:
             swapped, why = contrast > 1, "softer" if contrast != 1 else ""
         contact = cls(*((b, a) if swapped else (a, b)), **options)
         contact._swapped = swapped
+        contact._sides_chosen = f"the {'first' if swapped else 'second'} side"
+        contact._sides_chosen += why and f", the {why} one"
         if a[0].mesh.comm.rank == 0:
-            which = "first" if swapped else "second"
-            LOG.info("Γ1 is the %s side%s", which, why and f", the {why} one")
+            LOG.info("Γ1 is %s", contact._sides_chosen)
         return contact
+
+    @property
+    def doubt_of_sizes(self) -> str | None:
+        """Warning about a Γ1 that is finer than Γ0, or None."""
+        if self.finer <= FINER * (1 + 1e-9):
+            return None
+        return (
+            f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
+            "than with the sides swapped (Contact.between chooses)."
+        )
+
+    @cached_property
+    def is_wall(self) -> bool:
+        """True if Γ0 is flat: facets of any size are exact, if its body is rigid."""
+        wall = self._surfaces[0]
+        off = np.abs(wall.normals - wall.normals[0]).max()
+        return bool(off <= FILE_DIGITS and not wall.curved.any())
 
     def _doubts(self):
         """Warnings about the surfaces, one line each."""
-        if self.finer > FINER * (1 + 1e-9):
-            yield (
-                f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
-                "than with the sides swapped (Contact.between chooses)."
-            )
+        if self.doubt_of_sizes and not self.is_wall:  # of a wall a problem knows if it is rigid
+            yield self.doubt_of_sizes
         for surface in self._surfaces:
             if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
                 yield (
@@ -394,12 +412,13 @@ class Contact:
         return self._at_vertices(self.slips(problem), "slip")
 
     def dissipation(self, problem) -> float:
-        """Energy that friction dissipated in the last :meth:`ContactProblem.solve`.
+        """Energy that friction dissipated in the last :meth:`ContactProblem.solve`; 0 without it.
 
         Args:
             problem: A solved problem with this contact.
         """
-        return self._friction_rows(self._solved_rows(problem)).dissipated
+        rows = self._solved_rows(problem)
+        return rows.dissipated if isinstance(rows, FrictionRows) else 0.0
 
     def _solved_rows(self, problem) -> ContactRows:
         if not hasattr(problem, "rows"):
@@ -437,14 +456,31 @@ class Contact:
         on_body = self._on_body(on)
         rows = self._solved_at(u0, u1)
         if rows is None:
-            free = [np.zeros(owned_values(u).shape, dtype=bool) for u in (u0, u1)]
-            rows = ContactRows(ContactPair(self, (u0, u1), (0, 1)), free)
+            rows = self._rows_at(u0, u1)
             rows.update_geometry()
         opening = self._opening(rows)
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
             return self._at_vertices(rows.spread(distance), "gap")
         return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
+
+    def _rows_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows:
+        """Rows of no problem. Collective."""
+        free = [np.zeros(owned_values(u).shape, dtype=bool) for u in (u0, u1)]
+        return ContactRows(ContactPair(self, (u0, u1), (0, 1)), free)
+
+    def status(self) -> str:
+        """A table to print before a solve: what faces what, and how far apart. Collective.
+
+        Where the bodies are without displacements; ``problem.status()`` has all contacts where the
+        bodies are now, and the bodies that nothing holds.
+        """
+        u0, u1 = (fem.Function(V) for V in self._spaces)
+        return table([self.status_at(u0, u1)])
+
+    def status_at(self, u0: fem.Function, u1: fem.Function) -> ContactStatus:
+        """The same under displacements of Γ0's and Γ1's body, as arrays. Collective."""
+        return ContactStatus.of(self._rows_at(u0, u1), self._surfaces, self._sides_chosen)
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
         """The rows of a problem with these displacements, unchanged since a solve. Collective."""
@@ -475,16 +511,29 @@ class Contact:
         """
         return displaced(self._sides, self._solved_rows(problem).u)
 
-    def force(self, problem) -> npt.NDArray[np.float64]:
-        """The force on Γ1's body, friction's too; Γ0's feels the opposite.
+    def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray[np.float64]:
+        """The force on a body, friction's too; the other one feels the opposite.
 
         Args:
             problem: A solved problem with this contact.
+            on: Displacement of the body, one of the problem's; of Γ1's body if not given.
 
         Returns:
             ``(n,)``, the same on every rank.
+
+        Raises:
+            ValueError: Not one of the problem's contacts, or not solved yet; another function, or
+                that of both sides.
         """
-        return self._solved_rows(problem).contact_forces()[1].sum(axis=0)
+        rows, side = self._solved_rows(problem), 1
+        if on is not None:
+            sides = [i for i, u in enumerate(rows.fields) if u is on]
+            if not sides:
+                raise ValueError("force takes on=u, the displacement of one of its bodies.")
+            if len(sides) == 2:
+                raise ValueError("both sides are on this body; force(problem) is that on Γ1.")
+            side = sides[0]
+        return rows.contact_forces()[side].sum(axis=0)
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""

@@ -26,6 +26,7 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.hooks import Hooks
+from hypergap_dolfinx.status import table
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
@@ -161,7 +162,7 @@ class ContactProblem(ContactSystem):
         elastic = [i for i, form in enumerate(F) if form is not None]
         forms = [form for form in F if form is not None]
         self._every = list(u)
-        pairs = []
+        pairs, told_sizes = [], list[str]()
         for c, contact in enumerate(contacts):
             bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
@@ -172,6 +173,8 @@ class ContactProblem(ContactSystem):
                     f"Γ1 of contact {c} is rigid, with smaller facets than Γ0: there would be "
                     "more pressures than displacements; swap its sides."
                 )
+            if contact.is_wall and contact.doubt_of_sizes and numbers[0] is not None:
+                told_sizes.append(contact.doubt_of_sizes)
             fields = u[bodies[0]], u[bodies[1]]
             pairs.append(ContactPair(contact, fields, (numbers[0], numbers[1])))
         super().__init__(
@@ -197,6 +200,8 @@ class ContactProblem(ContactSystem):
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
         self._told_far: set[int] = set()
+        for doubt in told_sizes if self._comm.rank == 0 else ():
+            LOG.warning(doubt)
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
         """The body on one side of a contact."""
@@ -340,6 +345,40 @@ class ContactProblem(ContactSystem):
         if done or self._solved:
             for rows in self._rows:
                 rows.update_geometry()
+
+    def status(self) -> str:
+        """A table to print before a solve: what faces what, how far apart, and what is free.
+
+        Collective. All contacts where the bodies are now, what faces nothing, and the bodies that
+        only contact holds, or not even that.
+        """
+        self._check_usable()
+        self._prepare()
+        fields = (rows.fields for rows in self._rows)
+        found = [one.status_at(*u) for one, u in zip(self._contacts, fields, strict=True)]
+        return table(found, self._free_in_words())
+
+    def _free_in_words(self) -> list[str]:
+        """Sentences about bodies that only contact can hold. Collective."""
+        if not self._num_free:
+            return []
+        owned = self._owned()
+        only = self._strays.moving(owned, np.zeros((0, self._num_free)))
+        found = [f"only contact can hold {only}."]
+        assert self._free is not None
+        modes = [self._free.at(i, part) for i, part in enumerate(owned)]
+        every = []
+        for rows in self._rows:
+            rows.update_geometry()
+            moves = self._free_moves(rows, modes)
+            every.append(rows.holds(moves)[rows.valid])
+            if isinstance(rows, FrictionRows):
+                every.append(rows.holds_across(moves)[rows.valid].reshape(-1, self._num_free))
+        holds = np.vstack(every)
+        if self._strays.num_left(holds):
+            what = self._strays.moving(owned, holds)
+            found.append(f"nothing holds, even where all that faces something touched, {what}.")
+        return found
 
     def restore(self, state: State):
         """Go back, or on, to a state of this problem or of one made by the same script. Collective.

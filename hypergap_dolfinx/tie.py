@@ -551,10 +551,9 @@ class Tie(collective.Owner):
         """Normal gap and tangential slip, eq. (17), of the displacements.
 
         Args:
-            u0: Displacement of Γ0's body: in the order of the tie's sides, not of the problem's
-                bodies. For a tied component, the body's function with all components, or
-                ``u.sub(0)``.
-            u1: Displacement of Γ1's body.
+            u0: Displacement of one body, of Γ0's if both are one. For a tied component, the body's
+                function with all components, or ``u.sub(0)``.
+            u1: Displacement of the other one.
 
         Returns:
             n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
@@ -565,6 +564,10 @@ class Tie(collective.Owner):
             ValueError: A displacement that is not on its side's space.
         """
         us = []
+        if all(isinstance(u, fem.Function) for u in (u0, u1)) and all(
+            part.own_function(u) is None for u, part in zip((u0, u1), self.components)
+        ):
+            u0, u1 = u1, u0
         for i, (u, part) in enumerate(zip((u0, u1), self.components, strict=True)):
             own = part.own_function(u)
             if own is None:

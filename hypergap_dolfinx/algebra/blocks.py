@@ -16,6 +16,7 @@ from hypergap_dolfinx.algebra.checks import Coincidences
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import PrescribedSideError
+from hypergap_dolfinx.interface_laws.compliance import Conductance
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
@@ -106,6 +107,18 @@ class ConstraintBlocks:
     def conducts(self) -> bool:
         """True if a tie has a conductance, which may be 0."""
         return any(jump.linear for jump in self.jump_fields)
+
+    def loose(self) -> list[int]:
+        """Numbers of interfaces all of whose ties have a conductance of 0 now. Collective."""
+        found = []
+        for g, group in enumerate(self._interfaces):
+            every = (self._ties[t].law for t in group)
+            laws = [law for law in every if isinstance(law, Conductance)]
+            if len(laws) == len(group):
+                largest = max(law.values().max(initial=0) for law in laws)
+                if self._ties[group[0]].domain.comm.allreduce(largest, MPI.MAX) == 0:
+                    found.append(g)
+        return found
 
     @property
     def moved(self) -> list[list[int]]:

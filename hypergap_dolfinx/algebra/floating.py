@@ -30,7 +30,11 @@ class FreeMotions:
     """Combinations of rigid motions that neither boundary conditions nor ties hinder."""
 
     def __init__(
-        self, spaces: Sequence[fem.FunctionSpace], K: Sequence[PETSc.Mat], ties: ConstraintBlocks
+        self,
+        spaces: Sequence[fem.FunctionSpace],
+        K: Sequence[PETSc.Mat],
+        ties: ConstraintBlocks,
+        without: Sequence[int] = (),
     ):
         """Find them. Collective.
 
@@ -38,6 +42,7 @@ class FreeMotions:
             spaces: Space of each body.
             K: Stiffness of each body without stress, assembled.
             ties: The ties.
+            without: Numbers of interfaces that hinder nothing.
         """
         self._spaces, self._parts = spaces, [parts(V) for V in spaces]
         self.places = [places(V) for V in spaces]
@@ -47,6 +52,8 @@ class FreeMotions:
         modes = [self._modes(i, x) for i, x in enumerate(self.places)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
+        for g in without:
+            rows[g][:] = False
         fields = fields_of(spaces)
         hindrance = Hindrance(fields, K, ties, modes)
         alone = hindrance.unhindered(rows)
@@ -142,14 +149,28 @@ class RigidBodyDiagnostics:
         return (
             f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
             f"by nothing, not even by contact{slid if friction else ' without friction'}: "
-            f"{self._moving(u, holds)}; hold them by boundary conditions."
+            f"{self.moving(u, holds)}; hold them by boundary conditions."
         )
 
-    def _moving(self, u, holds) -> str:
-        """The bodies that nothing holds, and how each moves if that is one motion. Collective."""
+    def _combinations(self, holds) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Combinations of free motions, and how much rows hold each of them."""
         size = np.maximum(np.linalg.norm(holds, axis=1), 1e-300)
         rows = np.vstack((holds / size[:, None], np.zeros((self._free.num,) * 2)))
         _, values, combinations = np.linalg.svd(rows)
+        return combinations, values
+
+    def num_left(self, holds: npt.NDArray[np.float64]) -> int:
+        """Number of free motions that rows of contact leave, ``(num_rows, num_free)``."""
+        return int((self._combinations(holds)[1] <= MOVES).sum())
+
+    def moving(self, u: Sequence[npt.NDArray[np.float64]], holds: npt.NDArray[np.float64]) -> str:
+        """The bodies that nothing holds, and how each moves if that is one motion. Collective.
+
+        Args:
+            u: This rank's owned displacements of each body, ``(num_dofs,)``.
+            holds: Rows of contact times the free motions, ``(num_rows, num_free)``.
+        """
+        combinations, values = self._combinations(holds)
         left = combinations[values <= max(MOVES, values[-1])].T
         moving = [self._free.at(i, part) @ left for i, part in enumerate(u)]
         sizes = np.sqrt(self._comm.allreduce(np.array([(v**2).sum(axis=0) for v in moving])))

@@ -132,7 +132,7 @@ class ContactSystem(NonlinearSystem):
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
-        self._row_lengths = list[float]()
+        self._row_lengths, self._told_loose = list[float](), list[int]()
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
@@ -170,6 +170,24 @@ class ContactSystem(NonlinearSystem):
             self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
             self._num_free = self._free.num
             self._strays = RigidBodyDiagnostics(self._system.spaces, self._free, self._names)
+        if self._constraints.conducts:
+            self._warn_of_loose()
+
+    def _warn_of_loose(self):
+        """Say which bodies are held by ties only that conduct nothing now. Collective."""
+        loose = self._constraints.loose()
+        if loose and loose != self._told_loose:
+            spaces = self._system.spaces
+            free = FreeMotions(spaces, self._K, self._constraints, loose)
+            if free.num > self._num_free:
+                strays = RigidBodyDiagnostics(spaces, free, self._names)
+                moving = strays.moving(self._owned(), np.zeros((0, free.num)))
+                if self._comm.rank == 0:
+                    LOG.warning(
+                        f"nothing but contact and ties whose conductance is 0 holds {moving}: its "
+                        "place is arbitrary where contact doesn't hold it."
+                    )
+        self._told_loose = loose
 
     def _state(self) -> SystemState:
         parts = self._x.getNestSubVecs()

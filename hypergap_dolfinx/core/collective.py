@@ -79,13 +79,16 @@ class Owner:
     _ticket: Ticket | None = None
 
     def destroy(self):
-        """Destroy the PETSc objects now. Collective.
+        """Destroy the PETSc objects now, but those that the user still has. Collective.
 
         Otherwise they are destroyed with their owner; on several ranks, when the next tie or
         problem is made.
         """
-        for obj in filter(None, self._release()):
-            obj.destroy()
+        objects = self._release()
+        while objects:  # PETSc's go with their last reference
+            obj = objects.pop(0)
+            if obj and not isinstance(obj, PETSc.Object):
+                obj.destroy()
 
     def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing):
         """Release the PETSc objects, unless Python is shutting down."""

@@ -107,7 +107,12 @@ class Jump:
         elif given_values.is_read(value):
             if not len(x):
                 return np.zeros((0, block_size))
-            value = given_values.at_points(value, x)
+            function, value = value, given_values.at_points(value, x)
+            if block_size > 1 and _is_one_each(function, value, x):
+                raise ValueError(
+                    f"the callable gives one number at each point, the space has {block_size} "
+                    "components; give an array of each, as lambda x: (x[0], 0 * x[0])."
+                )
             if len(V.value_shape) == 2:
                 value = [component for row in value for component in row]
             scalar = V.value_shape == () and np.ndim(value) < 2
@@ -117,6 +122,13 @@ class Jump:
         flat = np.ravel(np.asarray(value))
         _check_number(len(flat), block_size)
         return np.broadcast_to(flat, (len(x), block_size))
+
+
+def _is_one_each(function, value, x: npt.NDArray) -> bool:
+    """True if a callable gives one number at each point."""
+    if np.shape(value) != (len(x),) or not isinstance(value, np.ndarray):
+        return False
+    return np.shape(given_values.at_points(function, np.vstack((x, x)))) != np.shape(value)
 
 
 def _check_number(num: int, wanted: int):

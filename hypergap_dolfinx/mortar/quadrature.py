@@ -65,6 +65,15 @@ class Samples(collective.Owner):
     def _release(self) -> list:
         return [self.__dict__.pop("D", None)]
 
+    def __getattr__(self, name: str):
+        """Tell of D where it was destroyed."""
+        if name == "D":
+            raise ValueError(
+                "the tie was destroyed: one with a compliance, a conductance or a law is needed as "
+                "long as its problem is solved."
+            )
+        raise AttributeError(name)
+
     def scaled_mass(self, values: float | npt.NDArray, block_size: int) -> PETSc.Mat:
         """∫∫ c ∂φ_A/∂α ∂φ_B/∂α dΓ_α dα, the same for each component. Collective.
 

@@ -186,6 +186,12 @@ class TiedSystem(collective.Owner):
         objects = [self.__dict__.pop(name, None) for name in single]
         return objects + [obj for name in several for obj in self.__dict__.pop(name, [])]
 
+    def __getattr__(self, name: str):
+        """Tell of PETSc's objects where they were destroyed."""
+        if name in ("_A", "_b", "_x", "_solver", "_snes", "_constraints", "_K"):
+            self._check_usable()
+        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
+
     def assemble_matrix(self):
         """Assemble the bodies' stiffness and the ties' compliances and laws into A. Collective.
 
