@@ -18,6 +18,7 @@ from hypergap_dolfinx.contact_geometry.opened import on_sigma
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
+from hypergap_dolfinx.contact_geometry.status import ContactStatus, table
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -29,7 +30,6 @@ from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
-from hypergap_dolfinx.status import ContactStatus, table
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs

@@ -17,6 +17,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.algebra.load_path import LoadPath, Value, values_of
 from hypergap_dolfinx.contact import Contact
+from hypergap_dolfinx.contact_geometry.status import table
 from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows, SystemState
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
@@ -26,7 +27,6 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.hooks import Hooks
-from hypergap_dolfinx.status import table
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF

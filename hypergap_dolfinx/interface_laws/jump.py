@@ -126,7 +126,7 @@ class Jump:
 
 def _is_one_each(function, value, x: npt.NDArray) -> bool:
     """True if a callable gives one number at each point."""
-    if np.shape(value) != (len(x),) or not isinstance(value, np.ndarray):
+    if not isinstance(value, np.ndarray) or value.shape != (len(x),):
         return False
     return np.shape(given_values.at_points(function, np.vstack((x, x)))) != np.shape(value)
 

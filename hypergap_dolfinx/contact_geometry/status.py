@@ -4,19 +4,42 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 from hypergap_dolfinx.surface.trace import Surface
 
 HEADER = (
     *("contact", "facets Γ0 / Γ1", "size Γ0 / Γ1", "ratio", "Γ1 faces Γ0", "nearest gap", "at"),
     *("largest overlap", "at", "Γ1 is"),
 )
+
+
+class GapRows(Protocol):
+    """A contact's gaps as arrays."""
+
+    sides: tuple[MovingSurface, MovingSurface]
+    u: Displacements
+    valid: npt.NDArray[np.bool_]
+
+    @property
+    def distance(self) -> npt.NDArray[np.float64]:
+        """Gaps of multipliers."""
+
+    @property
+    def closed(self) -> float:
+        """Length of gaps treated as closed."""
+
+    def update_geometry(self) -> None:
+        """Find the gaps."""
+
+    def spread(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of vertices from those of multipliers."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +64,7 @@ class ContactStatus:
     """Reason why there are no gaps, or nothing."""
 
     @classmethod
-    def of(cls, rows: ContactRows, surfaces: tuple[Surface, Surface], sides: str):
+    def of(cls, rows: GapRows, surfaces: tuple[Surface, Surface], sides: str):
         """The status where the bodies are. Collective.
 
         Args:
