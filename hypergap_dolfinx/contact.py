@@ -476,11 +476,11 @@ class Contact:
         bodies are now, and the bodies that nothing holds.
         """
         u0, u1 = (fem.Function(V) for V in self._spaces)
-        return table([self.status_at(u0, u1)])
+        return table([self.status_of(self._rows_at(u0, u1))])
 
-    def status_at(self, u0: fem.Function, u1: fem.Function) -> ContactStatus:
-        """The same under displacements of Γ0's and Γ1's body, as arrays. Collective."""
-        return ContactStatus.of(self._rows_at(u0, u1), self._surfaces, self._sides_chosen)
+    def status_of(self, rows: ContactRows) -> ContactStatus:
+        """The same of rows of this contact, as arrays; finds their gaps. Collective."""
+        return ContactStatus.of(rows, self._surfaces, self._sides_chosen)
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
         """The rows of a problem with these displacements, unchanged since a solve. Collective."""

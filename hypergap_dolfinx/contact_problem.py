@@ -100,7 +100,7 @@ class ContactProblem(ContactSystem):
                 quadrature points. A SolveError in it is a step that failed.
             accepted: Function that is called when a load step, or a part of one that was halved, is
                 solved, with the share of the load step that is reached: 1.0 in the end. To move
-                history on; of rates only at 1.0.
+                history on; of rates only at 1.0. A SolveError in it rejects the step.
             taken_back: Function that is called when a part of a load step failed, after the state
                 is what it was.
             internal_variables: Functions and constants that these hooks change: not set to values
@@ -144,7 +144,7 @@ class ContactProblem(ContactSystem):
         if not (isinstance(rtol, float | int | np.floating) and 0 <= rtol < 1):
             raise ValueError(f"rtol is a number ≥ 0 and below 1, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else list(ties or ())
-        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         for name, given, kind in (("contacts", contacts, Contact), ("ties", ties, Tie)):
             wrong = next((one for one in given if not isinstance(one, kind)), None)
             if wrong is not None:
@@ -301,6 +301,7 @@ class ContactProblem(ContactSystem):
             self._path.interpolate(s)
             try:
                 self._newton()
+                self._hooks("accepted", s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
                 self._restore(before)
@@ -329,7 +330,6 @@ class ContactProblem(ContactSystem):
             else:
                 for rows in self._rows:
                     rows.commit()
-                self._hooks("accepted", s)
                 done, size = s, min(2 * size, 1.0)
                 if done < 1:
                     self._records.tell(f"solved up to {done:.3g} of it")
@@ -353,13 +353,20 @@ class ContactProblem(ContactSystem):
         only contact holds, or not even that.
         """
         self._check_usable()
-        self._prepare()
-        fields = (rows.fields for rows in self._rows)
-        found = [one.status_at(*u) for one, u in zip(self._contacts, fields, strict=True)]
-        return table(found, self._free_in_words())
+        if self._free is None:
+            self._prepare()
+        fresh = [type(rows)(pair, self._held) for rows, pair in zip(self._rows, self._pairs)]
+        for rows, known in zip(fresh, self._rows, strict=True):
+            rows.condensed_to = known.condensed_to
+        found = [one.status_of(rows) for one, rows in zip(self._contacts, fresh, strict=True)]
+        return table(found, self._free_in_words([r for r, s in zip(fresh, found) if not s.error]))
 
-    def _free_in_words(self) -> list[str]:
-        """Sentences about bodies that only contact can hold. Collective."""
+    def _free_in_words(self, found_rows: Sequence[ContactRows]) -> list[str]:
+        """Sentences about bodies that only contact can hold. Collective.
+
+        Args:
+            found_rows: Contacts with their gaps.
+        """
         if not self._num_free:
             return []
         owned = self._owned()
@@ -367,9 +374,8 @@ class ContactProblem(ContactSystem):
         found = [f"only contact can hold {only}."]
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(owned)]
-        every = []
-        for rows in self._rows:
-            rows.update_geometry()
+        every = [np.zeros((0, self._num_free))]
+        for rows in found_rows:
             moves = self._free_moves(rows, modes)
             every.append(rows.holds(moves)[rows.valid])
             if isinstance(rows, FrictionRows):

@@ -101,7 +101,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
-        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs or ()
+        bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         hooks = Hooks(
             internal_variables,
             before_step=before_step,
@@ -179,9 +179,14 @@ class NonlinearTiedProblem(NonlinearSystem):
         try:
             with self._solver.options.in_use():
                 self._snes.solve(None, self._x)
-            if self._failed is not None:
-                raise self._failed
+            failed, self._failed = self._failed, None
+            if failed is not None:
+                raise failed
             self._check_solved()
+            if self._snes.getIterationNumber():
+                self._check_constants()
+            self._assign(self._x)
+            self._hooks("accepted", 1.0)
         except BaseException as error:
             for part, values in zip(of_ties, before, strict=True):
                 part.array[:] = values
@@ -189,12 +194,9 @@ class NonlinearTiedProblem(NonlinearSystem):
                 for u, array in zip(self._u, bodies, strict=True):
                     u.x.array[:] = array
             self._hooks.restore(internal)
-            self._hooks("taken_back")
+            if isinstance(error, SolveError) or self._interrupts.agreed:
+                self._hooks("taken_back")  # on all ranks
             raise
-        if self._snes.getIterationNumber():
-            self._check_constants()
-        self._assign(self._x)
-        self._hooks("accepted", 1.0)
         self._solved = True
 
     def _evaluated(self, x: PETSc.Vec, r: PETSc.Vec):

@@ -25,11 +25,8 @@ class GapRows(Protocol):
 
     sides: tuple[MovingSurface, MovingSurface]
     u: Displacements
-    valid: npt.NDArray[np.bool_]
-
-    @property
-    def distance(self) -> npt.NDArray[np.float64]:
-        """Gaps of multipliers."""
+    g: npt.NDArray[np.float64]
+    m: npt.NDArray[np.float64]
 
     @property
     def closed(self) -> float:
@@ -79,8 +76,8 @@ class ContactStatus:
         except InterfaceError as e:
             error = str(e)
         else:
-            facing = rows.spread(rows.valid.astype(float)) > 0
-            gaps = np.where(facing, rows.spread(np.where(rows.valid, rows.distance, 0)), 0)
+            facing = rows.spread(rows.m) > 0
+            gaps = rows.spread(np.divide(rows.g, rows.m, out=np.zeros(num), where=rows.m > 0))
         return cls(
             (len(surfaces[0].facets), len(surfaces[1].facets)),
             (float(np.median(surfaces[0].size)), float(np.median(surfaces[1].size))),

@@ -140,7 +140,7 @@ class NonlinearSystem(TiedSystem):
         _check_ranks(J, 2, "Jacobian form", wanted)
         checks.check_scalars((*F, *J), u)
         options = form_compiler_options, jit_options
-        self._forms, self._given_bcs = list(F), list(bcs)
+        self._forms, self._given_bcs = list(F), bcs
         self._F = create_forms(F, *options)
         super().__init__(create_forms(J, *options), bcs, pieces, u)
         self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
