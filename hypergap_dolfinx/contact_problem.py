@@ -371,7 +371,7 @@ class ContactProblem(ContactSystem):
             return []
         owned = self._owned()
         only = self._strays.moving(owned, np.zeros((0, self._num_free)))
-        found = [f"only contact can hold {only}."]
+        found = [f"only contact can hold {only}; hold it by boundary conditions else."]
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(owned)]
         every = [np.zeros((0, self._num_free))]
@@ -383,7 +383,10 @@ class ContactProblem(ContactSystem):
         holds = np.vstack(every)
         if self._strays.num_left(holds):
             what = self._strays.moving(owned, holds)
-            found.append(f"nothing holds, even where all that faces something touched, {what}.")
+            found.append(
+                f"nothing holds, even where all that faces something touched, {what}; hold it by "
+                "boundary conditions."
+            )
         return found
 
     def restore(self, state: State):

@@ -77,11 +77,11 @@ class State:
                 with np.load(path) as file:
                     arrays = {name: file[name] for name in file.files}
                 if "problem" not in arrays:
-                    error = f"{path} is no state of a problem."
+                    error = f"{path} is no state of a problem; give a file of state.save."
             except OSError as e:
                 error = f"no state is read from {path}: {e.strerror or e}."
             except (ValueError, AttributeError, EOFError):
-                error = f"{path} is no state of a problem."
+                error = f"{path} is no state of a problem; give a file of state.save."
         raise_on_all(comm, error, OSError)
         return cls(comm, arrays)
 

@@ -39,14 +39,16 @@ class Hooks:
         hooks = {"before_step": before_step, "accepted": accepted, "taken_back": taken_back}
         for name, hook in hooks.items():
             if hook is not None and not callable(hook):
-                raise ValueError(f"{name} is a function, not a {type(hook).__name__}.")
+                raise ValueError(
+                    f"{name} is a {type(hook).__name__}; give a function, which is called."
+                )
         single = isinstance(internal_variables, fem.Function | fem.Constant)
         variables: list[Any] = [internal_variables] if single else list(internal_variables)
         wrong = [v for v in variables if not isinstance(v, fem.Function | fem.Constant)]
         if wrong:
             raise ValueError(
-                "internal_variables are functions and constants in the forms, not a "
-                f"{type(wrong[0]).__name__}."
+                f"internal_variables has a {type(wrong[0]).__name__}; give functions and constants "
+                "that are in the forms."
             )
         self.comm, self._hooks = MPI.COMM_SELF, hooks
         self.internal_variables: list[fem.Function | fem.Constant] = variables

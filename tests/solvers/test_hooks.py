@@ -130,9 +130,9 @@ def test_wrong(kind):
     """Errors in hooks on one rank are errors on all; wrong ones are told in a line."""
     scene = Scene(comm)
     for name in ("before_step", "accepted", "taken_back"):
-        with raises(ValueError, f"{name} is a function, not a str"):
+        with raises(ValueError, f"{name} is a str; give a function"):
             made(kind, scene, scene.F, **{name: "update"})
-    with raises(ValueError, "internal_variables are functions and constants in the forms, not a n"):
+    with raises(ValueError, "internal_variables has a ndarray; give functions and constants that"):
         made(kind, scene, scene.F, internal_variables=[np.zeros(3)])
 
     def fails():
