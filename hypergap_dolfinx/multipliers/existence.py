@@ -19,11 +19,12 @@ Three rules lead there:
    unless they are said to be discontinuous: then their ends are as cross points.
 2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
    that is prescribed, or that another interface has on its Γ1 too: there λ follows its neighbours,
-   as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if ties
-   lead round in a circle through both, or if that one is left with too few multipliers. Elsewhere
-   B is triangular: in an order in which Γ0's body comes before Γ1's, a row's dof of Γ1 is else in
-   rows of later bodies only. (If a compliance determines λ between two prescribed sides, no dof has
-   to answer.)
+   as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if
+   that one is left with too few multipliers, or if ties lead round in a circle through both, for
+   one tie of each circle (:meth:`~.numbering.Numbering.breaks`). So B is triangular: rows of these
+   ties have dofs of Γ1 that are in no other rows; without them, in an order in which Γ0's body
+   comes before Γ1's, a row's dof of Γ1 is else in rows of later bodies only. (If a compliance
+   determines λ between two prescribed sides, no dof has to answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
@@ -169,10 +170,11 @@ def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
     return components(len(numbering), first, second)
 
 
-def _at_cross_points(numbering: Numbering, users, label, members, alone):
+def _at_cross_points(numbering: Numbering, users, label, members, alone, breaks):
     """Mask of the multipliers whose dofs another interface uses too, ``(num,)``.
 
-    ``alone`` is the mask of ties on whose Γ0 no other one may have a multiplier.
+    ``alone`` is the mask of ties on whose Γ0 no other one may have a multiplier, ``breaks`` that of
+    :meth:`~.numbering.Numbering.breaks`.
     """
     crossed, circle = np.zeros(len(numbering), dtype=bool), numbering.in_circles
     for same in numbering.places.values():
@@ -187,7 +189,7 @@ def _at_cross_points(numbering: Numbering, users, label, members, alone):
             for side in (0, 1)
         }
         for s, side in sorted(others):
-            if s in mine if side else not (alone[s] or (circle[s] and circle[mine].any())):
+            if s in mine if side else not (alone[s] or (circle[s] and breaks[mine].any())):
                 continue
             between = frozenset((numbering.body(s, 0), numbering.body(s, 1))) if ending else None
             crossed[m] |= s in mine or between not in ending
@@ -251,9 +253,9 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
         ]
     )
     covered, alone = _covered(numbering, label, members), np.zeros(num, dtype=bool)
-    changed = True
+    breaks, changed = numbering.breaks(users), True
     while changed:
-        gone = _at_cross_points(numbering, users, label, members, alone) | ~covered
+        gone = _at_cross_points(numbering, users, label, members, alone, breaks) | ~covered
         drop = held | gone[:, None]
         for same in members.values():
             drop[same] = held[same].all(axis=0) | gone[same].any()

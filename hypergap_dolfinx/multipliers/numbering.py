@@ -120,6 +120,29 @@ class Numbering:
             left &= inner
         return left
 
+    def breaks(self, users) -> npt.NDArray[np.bool_]:
+        """Mask of ties in circles without which no circle is left. Collective.
+
+        Such a tie loses its multipliers at dofs on Γ0 of others, which ``users`` has
+        (:meth:`users`): those that would lose the largest share are kept first.
+        """
+        circle, lost = self.in_circles, np.zeros(len(self.ties))
+        for m, others in users.items():
+            lost[self.tie[m]] += any(side == 0 and circle[s] for s, side in others)
+        share = lost / np.maximum(np.diff(self.starts), 1)
+        found, behind = np.zeros(len(self.ties), dtype=bool), defaultdict(set)
+        for t in sorted(np.flatnonzero(circle), key=lambda t: -share[t]):
+            start, end = (self.body(t, side) for side in (0, 1))
+            reached, todo = {end}, [end]
+            while todo:
+                new = behind[todo.pop()] - reached
+                reached |= new
+                todo += new
+            found[t] = start in reached
+            if not found[t]:
+                behind[start].add(end)
+        return found
+
     def x(self, numbers) -> npt.NDArray[np.float64]:
         """Positions of the dofs under some multipliers, ``(num, n)``."""
         return np.array([lists.x[local] for lists, local in map(self.local, numbers)])
