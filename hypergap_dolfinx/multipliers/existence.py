@@ -20,11 +20,11 @@ Three rules lead there:
 2. A dof of Γ1 that none of the ties covers by enough of a facet has no multiplier, nor has one
    that is prescribed, or that another interface has on its Γ1 too: there λ follows its neighbours,
    as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if
-   that one is left with too few multipliers, or if ties lead round in a circle through both, for
-   one tie of each circle (:meth:`~.numbering.Numbering.breaks`). So B is triangular: rows of these
-   ties have dofs of Γ1 that are in no other rows; without them, in an order in which Γ0's body
-   comes before Γ1's, a row's dof of Γ1 is else in rows of later bodies only. (If a compliance
-   determines λ between two prescribed sides, no dof has to answer.)
+   that one is left with too few multipliers, or if ties lead round in a circle, for one tie of it
+   (:meth:`~.numbering.Numbering.breaks`). So B is triangular: rows of such ties have dofs of Γ1
+   that are in no other rows; without them, in an order in which Γ0's body comes before Γ1's, a
+   row's dof of Γ1 is else in rows of later bodies only. (If a compliance determines λ between two
+   prescribed sides, no dof has to answer.)
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
@@ -176,7 +176,7 @@ def _at_cross_points(numbering: Numbering, users, label, members, alone, breaks)
     ``alone`` is the mask of ties on whose Γ0 no other one may have a multiplier, ``breaks`` that of
     :meth:`~.numbering.Numbering.breaks`.
     """
-    crossed, circle = np.zeros(len(numbering), dtype=bool), numbering.in_circles
+    crossed = np.zeros(len(numbering), dtype=bool)
     for same in numbering.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= numbering.tie[a] == numbering.tie[b]  # patches that meet at a kink
@@ -189,7 +189,7 @@ def _at_cross_points(numbering: Numbering, users, label, members, alone, breaks)
             for side in (0, 1)
         }
         for s, side in sorted(others):
-            if s in mine if side else not (alone[s] or (circle[s] and breaks[mine].any())):
+            if s in mine if side else not (alone[s] or breaks[mine].any()):
                 continue
             between = frozenset((numbering.body(s, 0), numbering.body(s, 1))) if ending else None
             crossed[m] |= s in mine or between not in ending

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 
 from mpi4py import MPI
 
@@ -109,39 +109,32 @@ class Numbering:
         each = range(len(self.ties))
         return {frozenset((self.body(t, 0), self.body(t, 1))) for t in each}
 
-    @cached_property
-    def in_circles(self) -> npt.NDArray[np.bool_]:
-        """Mask of ties in circles of Γ0's and Γ1's bodies, or between such. Collective."""
-        each = range(len(self.ties))
-        number = {body: i for i, body in enumerate(set(chain(*self.tied)))}
-        sides = np.array([[number[self.body(t, side)] for side in (0, 1)] for t in each])
-        left = np.ones(len(sides), dtype=bool)
-        while not (inner := np.isin(sides, np.intersect1d(*sides[left].T)).all(axis=1))[left].all():
-            left &= inner
-        return left
-
     def breaks(self, users) -> npt.NDArray[np.bool_]:
-        """Mask of ties in circles without which no circle is left. Collective.
+        """Mask of ties without which no circle of Γ0's and Γ1's bodies is left. Collective.
 
         Such a tie loses its multipliers at dofs on Γ0 of others, which ``users`` has
-        (:meth:`users`): those that would lose the largest share are kept first.
+        (:meth:`users`): those that would lose the largest share are kept first. Multipliers at ends
+        count as far as Σ reaches their facets.
         """
-        circle, lost = self.in_circles, np.zeros(len(self.ties))
+        lost = np.zeros(len(self.ties))
         for m, others in users.items():
-            lost[self.tie[m]] += any(side == 0 and circle[s] for s, side in others)
+            if any(side == 0 for _, side in others):
+                lists, local = self.local(m)
+                lost[self.tie[m]] += lists.least[lists.facets_of(local)[0]].max()
         share = lost / np.maximum(np.diff(self.starts), 1)
-        found, behind = np.zeros(len(self.ties), dtype=bool), defaultdict(set)
-        for t in sorted(np.flatnonzero(circle), key=lambda t: -share[t]):
-            start, end = (self.body(t, side) for side in (0, 1))
+        arcs = [(self.body(t, 0), self.body(t, 1)) for t in range(len(share))]
+        breaks, behind = np.zeros(len(share), dtype=bool), defaultdict(set)
+        for t in np.argsort(-share, kind="stable"):
+            start, end = arcs[t]
             reached, todo = {end}, [end]
             while todo:
                 new = behind[todo.pop()] - reached
                 reached |= new
                 todo += new
-            found[t] = start in reached
-            if not found[t]:
+            breaks[t] = start in reached
+            if not breaks[t]:
                 behind[start].add(end)
-        return found
+        return breaks
 
     def x(self, numbers) -> npt.NDArray[np.float64]:
         """Positions of the dofs under some multipliers, ``(num, n)``."""
