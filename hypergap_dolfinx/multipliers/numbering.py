@@ -123,7 +123,8 @@ class Numbering:
                 lost[self.tie[m]] += lists.least[lists.facets_of(local)[0]].max()
         share = lost / np.maximum(np.diff(self.starts), 1)
         arcs = [(self.body(t, 0), self.body(t, 1)) for t in range(len(share))]
-        breaks, behind = np.zeros(len(share), dtype=bool), defaultdict(set)
+        breaks = np.zeros(len(share), dtype=bool)
+        behind: defaultdict[tuple, set[tuple]] = defaultdict(set)
         for t in np.argsort(-share, kind="stable"):
             start, end = arcs[t]
             reached, todo = {end}, [end]
