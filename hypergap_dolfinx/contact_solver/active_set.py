@@ -39,27 +39,10 @@ def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.b
     return result, num - len(held)
 
 
-def stuck(sticks, can, holds, across) -> tuple[npt.NDArray[np.bool_], int]:
-    """A sticking set enlarged until it holds the bodies that nothing else holds.
-
-    Args:
-        sticks: The set, ``(num,)``.
-        can: Mask of multipliers that could stick, ``(num,)``.
-        holds: Rows of the closed gaps on free motions, ``(num_active, num_free)``.
-        across: Rows of the slips on them, ``(num, n - 1, num_free)``.
-
-    Returns:
-        ``(num,)``, and the number of motions that stay free even so.
-    """
-    num = across.shape[2]
-    basis, _ = _extended(np.empty((0, num)), _unit(holds))
-    result, order = sticks.copy(), np.argsort(~sticks, kind="stable")
-    for a in order[can[order]].tolist():
-        if len(basis) == num:
-            break
-        basis, taken = _extended(basis, _unit(across[a]))
-        result[a] |= bool(taken)
-    return result, num - len(basis)
+def num_free(holds) -> int:
+    """Number of motions that no row holds; ``holds`` is ``(num, num_free)``."""
+    num = holds.shape[1]
+    return num - len(_extended(np.empty((0, num)), _unit(holds))[0])
 
 
 def _unit(rows) -> npt.NDArray[np.float64]:

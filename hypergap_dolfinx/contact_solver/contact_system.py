@@ -21,7 +21,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     share_ends,
 )
 from hypergap_dolfinx.contact_solver.continuation import Continuation
-from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows, hold_by_sticking
+from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
@@ -442,18 +442,21 @@ class ContactSystem(NonlinearSystem):
             for name in ("distance", "valid")
         )
         frictional = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
-        sticking = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
-        across = np.vstack([part.reshape(-1, self._num_free) for part in (holds[:0], *sticking)])
-        active, num_free = active_set.holding(every, distance, valid, holds, across)
+
+        def across():
+            rows_across = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
+            return np.vstack([p.reshape(-1, self._num_free) for p in (holds[:0], *rows_across)])
+
+        active, num_free = active_set.holding(every, distance, valid, holds, across())
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(active, ends), strict=True):
             rows.activate(part)
         if num_free and frictional:
-            num_free = hold_by_sticking(frictional, np.vstack((holds[active], across)))
+            for rows, _ in frictional:
+                rows.stick()
+            num_free = active_set.num_free(np.vstack((holds[active], across())))
         if num_free:
-            sticking = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
-            across = np.vstack([part.reshape(-1, self._num_free) for part in (across, *sticking)])
-            found = np.vstack((holds[active], across))
+            found = np.vstack((holds[active], across()))
             raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(frictional)))
         self._holding = self._acting()
 

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.rigid_motions import places
-from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -170,6 +169,10 @@ class FrictionRows(ContactRows):
     def stuck(self) -> npt.NDArray[np.bool_]:
         """Mask of active multipliers that stick."""
         return self.state.active & self.state.sticks
+
+    def stick(self):
+        """Let all that is active stick, where nothing else would hold a body."""
+        self.state.sticks = self.mu > 0
 
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
@@ -361,24 +364,3 @@ class FrictionRows(ContactRows):
         bound, _ = self._bounds(self.state.p)
         excess = np.where(self.stuck, size - bound - EXCEEDS * bound.max(initial=0), 0)
         return bool((excess * self.m > nothing).any())
-
-
-def hold_by_sticking(
-    frictional: Sequence[tuple[FrictionRows, Sequence[Displacements]]], holds: npt.NDArray
-) -> int:
-    """Let slipping multipliers stick where nothing else would hold a body.
-
-    Args:
-        frictional: Contacts with friction, and the free motions at their sides.
-        holds: Rows of active gaps on these, ``(num, num_free)``.
-
-    Returns:
-        The number of motions that are still free.
-    """
-    num_free = 0
-    for rows, moves in frictional:
-        across, can = rows.holds_across(moves), rows.state.active & (rows.mu > 0)
-        stuck, num_free = active_set.stuck(rows.stuck, can, holds, across)
-        rows.state.sticks |= stuck
-        holds = np.vstack((holds, across[stuck].reshape(-1, holds.shape[1])))
-    return num_free

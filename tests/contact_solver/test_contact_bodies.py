@@ -398,3 +398,22 @@ def test_small_sliding_is_cheap(start):
         problem.solve()
         assert problem.iterations <= 6
         assert abs(contact.force(problem)[1] / (2 * value) - 1) <= 1e-9
+
+
+def test_held_by_friction_again():
+    """A body that only friction holds, and all of whose vertices slip at a start, sticks."""
+    scene = Assembly([rectangle((4, 2), (0, y), (1, y + 1)) for y in (0, 1)])
+    for component in (0, 1):
+        scene.hold(0, component, meshes.BOTTOM)
+    load = scene.load(1, meshes.TOP)
+    sides = [scene.side(i, tag) for i, tag in enumerate((meshes.TOP, meshes.BOTTOM))]
+    contact = Contact(*sides, friction=0.3, sliding="small")
+    problem = scene.problem([contact])
+    load.value = 0.01
+    problem.solve()
+    expected = contact.pressures(problem)
+    load.value = 0.02
+    problem.rows(contact).state.sticks[:] = False
+    problem.solve()
+    assert contact.sticking.any() and problem.halvings == 0
+    np.testing.assert_allclose(contact.pressures(problem), 2 * expected, rtol=0.05)
