@@ -31,9 +31,9 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
-from hypergap_dolfinx.surface.tolerances import KINK
+from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
-from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FILE_DIGITS, FINER, STIFF
+from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
 

@@ -39,12 +39,6 @@ NEAR_FLAT = 1e-3
 """Distance of flat facets that touch, over the size of the smaller one.
 Measured: fits of AS1, a CAD assembly: 1e-8."""
 
-BULGES = 4
-"""Distance of curved facets that touch, over that estimated from turns.
-Measured: 600 pairs of rings of 7 to 39 edges, lengths 1 : 1 to 1 : 4: 2 incomplete with 1.5, 2 and
-3, 26 with 1, where 26 tests of test_touching fail; any_assemblies, scenes 0, 8 and 9 in space, bent
-along facets' diagonals: 19 of 81 pairs incomplete with 2, 10 with 4."""
-
 FACING_ANGLE = np.pi / 3
 """Deviation of curved facets' normals from opposite ones that no turn makes larger.
 Measured: test_touching: 45° loses curved facets (2 of 140 tests), 75° changes nothing."""
@@ -56,19 +50,6 @@ Measured: test_touching: 45° takes chamfers (2 of 48 tests), 0.5° changes noth
 TURNS_EXPLAINED = 0.75
 """Further deviation for curved facets, over the sum of both facets' turns.
 Measured: polygons in one circle: 0.5; a chamfer of 45° on a plate: 0.89."""
-
-CORNER_ASSEMBLY = np.pi * 65 / 180
-"""Turn from which an edge is a corner, not part of a curved surface.
-Measured: a hexagon for a circle: 60°."""
-
-GOES_ON = 4
-"""Turn between two facets, over those beyond them, up to which it is curvature, not a corner.
-Measured: the same rings: 2 incomplete with 2, 4 and 16, 30 with 1; 1.5 and 100 change nothing in
-test_touching."""
-
-FILE_DIGITS = 1e-6
-"""Turn of a surface, or common part of the smaller facet, that files' last digits make.
-Measured: files with 8 digits; for the part 1e-8 to 1e-3 change nothing in test_touching."""
 
 SEEN = 0.1
 """Width of facets' common part, over the smaller one's size, that is no sign of their distance.

@@ -5,7 +5,6 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 from mpi4py import MPI
@@ -14,19 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx.mesh import exterior_facet_indices
-from hypergap_dolfinx.core import compat, graph
+from hypergap_dolfinx.core import graph
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.intersection import axes_across, common_part
 from hypergap_dolfinx.errors import InterfaceError
+from hypergap_dolfinx.surface.boundary import Boundary, gathered
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.trace import lagrange_element, unit_normals
+from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS
+from hypergap_dolfinx.surface.trace import lagrange_element
 from hypergap_dolfinx.tolerances import (
-    BULGES,
-    CORNER_ASSEMBLY,
     FACING_ANGLE,
-    FILE_DIGITS,
-    GOES_ON,
     NEAR_FLAT,
     SEEN,
     TILT,
@@ -34,11 +30,9 @@ from hypergap_dolfinx.tolerances import (
 )
 
 LOG = logging.getLogger("hypergap_dolfinx")
-EXPLANATIONS = "flat", "curved", "distance"
-"""Explanations of the distance of facets that touch."""
-
-# A facet that is a quadrilateral, as two triangles; its vertices as DOLFINx orders them
-_SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
+FLAT, CURVED, DISTANCE, CLEARANCE, UNEXPLAINED = (
+    "flat", "curved", "distance", "clearance", "unexplained",
+)  # fmt: skip
 
 
 class _Sides(NamedTuple):
@@ -49,112 +43,133 @@ class _Sides(NamedTuple):
 
 
 class Touching(_Sides):
-    """Facets of two bodies that lie on each other: the two sides of a tie."""
+    """Facets of two bodies that lie on each other, the two sides of a tie; or face each other."""
 
     apart: float
-    """Largest distance of flat facets that were found to touch, negative if they overlap."""
+    """Largest distance of the flat facets, negative if they overlap."""
     explained: str
     """Explanation of that distance: ``"flat"`` if it is 1e-3 of a facet's size and less,
-    ``"curved"`` if the surfaces turn as much from facet to facet, ``"distance"`` if it is only less
-    than the given distance."""
+    ``"curved"`` if the surfaces turn as much, or cross within each facet, ``"distance"`` if it is
+    only less than the given distance. Of facets that were left out ``"clearance"`` if nothing says
+    that the surfaces meet, ``"unexplained"`` if they may."""
+    area: float
+    """Area, or length, that the facets have in common."""
+    numbers: tuple[int, int]
+    """Numbers of both spaces."""
+    counts: tuple[int, int]
+    """Numbers of both sides' facets, on all ranks."""
+    left_out: "Touching | None" = None
+    """Further facets of the same two bodies that face each other, but weren't found to touch."""
 
     @classmethod
-    def of(cls, side0, side1, apart: float, explained: str) -> "Touching":
-        """Two sides, and how far they are apart."""
-        pair = cls(side0, side1)
-        pair.apart, pair.explained = apart, explained
+    def of(cls, sides, **values) -> "Touching":
+        """Two sides, and what is known of them."""
+        pair = cls(*sides)
+        for name, value in values.items():
+            setattr(pair, name, value)
         return pair
 
+    def row(self) -> str:
+        """A line of the table."""
+        names = (
+            f"spaces[{i}]" + (f" ({V.mesh.name})" if V.mesh.name not in ("", "mesh") else "")
+            for i, (V, _) in zip(self.numbers, self, strict=True)
+        )
+        first, second = (
+            f"{name}: {count} facets" for name, count in zip(names, self.counts, strict=True)
+        )
+        return f"{first:<28} {second:<28} {self.area:9.3g} {self.apart:10.2e}  {self.explained}"
+
+
+class TouchingPairs(list[Touching]):
+    """Pairs that touch, in a list; ``print`` shows them and what was left out in a table."""
+
+    left_out: list[Touching]
+    """Pairs of facets that face each other, but weren't found to touch."""
+
+    def __init__(self, pairs: Sequence[Touching] = (), left_out: Sequence[Touching] = ()):
+        """Pairs, and what was left out."""
+        super().__init__(pairs)
+        self.left_out = list(left_out)
+
+    def __str__(self) -> str:
+        """A table: facets, area in common, largest distance, and its explanation."""
+        lines = [f"{'side':<28} {'side':<28} {'area':>9} {'apart':>10}  explained"]
+        lines += [pair.row() for pair in self] or ["nothing touches"]
+        if self.left_out:
+            lines += ["left out:", *(pair.row() for pair in self.left_out)]
+        return "\n".join(lines)
+
 
 @dataclass(frozen=True)
-class _Facets:
-    """Exterior facets of a space's mesh: of this rank, or of all of them."""
+class _Facing:
+    """Pairs of simplices of two bodies that face each other."""
 
-    index: npt.NDArray[np.int32]
-    """Local index on the rank that owns it, ``(num_facets,)``."""
-    x: npt.NDArray[np.float64]
-    """Vertices, ``(num_facets, num_vertices, n)``."""
-    nodes: npt.NDArray[np.int64]
-    """Global geometry nodes of the vertices, ``(num_facets, num_vertices)``."""
-    inside: npt.NDArray[np.float64]
-    """A point on the body's side of each, ``(num_facets, n)``."""
-    heights: npt.NDArray[np.float64]
-    """Largest distances of the geometry's nodes from the flat facet, out of the body and into it,
-    ``(num_facets, 2)``."""
-    part: npt.NDArray[np.int32]
-    """Connected part of the mesh, ``(num_facets,)``."""
-
-
-@dataclass(frozen=True)
-class _Boundary:
-    """The boundary of a body, in simplices."""
-
-    x: npt.NDArray[np.float64]
-    """Vertices in the order in which the normal points out of the body, ``(num, n, n)``."""
-    nodes: npt.NDArray[np.int64]
-    """Global geometry nodes of the vertices, ``(num, n)``."""
-    facet: npt.NDArray[np.intp]
-    """Number among all ranks' facets of the space, ``(num,)``."""
-    curvature: npt.NDArray[np.float64]
-    """Curvature tensors, of the part that bulges out of the body and of the part that bulges into
-    it, ``(num, 2, n, n)``."""
-    heights: npt.NDArray[np.float64]
-    """Largest distances of a curved facet's nodes from the simplex, as of :class:`_Facets`."""
-    turn: npt.NDArray[np.float64]
-    """Turn of the curved surface from simplex to simplex, ``(num,)``."""
+    pair: npt.NDArray[np.intp]
+    """Numbers among those that were compared, ``(num_pairs,)``."""
+    low: npt.NDArray[np.float64]
+    """Smallest distance, negative where they overlap, ``(num_pairs,)``."""
+    high: npt.NDArray[np.float64]
+    """Largest distance."""
+    near: npt.NDArray[np.float64]
+    """Distance of flat facets that touch."""
+    curved: npt.NDArray[np.bool_]
+    """Mask of those whose distance both surfaces' curvature explains."""
+    bends: npt.NDArray[np.bool_]
+    """Mask of those where a surface turns at all."""
+    area: npt.NDArray[np.float64]
+    """Area in common."""
 
     @property
-    def normals(self) -> npt.NDArray[np.float64]:
-        """Unit normals out of the body, ``(num, n)``."""
-        return unit_normals(self.x)
+    def apart(self) -> npt.NDArray[np.float64]:
+        """The distance that is larger in magnitude."""
+        return np.where(self.high > -self.low, self.high, self.low)
 
-    @property
-    def size(self) -> npt.NDArray[np.float64]:
-        """Longest edges, ``(num,)``."""
-        return np.linalg.norm(self.x - np.roll(self.x, 1, axis=1), axis=2).max(axis=1)
+    def touch(self, facets: Sequence[npt.NDArray], bent: bool):
+        """Mask of pairs that touch, and of those that may.
 
-    def bulges(self, shares: npt.NDArray) -> npt.NDArray[np.float64]:
-        """Largest distances of the curved surface from points of the simplices.
-
-        A surface with curvature tensor K through the vertices is Σ λ_i λ_j e_ij·K e_ij / 2 away
-        from the point with barycentric coordinates λ, with e_ij from vertex i to vertex j.
+        Nodes of two meshes of one surface lie on it, its facets beside it: from facet to facet the
+        distance vanishes or changes its sign, whether the surface bends out, in, or both. Across a
+        clearance it doesn't. So facets of a surface that turns touch if the distance vanishes on
+        both of them, and those whose distance curvature explains if it vanishes somewhere in the
+        connected area around, or if curvature explains all of it there (a small block on the middle
+        of a large facet). Those on one of which it vanishes may touch.
 
         Args:
-            shares: λ, ``(num, num_points, n)``.
-
-        Returns:
-            Out of the body and into it, ``(num, num_points, 2)``.
+            facets: Numbers of both sides' facets, ``(num_pairs,)`` each.
+            bent: No distance is given.
         """
-        found, products = np.zeros((*shares.shape[:2], 2)), np.zeros(shares.shape[:2])
-        for i, j in combinations(range(shares.shape[2]), 2):
-            e, both = self.x[:, j] - self.x[:, i], shares[..., i] * shares[..., j]
-            squares = np.einsum("pi,psij,pj->ps", e, self.curvature, e)
-            found += BULGES / 2 * both[..., None] * squares[:, None]
-            products += both
-        return np.maximum(
-            found, np.minimum(BULGES * 4 * products, 1)[..., None] * self.heights[:, None]
-        )
+        if not bent:
+            return np.ones(len(self.pair), dtype=bool), np.zeros(len(self.pair), dtype=bool)
+        region = self.regions(facets)
+        whole = np.ones(region.max(initial=-1) + 1, dtype=bool)
+        np.logical_and.at(whole, region, self.curved)
+        one, other = (self.vanishes(side) for side in facets)
+        touch = self.curved & (self.vanishes(region) | whole[region])
+        return touch | self.bends & one & other, one | other
 
-    def boxes(self, distance: float | None) -> npt.NDArray[np.float64]:
-        """Lower and upper corners of boxes that meet if simplices may touch, ``(num, 2, n)``."""
-        if distance is None:
-            n = self.x.shape[2]
-            middle = np.full((len(self.x), 1, n), 1 / n)
-            # Nowhere more than the sum of the edges', which is n times what the middle has
-            reach = n * self.bulges(middle).max(axis=(1, 2)) + NEAR_FLAT * self.size
-        else:
-            reach = np.full(len(self.x), distance)
-        return np.stack(
-            (self.x.min(axis=1) - reach[:, None], self.x.max(axis=1) + reach[:, None]), axis=1
-        )
+    def regions(self, facets: Sequence[npt.NDArray]) -> npt.NDArray[np.intp]:
+        """Number of the connected area of each pair: pairs with a facet in common."""
+        num = facets[0].max(initial=-1) + 1
+        both = num + facets[1].max(initial=-1) + 1
+        return graph.components(both, facets[0], num + facets[1])[facets[0]]
 
-    def __getitem__(self, chosen) -> "_Boundary":
-        return _Boundary(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+    def __getitem__(self, chosen) -> "_Facing":
+        """Some of the pairs."""
+        return _Facing(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+    def vanishes(self, group: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+        """Mask of pairs in whose group the distance vanishes or changes its sign."""
+        low = np.full(group.max(initial=-1) + 1, np.inf)
+        high = -low
+        np.minimum.at(low, group, self.low - self.near)
+        np.maximum.at(high, group, self.high + self.near)
+        return ((low <= 0) & (high >= 0))[group]
 
 
 def find_touching(
     spaces: Sequence[fem.FunctionSpace], distance: float | None = None
-) -> list[Touching]:
+) -> TouchingPairs:
     """Find bodies that touch, and their exterior facets there. Collective.
 
     Two facets touch if their normals are opposite and a part of one, seen along the normals, lies
@@ -166,18 +181,22 @@ def find_touching(
             meshes in 2D, or all in 3D, of triangles, quadrilaterals, tetrahedra or hexahedra.
         distance: Largest gap or overlap of facets that touch. If not given, it is 1e-3 of the
             smaller one's size for flat facets; flat facets of curved surfaces are up to h²/8R apart
-            (edges h on a radius R): twice that distance, estimated from the turns between facets
-            (up to 65°), is allowed where it is: at their middles, not at their vertices; a gap
-            where a surface bulges out, an overlap where it bulges in. A turn is a corner, not
-            curvature, if the surface doesn't go on turning beyond the facets on both sides. Parts
-            with a smaller clearance, or thinner layers, need a distance. Normals may deviate from
+            (edges h on a radius R). Both surfaces' turns between facets (up to 65°) give R, and
+            such distances count at facets' middles, not at their vertices; or surfaces that turn
+            cross within each facet. A turn is a corner, not curvature, if the surface doesn't go on
+            turning beyond the facets on both sides; a distance that vanishes nowhere around is a
+            clearance, not curvature. Clearances smaller than facets' distances from the curved
+            surface, thinner layers, and larger gaps need a distance. Normals may deviate from
             opposite ones by 5° plus ¾ of the surfaces' turns between facets.
 
     Returns:
-        A pair of sides for :class:`Tie` for each two bodies that touch, each a space and this
-        rank's facets (possibly none); in the order of ``spaces``, and of the positions of a mesh's
-        parts. ``apart`` of a pair is the largest distance in it, ``explained`` is what explains it:
-        ``"flat"``, ``"curved"`` or ``"distance"``. The log of ``hypergap_dolfinx`` has them too.
+        A list with a pair of sides for :class:`Tie` for each two bodies that touch, each a space
+        and this rank's facets (possibly none); in the order of ``spaces``, and of the positions of
+        a mesh's parts. A pair's ``apart`` is the largest distance in it, ``explained`` is what
+        explains it, ``area`` what its facets have in common. ``left_out`` of the list and of a pair
+        are facets that face each other as near as some curvature could explain, and aren't in a
+        pair; where their surfaces may meet the log of ``hypergap_dolfinx`` has a warning.
+        ``print`` shows all of it in a table.
 
     Raises:
         InterfaceError: A space that isn't Lagrange, two on one mesh, meshes of different dimension
@@ -202,18 +221,12 @@ def find_touching(
     """
     spaces = list(spaces)
     comm = _check(spaces, distance)
-    if not spaces:
-        return []
     here, bodies, starts = [], [], []
     for i, V in enumerate(spaces):
-        facets = _exterior_facets(Component.of(V).space, f"spaces[{i}]")
-        here.append(facets.index)
-        starts.append(sum(comm.allgather(len(facets.index))[: comm.rank]))
-        every = comm.gather(facets)
-        if every is not None:
-            names = _Facets.__dataclass_fields__
-            joined = {name: np.concatenate([getattr(f, name) for f in every]) for name in names}
-            bodies += [(i, body) for body in _bodies(_Facets(**joined))]
+        parts, index, start = gathered(Component.of(V).space, f"spaces[{i}]")
+        here.append(index)
+        starts.append(start)
+        bodies += [(i, body) for body in parts]
     # On one rank, which sees all: a surface is small beside its body
     found = comm.bcast(_all_pairs(bodies, distance) if comm.rank == 0 else None)
 
@@ -222,15 +235,37 @@ def find_touching(
         mine = mine[(mine >= 0) & (mine < len(here[i]))]
         return spaces[i], np.sort(here[i][mine])
 
-    pairs = []
-    for (i, f), (j, g), apart, explained in found:
-        pairs.append(Touching.of(side(i, f), side(j, g), apart, explained))
-        if comm.rank == 0:
-            LOG.info(
-                "spaces[%d] and spaces[%d] touch with %d and %d facets, up to %.3g apart (%s)",
-                *(i, j, len(f), len(g), apart, explained),
-            )
+    pairs = TouchingPairs()
+    for two in found:
+        touching, left = (
+            values and Touching.of([side(*each) for each in facets], **values)
+            for facets, values in two
+        )
+        if touching:
+            touching.left_out = left
+            pairs.append(touching)
+        if left:
+            pairs.left_out.append(left)
+    if comm.rank == 0:
+        _tell(pairs)
     return pairs
+
+
+def _tell(pairs: TouchingPairs) -> None:
+    """Log what touches, and warn of what may, but was left out."""
+    for pair in pairs:
+        LOG.info(
+            "spaces[%d] and spaces[%d] touch with %d and %d facets, up to %.3g apart (%s)",
+            *(*pair.numbers, *pair.counts, pair.apart, pair.explained),
+        )
+    for left in pairs.left_out:
+        if left.explained == UNEXPLAINED:
+            LOG.warning(
+                "find_touching leaves out %d facets of spaces[%d] and %d of spaces[%d] that face "
+                "each other, up to %.3g apart, since their turns don't explain that. If they "
+                "touch, make them finer or give a distance.",
+                *(left.counts[0], left.numbers[0], left.counts[1], left.numbers[1], left.apart),
+            )
 
 
 def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
@@ -267,169 +302,60 @@ def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
     return first.comm
 
 
-def _exterior_facets(V: fem.FunctionSpace, name: str) -> _Facets:
-    """This rank's exterior facets. Collective."""
-    mesh, n = V.mesh, V.mesh.geometry.dim
-    topology = mesh.topology
-    num_vertices = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
-    cell = topology.cell_name()
-    if cell not in num_vertices:
-        raise InterfaceError(f"{name} has {cell} cells; facets of one kind are needed.")
-    topology.create_entities(n - 1)
-    topology.create_connectivity(n - 1, n)
-    topology.create_connectivity(n, n - 1)
-    index = exterior_facet_indices(topology)
-    facet_nodes = compat.entities_to_geometry(mesh, n - 1, index)
-    to_cells = topology.connectivity(n - 1, n)
-    cells = to_cells.array[to_cells.offsets[index]]
-    all_x = mesh.geometry.x[:, :n]
-    finite = np.isfinite(all_x[facet_nodes]).all()
-    raise_on_all(mesh.comm, None if finite else f"{name} has NaN or infinite coordinates.")
-    nodes = facet_nodes[:, : num_vertices[cell]]
-    x = all_x[nodes]
-    height = np.einsum("fmi,fi->fm", all_x[facet_nodes] - x[:, :1], unit_normals(x[:, :n]))
-    # The last vertex of a quadrilateral may be out of the plane of the others, on both sides alike
-    height[:, : num_vertices[cell]] = 0
-    centres = all_x[compat.geometry_dofmap(mesh)[cells]].mean(axis=1)
-    outwards = np.einsum("fi,fi->f", unit_normals(x[:, :n]), x.mean(axis=1) - centres)
-    height *= np.sign(outwards)[:, None]
-    return _Facets(
-        index=index,
-        x=x,
-        nodes=mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape),
-        inside=centres,
-        heights=np.column_stack([(sign * height).max(axis=1, initial=0) for sign in (1, -1)]),
-        part=graph.connected(V)[0][V.dofmap.list[cells, 0]],
-    )
-
-
-def _bodies(facets: _Facets) -> list[_Boundary]:
-    """The boundary of each connected part of a mesh, in the order of their positions."""
-    split = _SIMPLICES[facets.x.shape[1]]
-    x, nodes = (np.concatenate([a[:, s] for s in split]) for a in (facets.x, facets.nodes))
-    facet = np.tile(np.arange(len(facets.x)), len(split))
-    inwards = np.einsum("fi,fi->f", unit_normals(x), x.mean(axis=1) - facets.inside[facet]) < 0
-    x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
-    curvature, turn = _curvature(x, nodes)
-    # Known for facets that are curved themselves
-    heights = facets.heights[facet]
-    size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    turn = np.maximum(turn, 8 * heights.max(axis=1) / np.where(size > 0, size, 1))
-    boundary = _Boundary(x, nodes, facet, curvature, heights, turn)
-    part = facets.part[facet]
-    lowest = []
-    for p in range(int(part.max(initial=-1)) + 1):
-        vertices = x[part == p].reshape(-1, x.shape[2])
-        lowest.append(vertices[np.lexsort(vertices.T[::-1])[0]])
-    return [boundary[part == p] for p in np.lexsort(np.reshape(lowest, (-1, x.shape[2])).T[::-1])]
-
-
-def _curvature(x: npt.NDArray, nodes: npt.NDArray):
-    """Curvature tensors of the surface at each of its simplices, and the largest turn there.
-
-    A circle of radius R turns by θ = h / R from one edge h to the next one. Of a ridge between two
-    simplices, θ / h is the curvature across it, h being the height of the smaller one over the
-    ridge; a triangle has the sum of its ridges' tensors.
+def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
+    """Facets of each two bodies that touch, and of those that face each other and were left out.
 
     Returns:
-        ``(num, 2, n, n)``, as of :class:`_Boundary`, and ``(num,)``.
+        A list of two (((space, facets), (space, facets)), values of :class:`Touching`); the values
+        are none where there are no such facets.
     """
-    num, n = len(x), x.shape[2]
-    normals = unit_normals(x)
-    # Opposite to vertex k: the ridge between the others, or in 2D the other vertex
-    others = np.stack([np.delete(np.arange(n), k) for k in range(n)])
-    ridges = np.sort(nodes[:, others], axis=2).reshape(-1, n - 1)
-    order = np.lexsort(ridges.T)
-    same = (np.diff(ridges[order], axis=0) == 0).all(axis=1)
-    a, b = order[:-1][same], order[1:][same]
-    (f, k), (g, m) = np.divmod(a, n), np.divmod(b, n)
-    start, end = x[f, others[k, 0]], x[f, others[k, -1]]
-    along = end - start  # zero in 2D
-    length = np.linalg.norm(along, axis=1)
-    along /= np.where(length > 0, length, 1)[:, None]
-    # Within each simplex, from the ridge to the vertex beyond
-    ways = [x[f, k] - start, x[g, m] - start]
-    ways = [way - np.einsum("ei,ei->e", way, along)[:, None] * along for way in ways]
-    height = np.array([np.linalg.norm(way, axis=1) for way in ways])
-    ways = [way / np.where(h > 0, h, 1)[:, None] for way, h in zip(ways, height, strict=True)]
-    cosine = np.einsum("ei,ei->e", normals[f], normals[g])
-    theta = np.arccos(np.clip(cosine, -1, 1))
-    inwards = (np.einsum("ei,ei->e", ways[1], normals[f]) > 0).astype(np.intp)
-    corner = theta > CORNER_ASSEMBLY
-    # Ridges at the vertices beyond
-    going = np.zeros((2, len(f)))  # (side, ridge)
-    touching = ridges[a]
-    at = np.argsort(touching.ravel(), kind="stable")
-    first = np.searchsorted(touching.ravel()[at], np.arange(nodes.max(initial=-1) + 2))
-    for side, (vertex, way) in enumerate(zip((nodes[f, k], nodes[g, m]), ways, strict=True)):
-        count = first[vertex + 1] - first[vertex]
-        ridge = np.repeat(np.arange(len(f)), count)
-        beyond = at[
-            np.arange(len(ridge))
-            - np.repeat(np.cumsum(count) - count, count)
-            + np.repeat(first[vertex], count)
-        ] // (n - 1)
-        turns = theta[beyond] * (1 - np.einsum("ei,ei->e", along[beyond], way[ridge]) ** 2)
-        np.maximum.at(going[side], ridge, turns)
-    curved = np.where(corner, 0, np.minimum(theta, GOES_ON * going.min(axis=0)))
-    smooth = theta <= curved + FILE_DIGITS
-    height = height.min(axis=0)
-    size = curved / np.where(height > 0, height, 1)
-    K, turn = np.zeros((num, 2, n, n)), np.zeros(num)
-    for simplex, way in zip((f, g), ways, strict=True):
-        np.maximum.at(turn, simplex, curved)
-        tensors = size[:, None, None] * way[:, :, None] * way[:, None]
-        np.add.at(K, (simplex, inwards), tensors)
-    if n == 2:
-        K /= 2
-    return _around(K, turn, normals, f[smooth], g[smooth])
-
-
-def _around(
-    K: npt.NDArray, turn: npt.NDArray, normals: npt.NDArray, f: npt.NDArray, g: npt.NDArray
-):
-    """Largest tensors and turns of simplices and their neighbours: narrow ones hardly turn.
-
-    Tensors of neighbours are turned with the normals. The triangle at the end of a curved surface
-    has no ridge that turns.
-    """
-    near, trace = K.copy(), np.einsum("psii->ps", K)
-    own, other = np.concatenate((f, g)), np.concatenate((g, f))
-    largest_turn = turn.copy()
-    np.maximum.at(largest_turn, own, turn[other])
-    for s in range(2):
-        order = np.argsort(trace[other, s], kind="stable")  # the largest comes last
-        mine, largest = own[order], other[order]
-        larger = trace[largest, s] > trace[mine, s]
-        mine, largest = mine[larger], largest[larger]
-        a, b = normals[largest], normals[mine]
-        both = a + b
-        R = 2 * b[:, :, None] * a[:, None] + np.eye(a.shape[1])
-        R -= both[:, :, None] * both[:, None] / (1 + np.einsum("pi,pi->p", a, b))[:, None, None]
-        near[mine, s] = R @ K[largest, s] @ R.transpose(0, 2, 1)
-    return near, largest_turn
-
-
-def _all_pairs(bodies: list[tuple[int, _Boundary]], distance: float | None):
-    """Facets that touch: a list of ((space, facets), (space, facets), apart, explained)."""
-    boxes = [body.boxes(distance) for _, body in bodies]
+    boxes = [body.boxes(body.most if distance is None else distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
     found = []
     for i, j in _meeting(hulls, hulls):
         if i >= j:
             continue
-        (space0, body0), (space1, body1) = bodies[i], bodies[j]
-        f, g = _meeting(boxes[i], boxes[j]).T
-        touch, apart, why = _touch(body0[f], body1[g], distance)
-        if len(touch):
-            sides = [_with_fans(*part) for part in ((body0, f[touch]), (body1, g[touch]))]
-            k = int(np.abs(apart).argmax())
-            pair = (space0, sides[0]), (space1, sides[1]), float(apart[k]), EXPLANATIONS[why[k]]
-            found.append(pair)
+        simplices = _meeting(boxes[i], boxes[j]).T
+        facing = _facing(*(bodies[k][1][s] for k, s in zip((i, j), simplices)), distance)
+        if not len(facing.pair):
+            continue
+        parts, simplices = [bodies[i], bodies[j]], simplices[:, facing.pair]
+        facets = [body.facet[s] for (_, body), s in zip(parts, simplices, strict=True)]
+        mask, may = facing.touch(facets, distance is None)
+        known = [np.isin(numbers, numbers[mask]) for numbers in facets]
+        left = ~(known[0] & known[1])
+        sides = [
+            (k, _with_fans(body, s[mask])) for (k, body), s in zip(parts, simplices, strict=True)
+        ]
+        beside = [
+            (k, np.unique(numbers[left])) for (k, _), numbers in zip(parts, facets, strict=True)
+        ]
+        why = UNEXPLAINED if (may | known[0] | known[1])[left].any() else CLEARANCE
+        found.append((_pair(sides, facing[mask]), _pair(beside, facing[left], why)))
     return found
 
 
-def _with_fans(body: _Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+def _pair(sides, facing: "_Facing", explained: str | None = None):
+    """Sides, and values of a :class:`Touching`; none if there are no facets."""
+    if not len(facing.pair):
+        return sides, None
+    k = np.abs(facing.apart).argmax()
+    if explained is None:
+        flat, curved = (
+            abs(facing.apart[k]) <= facing.near[k],
+            facing.curved[k] or facing.bends[k],
+        )
+        explained = FLAT if flat else CURVED if curved else DISTANCE
+    return sides, {
+        "apart": float(facing.apart[k]),
+        "explained": explained,
+        "area": float(facing.area.sum()),
+        "numbers": tuple(i for i, _ in sides),
+        "counts": tuple(len(facets) for _, facets in sides),
+    }
+
+
+def _with_fans(body: Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     """Facets of some simplices; with those around vertices in which they would only touch."""
     facets = np.unique(body.facet[simplices])
     if body.x.shape[2] == 2:
@@ -449,7 +375,7 @@ def _with_fans(body: _Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[
         facets = more
 
 
-def _fans(body: _Boundary, simplices: npt.NDArray[np.intp], most: float):
+def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
     """Numbers of triangles' corners, one for those around a vertex that edges connect, and nodes.
 
     Edges at which the surface turns by more than ``most`` don't connect.
@@ -499,13 +425,8 @@ def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
-def _touch(a: _Boundary, b: _Boundary, distance: float | None):
-    """Pairs of simplices that touch.
-
-    Returns:
-        Their numbers, their largest distances (negative if they overlap), and the numbers of what
-        explains these, among :data:`EXPLANATIONS`.
-    """
+def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
+    """Pairs of simplices that face each other, as far apart as curved surfaces may be."""
     limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
     facing = np.flatnonzero(np.einsum("pi,pi->p", a.normals, b.normals) < -np.cos(limit))
     a, b = a[facing], b[facing]
@@ -516,12 +437,7 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None):
     origin = a.x[:, :1]
     flat0, flat1 = (np.einsum("pvi,pai->pva", x - origin, axes) for x in (a.x, b.x))
     vertices, middle, common, smaller = common_part(flat0, flat1[:, ::-1])
-    some = common > FILE_DIGITS * smaller
-    a, b = a[some], b[some]
-    n0, n1, normal, axes, origin, flat0, flat1 = (
-        v[some] for v in (n0, n1, normal, axes, origin, flat0, flat1)
-    )
-    at = np.concatenate((vertices[some], middle[some, None]), axis=1)  # (pair, point, axis)
+    at = np.concatenate((vertices, middle[:, None]), axis=1)  # (pair, point, axis)
     points = origin + at @ axes
     heights = [
         np.einsum("pqi,pi->pq", x[:, :1] - points, n) / np.einsum("pi,pi->p", normal, n)[:, None]
@@ -529,21 +445,28 @@ def _touch(a: _Boundary, b: _Boundary, distance: float | None):
     ]
     # Of points on one simplex from the other's plane
     apart = (heights[1] - heights[0]) * np.einsum("pi,pi->p", normal, n0)[:, None]
-    flat = np.broadcast_to(NEAR_FLAT * np.minimum(a.size, b.size)[:, None], apart.shape)
-    bulges = a.bulges(_shares(flat0, at)) + b.bulges(_shares(flat1, at))
-    curved = np.where(apart > 0, bulges[..., 0], bulges[..., 1]) + flat
-    reach = curved if distance is None else np.full(apart.shape, distance)
+    far = np.abs(apart).max(axis=1)
     # Beside each other they are seen by their distance, as far as the normal is uncertain
-    low, high = vertices[some].min(axis=1), vertices[some].max(axis=1)
+    low, high = vertices.min(axis=1), vertices.max(axis=1)
     extent = np.linalg.norm(high - low, axis=1) if a.x.shape[2] == 3 else 1.0
-    seen = np.abs(apart).max(axis=1) * np.tan((a.turn + b.turn) / 4)
-    seen = np.minimum(seen, SEEN * np.minimum(a.size, b.size))
-    wide = common[some] > seen * extent
-    touch = np.flatnonzero((np.abs(apart) <= reach).all(axis=1) & wide)
-    largest = touch, np.abs(apart[touch]).argmax(axis=1)
-    far = np.abs(apart[largest])
-    why = np.where(far <= flat[largest], 0, np.where(far <= curved[largest], 1, 2))
-    return facing[some][touch], apart[largest], why
+    seen = np.minimum(far * np.tan((a.turn + b.turn) / 4), SEEN * np.minimum(a.size, b.size))
+    near = NEAR_FLAT * np.minimum(a.size, b.size)
+    reach = a.most + b.most + near if distance is None else distance
+    keep = np.flatnonzero(
+        (common > np.maximum(FILE_DIGITS * smaller, seen * extent)) & (far <= reach)
+    )
+    a, b, apart, at, flat0, flat1 = (v[keep] for v in (a, b, apart, at, flat0, flat1))
+    both = a.curvature + b.curvature
+    sags = a.sags(_shares(flat0, at), both) + b.sags(_shares(flat1, at), both)
+    return _Facing(
+        pair=facing[keep],
+        low=apart.min(axis=1),
+        high=apart.max(axis=1),
+        near=near[keep],
+        curved=(np.abs(apart) <= sags + near[keep, None]).all(axis=1),
+        bends=a.turn + b.turn > FILE_DIGITS,
+        area=common[keep] / (a.x.shape[2] - 1),
+    )
 
 
 def _shares(simplices: npt.NDArray, points: npt.NDArray) -> npt.NDArray[np.float64]:

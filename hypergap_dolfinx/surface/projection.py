@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
-from hypergap_dolfinx.surface.polynomials import terms
 from hypergap_dolfinx.surface.tolerances import FURTHER_WALK, NEWTON_PROJECTION
 
 
@@ -87,3 +86,19 @@ class Triangles:
         given = len(points), doubles(points), self._x, self._triangles, curves.pointer
         call("project_on_curved", *given, ints(triangle), X)
         return X
+
+
+def terms(
+    element: basix.finite_element.FiniteElement, origin=(0.0, 0.0)
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Monomials of an element around an origin, and coefficients of its basis functions.
+
+    Returns:
+        Powers of both coordinates, ``(num_terms, 2)``, and ``(num_terms, num_nodes)``.
+    """
+    degree = element.degree
+    powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1)])
+    if element.cell_type == basix.CellType.triangle:
+        powers = powers[powers.sum(axis=1) <= degree]
+    values = ((element.points - origin)[:, None] ** powers).prod(axis=2)  # (node, term)
+    return powers, np.linalg.inv(values)

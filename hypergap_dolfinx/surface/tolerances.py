@@ -76,3 +76,16 @@ Measured: 1 and 80 change nothing in test_curved."""
 NEWTON_PROJECTION = 6
 """Newton steps for the projection on curved facets along normals.
 Measured: 3 and 60 change nothing in test_curved."""
+
+CORNER_ASSEMBLY = np.pi * 65 / 180
+"""Turn from which an edge is a corner, not part of a curved surface.
+Measured: a hexagon for a circle: 60°."""
+
+GOES_ON = 4
+"""Turn between two facets, over those beyond them, up to which it is curvature, not a corner.
+Measured: the same rings: 2 incomplete with 2, 4 and 16, 30 with 1; 1.5 and 100 change nothing in
+test_touching."""
+
+FILE_DIGITS = 1e-6
+"""Turn of a surface, or common part of the smaller facet, that files' last digits make.
+Measured: files with 8 digits; for the part 1e-8 to 1e-3 change nothing in test_touching."""

@@ -15,7 +15,7 @@ from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import doubles, ints
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.surface.polynomials import terms
+from hypergap_dolfinx.surface.projection import terms
 from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
 
 

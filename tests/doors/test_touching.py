@@ -366,6 +366,89 @@ def test_clearance_of_flat_sides(clearance, cell, sides, per_side):
         np.testing.assert_array_equal(middles(V, facets), rim)
 
 
+@pytest.mark.parametrize("cell", ("triangle", "hexahedron"))
+@pytest.mark.parametrize("n", ((12, 12), (12, 17), (24, 7), (7, 24), (30, 41), (8, 9)))
+def test_clearance_of_curved_sides(n, cell):
+    """Polygons of circles a clearance or an overlap apart: none touches another one across 1.5
+    times the larger sag, nor at all where nodes meet; what is left out of a pair is told."""
+    sag = 1 - np.cos(np.pi / min(n))
+    bush = ring(n[0], 0.5, 1, cell)
+    for clearance in (0.1, -0.1, 0.5, -0.5, 1, -1, 1.5, -1.5, 2):
+        found = find_touching([bush, ring(n[1], 1 + clearance * sag, 3, cell)])
+        if abs(clearance) >= 1.5 or n[0] == n[1]:
+            assert not found and all(left.explained == "clearance" for left in found.left_out)
+        for pair in found:
+            rim = tuple(count * (1 if cell in PLANE else 2) for count in n)
+            told = pair.left_out is not None and pair.left_out.explained == "unexplained"
+            assert told or pair.counts == rim
+
+
+@pytest.mark.ranks(2, cell=["triangle"])
+@pytest.mark.parametrize("cell", PLANE + SPACE)
+@pytest.mark.parametrize("n", ((2, 4), (2, 2), (3, 2), (7, 2), (5, 3)))
+def test_inflection(n, cell):
+    """A face of few facets that bends to and fro: turns between them vanish, not distances."""
+    axes = [0, 2] if cell in PLANE else [0, 1, 2]
+
+    def mapping(x):
+        x = x.copy()
+        x[:, -1] += 0.1 * np.sin(2.5 * x[:, 0] - 1.25)
+        return x
+
+    spaces = [
+        space(
+            np.array((num, 3, 2))[axes],
+            np.array((0, 0, k))[axes],
+            np.array((1, 1, k + 1))[axes],
+            cell,
+            lambda x, k=k: mapping(
+                x + (0.2 - 0.4 * k) * x * (1 - x) * (np.arange(x.shape[1]) == 0)
+            ),
+        )
+        for k, num in enumerate(n)
+    ]
+    (pair,) = found = find_touching(spaces)
+    rows = {"triangle": 1, "quadrilateral": 1, "tetrahedron": 6, "hexahedron": 3}[cell]
+    if pair.left_out:  # one facet at an end
+        assert n in ((2, 4), (7, 2)) and pair.left_out.explained == "unexplained"
+    else:
+        assert pair.counts == tuple(num * rows for num in n) and found.left_out == []
+
+
+@pytest.mark.ranks(2)
+def test_table(caplog):
+    """What touches, what faces something across a clearance, and what was left out."""
+    spaces = [
+        space((3, 2), (0, 0), (1, 1), "triangle"),
+        space((2, 2), (0, 1), (1, 1.03), "quadrilateral"),
+        space((2, 2), (0, 1.03), (1, 2), "triangle"),
+    ]
+    spaces[1].mesh.name = "layer"
+    found = find_touching(spaces)
+    assert [pair.numbers for pair in found] == [(0, 1), (1, 2)]
+    assert [pair.counts for pair in found] == [(3, 2), (2, 2)]
+    assert [pair.left_out for pair in found] == [None, None]
+    np.testing.assert_allclose([pair.area for pair in found], 1)
+    (left,) = found.left_out
+    assert left.numbers == (0, 2) and left.counts == (3, 2) and left.explained == "clearance"
+    np.testing.assert_allclose(left.apart, 0.03)
+    rows = str(found).splitlines()
+    assert len(rows) == 5 and rows[3] == "left out:"
+    assert "spaces[0]: 3 facets" in rows[1] and "spaces[1] (layer): 2 facets" in rows[1]
+    assert rows[1].endswith("flat") and rows[4].endswith("clearance")
+    assert str(find_touching(spaces[:1])).splitlines()[1] == "nothing touches"
+    assert not caplog.records
+    bush = [ring(n, *radii, "triangle") for n, radii in ((12, (0.5, 1)), (17, (1.01, 3)))]
+    (pair,) = found = find_touching(bush)
+    assert found.left_out == [pair.left_out] and pair.left_out.explained == "unexplained"
+    messages = [record.getMessage() for record in caplog.records]
+    assert len(messages) == (comm.rank == 0)
+    for message in messages:
+        assert message.startswith(
+            "find_touching leaves out 4 facets of spaces[0] and 4 of spaces[1]"
+        )
+
+
 @pytest.mark.ranks(2, cell=["quadrilateral"], n=[2])
 @pytest.mark.parametrize("distance", (None, 0.02, 0.2))
 @pytest.mark.parametrize("n", (1, 2, 5))
