@@ -316,7 +316,8 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
         if i >= j:
             continue
         simplices = _meeting(boxes[i], boxes[j]).T
-        facing = _facing(*(bodies[k][1][s] for k, s in zip((i, j), simplices)), distance)
+        a, b = (bodies[k][1][s] for k, s in zip((i, j), simplices, strict=True))
+        facing = _facing(a, b, distance)
         if not len(facing.pair):
             continue
         parts, simplices = [bodies[i], bodies[j]], simplices[:, facing.pair]
@@ -452,10 +453,10 @@ def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
     seen = np.minimum(far * np.tan((a.turn + b.turn) / 4), SEEN * np.minimum(a.size, b.size))
     near = NEAR_FLAT * np.minimum(a.size, b.size)
     reach = a.most + b.most + near if distance is None else distance
-    keep = np.flatnonzero(
-        (common > np.maximum(FILE_DIGITS * smaller, seen * extent)) & (far <= reach)
-    )
-    a, b, apart, at, flat0, flat1 = (v[keep] for v in (a, b, apart, at, flat0, flat1))
+    wide = common > np.maximum(FILE_DIGITS * smaller, seen * extent)
+    keep = np.flatnonzero(wide & (far <= reach))
+    a, b = a[keep], b[keep]
+    apart, at, flat0, flat1 = (v[keep] for v in (apart, at, flat0, flat1))
     both = a.curvature + b.curvature
     sags = a.sags(_shares(flat0, at), both) + b.sags(_shares(flat1, at), both)
     return _Facing(
