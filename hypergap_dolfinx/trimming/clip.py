@@ -105,7 +105,7 @@ def _meet(cuts: list[Cut], shared: Shared) -> tuple[dict[int, int], dict[int, in
         edges.append([place[:2] for place in own])
         at.append(np.array([low + t * (high - low) for (_, _, low, high, *_), t in zip(own, s)]))
     some = np.flatnonzero((met.s > 0) & (met.s < 1) & (met.r > 0) & (met.r < 1))
-    if len(some) and any(cut.side.surface.curved.any() for cut in cuts):
+    if len(some):  # of straight edges too: seen along normals that turn
         arcs = [cut.arcs([own[i] for i in some]) for cut, own in zip(cuts, edges, strict=True)]
         s, r, good = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
         at[0][some[good]], at[1][some[good]] = s[good], r[good]

@@ -87,6 +87,13 @@ DEMOS = {
         slow=True,
     ),
     "cad_assemblies": Demo("--only dovetail", {}, {"*.ratio": 1.2}, needs=("gmsh",)),
+    "cad_shaft": Demo(
+        "--only shaft --degree 1",
+        {},
+        {"*.ratio": 1.2},
+        needs=("gmsh",),
+        script="cad_assemblies",
+    ),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
         {"contact.*.l2_pressure": 4.384e-2, "contact.0.steps": 1, "contact.1.steps": 2},
