@@ -627,6 +627,7 @@ def main():
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--solver", choices=("direct", "bodies", "iterative"), help="of both")
     parser.add_argument("--dims", default="2,3", metavar="2,3", help="of contact")
+    parser.add_argument("--large", metavar="8,13,22", help="a / h of contact, with both solvers")
     parser.add_argument("--peers", action="store_true", help="other codes too")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="DIR")
@@ -673,15 +674,26 @@ def main():
                 flush=True,
             )
     pressed = []
-    if args.scene in ("contact", "all"):
+    big = contact.large(comm, list(map(int, args.large.split(",")))) if args.large else []
+    if args.scene in ("contact", "all") and not args.large:
         dims = [int(dim) for dim in args.dims.split(",")]
         degrees = [int(d) for d in args.degrees.split(",") if int(d) < 3]
         pressed = contact.report(comm, dims, degrees, chosen, args.repeats, args.peers)
     if first and args.json:
-        report = {**info, "compiling": jit, "rows": rows, "peers": peers, "contact": pressed}
+        report = {
+            **info,
+            "compiling": jit,
+            "rows": rows,
+            "peers": peers,
+            "contact": pressed,
+            "large": big,
+        }
         args.json.write_text(json.dumps(report, indent=1, ensure_ascii=False))
     if first and args.plot:
-        draw(rows, peers, args.plot)
+        if rows:
+            draw(rows, peers, args.plot)
+        if big:
+            contact.draw_large(big, args.plot)
         if pressed:
             contact.draw(pressed, args.plot)
         print(f"\npictures in {args.plot}/")

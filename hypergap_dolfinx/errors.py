@@ -26,3 +26,7 @@ class InvertedCellError(RuntimeError):
 
 class SolveError(RuntimeError):
     """A solve failed; the message says how far it came, and results beyond that are invalid."""
+
+
+class UnsolvableError(SolveError):
+    """An iterative solver fails, for which a smaller load step is no easier."""

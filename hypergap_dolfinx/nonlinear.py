@@ -182,6 +182,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             failed, self._failed = self._failed, None
             if failed is not None:
                 raise failed
+            self._solver.options.tell_unused(self._A.comm)
             self._check_solved()
             if self._snes.getIterationNumber():
                 self._check_constants()

@@ -185,6 +185,7 @@ class TiedProblem(TiedSystem):
         self._solved = False
         self._solver.update()
         self._solver.solve(self._b, self._x)
+        self._solver.options.tell_unused(self._A.comm)
         failure = self._solver.failure()
         if failure:
             raise SolveError(failure)

@@ -15,6 +15,7 @@ import importlib
 import pstats
 import time
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 
 import hertz
 import numpy as np
@@ -145,6 +146,67 @@ def measure_peer(peer, bodies, degree, division, repeats):
         method = f"{peer.NAME}, {kind} number"
         rows.append({**median(runs), "method": method, "h_over_a": 1 / division})
     return rows
+
+
+def large(comm, sizes):
+    """Hertz's contact in space, degree 1, with factors and by multigrid.
+
+    Args:
+        comm: Communicator.
+        sizes: Of the levels a / h.
+
+    Returns:
+        The rows.
+    """
+    rows = []
+    if comm.rank == 0:
+        print("\nlarge contact\n         h/a      dofs  steps  iterations  processor's s  peak MiB")
+    for division in sizes:
+        bodies = hertz.pair(comm, hertz.a / division, 1, RATIO, 3)
+        for solver in ("iterative", "direct"):  # the one with the smaller memory first
+            F, u, bcs, (below, above) = hertz.forms(bodies, 1)
+            stop = stopwatch()
+            problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(above, below)], solver=solver)
+            problem.solve()
+            row = {
+                "solver": solver,
+                "h_over_a": 1 / division,
+                "dofs": sum(w.function_space.dofmap.index_map.size_global * 3 for w in u),
+                "steps": problem.iterations,
+                "iterations": sum(r.iterations for r in problem.history[-1].steps),
+                "processor": stop()["processor"],
+                "peak": getrusage(RUSAGE_SELF).ru_maxrss / 1024,
+            }
+            rows.append(row)
+            problem.destroy()
+            if comm.rank == 0:
+                print(
+                    f"{solver:<9} 1/{division:<3} {row['dofs']:>8} {row['steps']:>6} "
+                    f"{row['iterations']:>11} {row['processor']:>14.2f} {row['peak']:>9.0f}",
+                    flush=True,
+                )
+    return rows
+
+
+def draw_large(rows, folder):
+    """Seconds over displacements, with factors and by multigrid."""
+    from matplotlib import pyplot as plt
+
+    figure, ax = plt.subplots(figsize=(6, 4.5), constrained_layout=True)
+    for solver in ("direct", "iterative"):
+        some = [row for row in rows if row["solver"] == solver]
+        ax.loglog(
+            [r["dofs"] for r in some],
+            [r["processor"] for r in some],
+            "o-",
+            label=f'solver="{solver}"',
+        )
+    ax.set(xlabel="displacements", ylabel="seconds of the processor", title="Hertz: a sphere")
+    ax.grid(which="both", alpha=0.25)
+    ax.legend()
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "large_contact.png", dpi=150)
+    plt.close(figure)
 
 
 def peers():

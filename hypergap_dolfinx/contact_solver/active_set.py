@@ -2,10 +2,36 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Working set of a Newton step: multipliers that hold rigid bodies."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS
+
+
+@dataclass
+class Guesses:
+    """Guesses of the working set of a step, each with the states of the last one's solution.
+
+    They end where all states are right; or where as few are wrong as columns are solved for, or
+    they no longer become fewer: then the small problem is solved.
+    """
+
+    least: int
+    """Number of wrong states up to which the small problem is solved at once."""
+    patience: int = 0
+    """Guesses, in all, that needn't have fewer wrong states than the one before."""
+    _last: float = np.inf
+
+    def allow(self, num_wrong: int) -> bool:
+        """True if the states of a solution are to be the next guess."""
+        return num_wrong > self.least and (num_wrong < self._last or self.patience > 0)
+
+    def take(self, num_wrong: int):
+        """Record a guess."""
+        self.patience -= num_wrong >= self._last
+        self._last = num_wrong
 
 
 def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.bool_], int]:

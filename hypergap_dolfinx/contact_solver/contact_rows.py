@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.algebra.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_solver.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
@@ -130,12 +130,18 @@ class ContactRows:
         ]
         self._is_free = ~np.concatenate([part.ravel() for part in self._held])
         self._compliance = np.zeros(num)
+        self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
         corners = surface.facets.shape[1]
         areas = lengths(normals_by_area(surface.x[surface.facets])) / (corners * (self._n - 1))
         self._area = np.bincount(surface.facets.ravel(), np.repeat(areas, corners), num)
         self._rank = np.searchsorted(surface.dof_range[1:], self.sides[1].vertex_dofs, side="right")
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
+
+    @property
+    def has_compliance(self) -> bool:
+        """True if gaps of what is in contact grow with pressures."""
+        return self._contact.compliance is not None
 
     def displacements(self, u: Sequence[npt.NDArray[np.float64] | None]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
@@ -376,7 +382,7 @@ class ContactRows:
             zero: Pressure treated as zero.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
-        self._diagonal = self._diagonal or stiffness
+        self._diagonal, self._bends = self._diagonal or stiffness, None
         now = self.state
         now.active = self.valid & (now.active | (self.distance <= self.closed))
         now.p = np.where(now.active, now.p, 0)
@@ -578,9 +584,11 @@ class ContactRows:
         off = start + np.flatnonzero(~on)
         found.append(Sparse(off, off, np.full(len(off), self._diagonal)))
         if self._follows and self.state.opening is not None:
-            H = self._curvature()
-            H = H.some(self._is_free[H.i] & self._is_free[H.j])
-            found.append(replace(H, values=-H.values))
+            if self._bends is None:  # else that of the step's first working set
+                H = self._curvature()
+                H = H.some(self._is_free[H.i] & self._is_free[H.j])
+                self._bends = replace(H, values=-H.values)
+            found.append(self._bends)
         return Linear(
             joined(*found).summed,
             np.where(on, self._root * right.ravel(), 0),

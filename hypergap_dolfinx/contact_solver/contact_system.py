@@ -3,7 +3,8 @@
 """Newton's iteration for bodies in contact: predictor, steps, continuation."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from mpi4py import MPI
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.floating import FreeMotions, RigidBodyDiagnostics
-from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver import active_set, multigrid_tangent
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -22,11 +23,13 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 )
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
-from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution
+from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution, largest_change
+from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AT_KINK,
+    LARGE_CONTACT,
     LONGER,
     RAYS,
     REUSED,
@@ -42,9 +45,11 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
+from hypergap_dolfinx.solvers.solver import names_types
 from hypergap_dolfinx.surface.moving import Displacements
 
 LOG = logging.getLogger("hypergap_dolfinx")
+T = TypeVar("T")
 
 
 class ContactSystem(NonlinearSystem):
@@ -85,6 +90,7 @@ class ContactSystem(NonlinearSystem):
         *,
         names: Sequence[str],
         rtol: float,
+        solver: str | None = None,
         petsc_options_prefix: str,
         petsc_options: dict | None,
         **compiling,
@@ -99,6 +105,7 @@ class ContactSystem(NonlinearSystem):
             pairs: The contacts with their bodies.
             names: Names of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, treated as zero.
+            solver: ``"direct"``, ``"iterative"``, or None: chosen by the size.
             petsc_options_prefix: Prefix of the KSP's options.
             petsc_options: Options of the KSP.
             compiling: J and options, as for :class:`NonlinearSystem`.
@@ -116,18 +123,8 @@ class ContactSystem(NonlinearSystem):
             rows.start_solve()
         self._frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         share_ends(self._rows, pieces.interfaces)
-        self._tangent = Tangent(
-            self._A,
-            len(self._K),
-            self._rows,
-            petsc_options_prefix,
-            ways(
-                petsc_options_prefix,
-                petsc_options,
-                plane=self._u[0].function_space.mesh.topology.dim == 2,
-                symmetric=not self._frictional,
-            ),
-        )
+        self._prefix, self._given = petsc_options_prefix, petsc_options
+        self._tangent: Tangent | MultigridTangent = self._chosen(solver)
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
@@ -141,6 +138,55 @@ class ContactSystem(NonlinearSystem):
             self._stresses.append(PredictedStress(u))
             found += self._stresses[-1].stiffness(F)
         return found
+
+    def _chosen(self, solver: str | None) -> Tangent | MultigridTangent:
+        """The way to solve for Newton's steps. Collective.
+
+        Raises:
+            ValueError: An unknown name, or a solver that isn't possible.
+        """
+        reason = multigrid_tangent.why_not(self._system, self._rows)
+        if solver is None:
+            large = self._dim == 3 and sum(K.getSize()[0] for K in self._K) >= LARGE_CONTACT
+            solver = "iterative" if large and not reason and not self._names_types else "direct"
+        if solver not in ("direct", "iterative"):
+            raise ValueError(f"solver is one of direct, iterative, not {solver!r}.")
+        options = self._prefix, self._given
+        symmetric = not self._frictional
+        if solver == "iterative":
+            if reason:
+                raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')
+            return MultigridTangent(self._system, self._rows, *options, symmetric=symmetric)
+        found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
+        return Tangent(self._A, len(self._K), self._rows, self._prefix, found)
+
+    @property
+    def _dim(self) -> int:
+        return self._u[0].function_space.mesh.topology.dim
+
+    @property
+    def _names_types(self) -> bool:
+        """True if PETSc options name a type of solver."""
+        return names_types(self._given)
+
+    def _falling_back(self, solve: Callable[[], T]) -> T:
+        """Solve; where multigrid fails, with factors from now on. Collective."""
+        try:
+            return solve()
+        except IterationFailed as error:
+            if self._comm.rank == 0:
+                LOG.warning(
+                    'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
+                    "that is symmetric and positive definite, and for cells of good shape.",
+                    str(error).removesuffix("."),
+                )
+            iterations = self._tangent.iterations
+            self._tangent.destroy()
+            self._given = None  # options of another solver
+            self._tangent = self._chosen("direct")
+            self._tangent.iterations = iterations
+            self._tangent.remember_stiffness()
+            return solve()
 
     def _sides(self) -> list:
         contacts = [pair.contact for pair in self._pairs]
@@ -315,16 +361,22 @@ class ContactSystem(NonlinearSystem):
         moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
-        nearness, fewest = self._nearness if self._num_free else None, np.inf
-        while True:
+        nearness, guesses = self._nearness if self._num_free else None, self._tangent.guesses()
+
+        def solve() -> Solution:
             equations = [rows.equations(jump if moves else None) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
-            found = problem.solve(
-                self._right(), num_tied, self._held, nearness, fewest, self._reach
+            return problem.solve(
+                self._right(), num_tied, self._held, nearness, guesses, self._reach
             )
+
+        floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
+        self._tangent.floor = floor
+        while True:
+            found = self._falling_back(solve)
             if not found.is_guess:
                 break
-            fewest = sum(int(part.sum()) for part in found.changed)
+            guesses.take(sum(int(part.sum()) for part in found.changed))
             for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
                 rows.accept(*solution)
             if self._num_free:
@@ -337,7 +389,7 @@ class ContactSystem(NonlinearSystem):
         for x, dx in zip(parts, found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
-        self._reach = LONGER * problem.length(found.changes, self._held)
+        self._reach = LONGER * largest_change(self._comm, found.changes, self._held)
         work = self._comm.allreduce(sum(map(np.dot, found.changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
@@ -581,7 +633,8 @@ class ContactSystem(NonlinearSystem):
         Gaps at a body's old place say nothing about its new one.
         """
         equations = [rows.without_forces() for rows in self._rows]
-        solution, _ = self._tangent.solve(self._forces_left()[0], equations)
+        left = self._forces_left()[0]
+        solution, _ = self._falling_back(lambda: self._tangent.solve(left, equations, anew=True))
         for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
             x.array[:] -= dx
         self._assign(self._x)

@@ -24,9 +24,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver import complementarity
+from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
+from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, GUESSED, SHORTENED, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -75,12 +77,18 @@ class _Laws:
         return found
 
 
+def largest_change(comm: MPI.Comm, changes, held) -> float:
+    """Largest change of displacements that aren't prescribed. Collective."""
+    parts = [np.abs(dx[~on]).max(initial=0) for on, dx in zip(held, changes, strict=False)]
+    return comm.allreduce(float(max(parts)), MPI.MAX)
+
+
 class LinearisedContact:
     """A linearised contact problem of several contacts. All is collective."""
 
     def __init__(
         self,
-        tangent: Tangent,
+        tangent: Tangent | MultigridTangent,
         rows: Sequence[ContactRows],
         equations: Sequence[Linear],
         stiffness: float,
@@ -105,7 +113,7 @@ class LinearisedContact:
         num_tied: int,
         held: Sequence[npt.NDArray[np.bool_]],
         nearness: Callable[[], float] | None,
-        fewest: float,
+        guesses: Guesses,
         reach: float,
     ) -> Solution:
         """Solve it; where H isn't positive, with a share of the stiffness without stress added.
@@ -120,7 +128,7 @@ class LinearisedContact:
             num_tied: Number of the ties' multipliers.
             held: Mask of each body's prescribed owned dofs.
             nearness: Gives the first share of the diagonal; None if no body is free.
-            fewest: Fewest wrong states of guesses before.
+            guesses: Guesses of the working set before.
             reach: Largest displacement that is accepted, but for prescribed ones.
 
         Raises:
@@ -129,13 +137,13 @@ class LinearisedContact:
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
         for _ in range(TRIALS + 1):
-            found = self._solve(right, (stiff, near), fewest)
+            found = self._solve(right, (stiff, near), guesses)
             if found.is_guess:
                 return found
             negative = self._tangent.negative
             is_positive = negative is not None and negative <= num
             if found.is_solved:
-                is_short = self.length(found.changes, held) <= reach
+                is_short = largest_change(self._comm, found.changes, held) <= reach
                 free = [np.where(on, 0, dx) for on, dx in zip(held, found.changes, strict=False)]
                 if is_short and (is_positive or self._tangent.work(free) > 0):
                     break
@@ -148,22 +156,17 @@ class LinearisedContact:
                 stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
 
-    def length(self, changes, held) -> float:
-        """Largest displacement that isn't prescribed. Collective."""
-        parts = [np.abs(dx[~on]).max(initial=0) for on, dx in zip(held, changes, strict=False)]
-        return self._comm.allreduce(float(max(parts)), MPI.MAX)
-
-    def _solve(self, right, shift: tuple[float, float], fewest: float) -> Solution:
+    def _solve(self, right, shift: tuple[float, float], guesses: Guesses) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
         changes, y, f = self._base(right, shift)
         more = self._wrong(y, f)
-        if not len(more):
-            return self._found(changes, y, f, more, f)
-        if GUESSED < len(more) < fewest:
-            return replace(self._found(changes, y, f, more, f), is_guess=True)
-        if self._tangent.has_old_factors:
+        if not guesses.allow(len(more)) and self._tangent.improves(len(more)):
             changes, y, f = self._base(right, shift, anew=True)
             more = self._wrong(y, f)
+        if not len(more):
+            return self._found(changes, y, f, more, f)
+        if guesses.allow(len(more)):
+            return replace(self._found(changes, y, f, more, f), is_guess=True)
         y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
         gaps, forces, loads = self._watched()
         A, B = np.empty((len(y), 0)), np.empty((len(y), 0))

@@ -17,16 +17,18 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.algebra.pattern import Pattern
+from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
-from hypergap_dolfinx.contact_solver.pattern import Pattern
 from hypergap_dolfinx.contact_solver.tolerances import (
+    GUESSED,
     ITERATIONS,
     REDUCED,
     RESIDUAL_LDLT,
     REUSED,
 )
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.errors import SolveError, UnsolvableError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
@@ -64,6 +66,9 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
     """
     defaults = {**DirectStep.OPTIONS, **COLUMNS, **(PLANE if plane else {})}
     named = names_types(given) or f"{prefix}pc_type" in PETSc.Options().getAll()
+    pc = (given or {}).get("pc_type") or PETSc.Options().getAll().get(f"{prefix}pc_type")
+    if pc not in (None, "lu", "cholesky"):
+        defaults = {"ksp_type": "gmres", "ksp_max_it": 1000, "ksp_rtol": 1e-8}
     found = [Way(Options(prefix, given or {}, defaults, UNFIT), keeps=not named)]
     if symmetric and not named:
         defaults = {**defaults, **ROOM, **({} if plane else SPACE), "pc_type": "cholesky"}
@@ -198,6 +203,19 @@ def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
     return a is b or np.array_equal(a, b)
 
 
+class _Progress:
+    """Convergence test of a KSP beside PETSc's own: the residual falls in 100 iterations."""
+
+    _last = np.inf
+
+    def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float):
+        """Reason to stop, or False. Collective."""
+        if iteration % 100:
+            return False
+        last, self._last = self._last if iteration else np.inf, norm
+        return PETSc.KSP.ConvergedReason.DIVERGED_BREAKDOWN if norm > 0.9 * last else False
+
+
 class Tangent:
     """[K Bᵀ; B −C] of bodies and ties with the equations of contacts. All is collective."""
 
@@ -224,6 +242,8 @@ class Tangent:
         self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = self.iterations = 0
+        self.floor = 0.0
+        """Force that is a residual of zero; factors don't need it."""
 
     def destroy(self):
         """Destroy the PETSc objects."""
@@ -341,7 +361,10 @@ class Tangent:
             with way.options.in_use():
                 saddle.solve(ksp, b, x)
             self.iterations += ksp.getIterationNumber()
+            way.options.tell_unused(ksp.comm)
             message = saddle.failure(ksp, units=retained.units, bound=way.residual)
+            if message and ksp.getType() not in ("preonly", "richardson"):
+                raise UnsolvableError(message)  # a smaller load step is no easier for it
             if message:
                 raise SolveError(message)
             retained.factorised()
@@ -354,10 +377,17 @@ class Tangent:
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
         ]
 
-    @property
-    def has_old_factors(self) -> bool:
-        """True if the last solve used factors of a similar matrix."""
-        return self._retained is not None and self._retained.old
+    def guesses(self) -> Guesses:
+        """Rule for guesses of a step's working set: each costs a factorisation."""
+        return Guesses(GUESSED)
+
+    def improves(self, num_wrong: int) -> bool:
+        """True if a solution is to be solved for with new factors, the last ones being old.
+
+        Args:
+            num_wrong: Number of wrong states in it.
+        """
+        return num_wrong > 0 and self._retained is not None and self._retained.old
 
     @property
     def negative(self) -> int | None:
@@ -437,7 +467,7 @@ class Tangent:
                     ksp.solve(b, x)
                 message = saddle.failure(ksp, units=retained.units)
                 if message:
-                    raise SolveError(message)
+                    raise UnsolvableError(message)
                 solution[:] = x.array_r
             return found
         sizes = (b.getSizes(), (PETSc.DECIDE, num))
@@ -519,6 +549,8 @@ class Tangent:
         try:
             with way.options.in_use():
                 ksp.setFromOptions()
+            if not way.keeps:
+                compat.add_convergence_test(ksp, _Progress())
         except SolveError:
             ksp.destroy()
             raise

@@ -109,3 +109,9 @@ def read_from_msh(filename, comm: MPI.Comm, gdim: int = 3):
     """A mesh, its cell tags and its facet tags from a Gmsh file. Collective."""
     module = import_module("dolfinx.io." + ("gmshio" if VERSION < (0, 10) else "gmsh"))
     return module.read_from_msh(filename, comm, gdim=gdim)[:3]
+
+
+def add_convergence_test(ksp: PETSc.KSP, test):
+    """Let a test end a KSP too, beside PETSc's own; old petsc4py replaces that only."""
+    if hasattr(ksp, "addConvergenceTest"):
+        ksp.addConvergenceTest(test)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Solvers of the saddle system: their interface, their PETSc options, and the direct one."""
 
+import logging
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -19,6 +20,8 @@ from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.tolerances import REFINED
 from hypergap_dolfinx.surface.trace import is_mixed
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 def prefixed(prefix: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -51,7 +54,15 @@ class Options:
         given = PETSc.Options().getAll()
         free = {key: value for key, value in defaults.items() if prefix + key not in given}
         self._options = {prefix + key: value for key, value in {**free, **options}.items()}
+        self._unused = {prefix + key for key in options}
         self._unfit = unfit
+
+    def tell_unused(self, comm):
+        """Tell once which of the user's options PETSc hasn't asked for, after a solve."""
+        if self._unused and comm.rank == 0:
+            names = ", ".join(sorted(self._unused))
+            LOG.warning("PETSc asked for none of these options: %s; are they misspelt?", names)
+        self._unused = set()
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
@@ -77,6 +88,7 @@ class Options:
                 + self._unfit * (error.ierr != unknown_type)
             ) from error
         finally:
+            self._unused = {key for key in self._unused if not database.used(key)}
             for key in self._options:
                 del database[key]
                 if key in before:

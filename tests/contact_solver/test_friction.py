@@ -20,7 +20,7 @@ from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver import linearised
+from hypergap_dolfinx.contact_solver import linearised, tangent
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 
 comm = MPI.COMM_WORLD
@@ -344,8 +344,8 @@ def test_guessed_sets(monkeypatch, dim):
         return solution
 
     monkeypatch.setattr(linearised.LinearisedContact, "_solve", counted)
-    for least in (linearised.GUESSED, 0):
-        monkeypatch.setattr(linearised, "GUESSED", least)
+    for least in (tangent.GUESSED, 0):
+        monkeypatch.setattr(tangent, "GUESSED", least)
         counts.append(0)
         contact, _, go = rotating(dim, friction=0.1)
         go(0, *(0.04, 0.02)[: dim - 1], -0.1)

@@ -380,7 +380,7 @@ def test_a_part_that_nothing_holds():
 @pytest.mark.ranks(2)
 def test_options_besides_the_solvers_own():
     """Naming a tolerance keeps the solver; naming a type of PC replaces it."""
-    for solver, pc in (("direct", "lu"), ("bodies", "python"), ("iterative", "gamg")):
+    for solver, pc in (("direct", "lu"), ("bodies", "python"), ("iterative", "mg")):
         a, L, bcs, ties = pile(2)
         options = {"ksp_rtol": 1e-7, "ksp_error_if_not_converged": False}
         problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver, petsc_options=options)

@@ -10,8 +10,8 @@ from helpers import elasticity, two_blocks
 from test_contact import Blocks
 
 from dolfinx import fem
-from hypergap_dolfinx.algebra import saddle
-from hypergap_dolfinx.contact_solver import pattern, tangent
+from hypergap_dolfinx.algebra import pattern, saddle
+from hypergap_dolfinx.contact_solver import tangent
 from hypergap_dolfinx.solvers.newton import Dependence
 from hypergap_dolfinx.surface.moving import Sparse
 

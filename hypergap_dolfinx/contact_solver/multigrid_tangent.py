@@ -1,0 +1,505 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Newton's steps of bodies in contact by multigrid: the tie's projected iteration on active rows.
+
+The equations of the working set are :math:`\tilde K x + F^T f = r`, :math:`G x = c`, with the
+constraints G of closed gaps and of what sticks. Tractions of what slips have equations of their own
+and are eliminated: F isn't G then, and K̃ isn't symmetric. Without friction they are, and conjugate
+gradients do; else GMRES with the same preconditioner.
+
+Aggregates are the bodies' own (:mod:`~hypergap_dolfinx.solvers.hierarchy`): they are made once.
+Springs in the preconditioner needn't be those of the present rows, which Π holds exactly: within a
+load step they are made anew where half as many rows as there are have come or gone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.contact_solver.active_set import Guesses
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
+from hypergap_dolfinx.contact_solver.tangent import StackedNumbering
+from hypergap_dolfinx.contact_solver.tolerances import (
+    HOLDS,
+    NEARLY_STICKS,
+    ROUGH,
+    STEPS,
+    TIGHT,
+)
+from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal
+from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solvers.hierarchy import nest
+from hypergap_dolfinx.solvers.multigrid import Multigrid, joined_ties
+from hypergap_dolfinx.solvers.projection import Constraints, Projection
+from hypergap_dolfinx.solvers.solver import Options, System
+from hypergap_dolfinx.surface.moving import Sparse, joined
+
+Array = npt.NDArray[np.float64]
+
+
+def why_not(system: System, rows: Sequence[ContactRows]) -> str | None:
+    """Reason why contact can't be solved like this, or None. Collective."""
+    reason = Multigrid.why_not(system)
+    gives = any(part.has_compliance for part in rows)
+    return reason or ("a contact has a compliance" if gives else None)
+
+
+class IterationFailed(SolveError):
+    """Multigrid doesn't solve for a Newton step: the case for factors."""
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """The equations of all contacts, by what becomes of them; the same on every rank."""
+
+    held: npt.NDArray[np.bool_]
+    """Mask of the multipliers whose equations are constraints, ``(num,)``."""
+    G: Sparse
+    """Constraints by multiplier and global dof."""
+    F: Sparse
+    """Forces of their multipliers, likewise."""
+    more: Sparse
+    """What is added to the stiffness."""
+    forces: Sparse
+    """Forces of the other multipliers."""
+    slopes: Sparse
+    """Equations of these by dofs."""
+    by_held: Sparse
+    """Equations of these by the multipliers of constraints."""
+    inverse: Sparse
+    """Inverse of their derivatives by themselves."""
+    moved: Array
+    """Addition to their right-hand side where that isn't quite the inverse, ``(num,)``."""
+
+    def eliminated(self) -> tuple[Sparse, Sparse]:
+        """F and the addition to the stiffness, once the other multipliers are eliminated."""
+        forces = self.inverse.T @ self.forces  # V^T F_Q
+        by_dofs, by_held = forces.T @ self.slopes, self.by_held.T @ forces
+        return joined(self.F, _negative(by_held)), joined(self.more, _negative(by_dofs))
+
+
+def _negative(matrix: Sparse) -> Sparse:
+    return Sparse(matrix.i, matrix.j, -matrix.values)
+
+
+def _column(values: Array) -> Sparse:
+    """Values as a matrix of one column."""
+    at = np.flatnonzero(values)
+    return Sparse(at, np.zeros_like(at), values[at])
+
+
+def _inverse(E: Sparse, start: Array, num: int, across: int, stiffness: float):
+    """Inverse of derivatives of tractions' equations by them, and of what that changes the rest.
+
+    Where a traction hardly grows less than it would if it stuck, the derivative is nearly singular:
+    then it is a larger one.
+
+    Args:
+        E: Derivatives, between the tractions of one multiplier each.
+        start: The present tractions, ``(across * num,)``.
+        num: Number of multipliers.
+        across: Number of each one's tractions.
+        stiffness: Stiffness of the bodies' nodes.
+    """
+    blocks = np.zeros((num, across, across))
+    (i, a), (j, b) = np.divmod(E.i, num), np.divmod(E.j, num)
+    assert (a == b).all()
+    np.add.at(blocks, (a, i, j), E.values)
+    at = np.flatnonzero(np.abs(blocks).sum(axis=(1, 2)) > 0)
+    values, vectors = np.linalg.eigh(blocks[at])
+    some = np.abs(values) > 0  # of a traction that is held there is nothing
+    least = NEARLY_STICKS * stiffness
+    values = np.where(some, np.where(values > 0, 1, -1) * np.maximum(np.abs(values), least), 1)
+    new = np.einsum("aik,ak,ajk->aij", vectors, np.where(some, values, 0), vectors)
+    inverse = np.einsum("aik,ak,ajk->aij", vectors, np.where(some, 1 / values, 0), vectors)
+    moved = np.zeros((across, num))
+    moved[:, at] = np.einsum("aij,ja->ia", new - blocks[at], start.reshape(across, num)[:, at])
+    i, j = (
+        np.broadcast_to(part, inverse.shape).ravel()
+        for part in (
+            np.arange(across)[:, None] * num + at[:, None, None],
+            np.arange(across) * num + at[:, None, None],
+        )
+    )
+    return Sparse(i, j, inverse.ravel()), moved.ravel()
+
+
+class MultigridTangent:
+    """Solutions of the linearised equations, like those of a ``Tangent``. All is collective."""
+
+    negative = None
+    """Number of negative pivots, which is unknown."""
+
+    def __init__(
+        self,
+        system: System,
+        rows: Sequence[ContactRows],
+        prefix: str,
+        options: dict | None,
+        *,
+        symmetric: bool,
+    ):
+        """Store the bodies, ties and contacts.
+
+        Args:
+            system: The bodies and ties.
+            rows: The contacts.
+            prefix: Prefix of the PETSc options.
+            options: The user's.
+            symmetric: True if there is no friction.
+        """
+        defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200}
+        if not symmetric:
+            defaults |= {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 60}
+        self._prefix = prefix
+        self._made: Projection | None = None
+        self._options = Options(prefix, options or {}, defaults, "")
+        self._system, self._rows, self._symmetric = system, list(rows), symmetric
+        self._comm = system.K[0].comm.tompi4py()
+        with self._options.in_use():
+            self._ksp = PETSc.KSP().create(system.K[0].comm)
+            self._ksp.setOptionsPrefix(prefix)
+            self._ksp.setFromOptions()
+        self._ties = joined_ties(system)
+        numbering = StackedNumbering([K.getOwnershipRanges() for K in system.K])
+        self._range = numbering.of_rank(self._comm.rank)
+        self._num_dofs = self._range[1] - self._range[0]
+        self._num_tied = self._ties.B.getLocalSize()[0] if self._ties is not None else 0
+        num_mine = [len(part.mine) for part in rows]
+        ends = self._num_dofs + self._num_tied + np.cumsum([0, *num_mine])
+        self._starts, self.num_local = ends[:-1], int(ends[-1])
+        """First place of each contact's among this rank's unknowns; the number of these."""
+        self._first = np.cumsum([0, *(part.num_unknowns for part in rows)])
+        self._dofs = [self._dofs_of(part, numbering) for part in rows]
+        self.iterations = 0
+        """Number of iterations in all."""
+        self.is_rough = False
+        """True if the last solution is a first one that shows signs."""
+        self.floor = 0.0
+        """Force that is a residual of zero."""
+        self._equations: list[Linear] | None = None
+        self._near, self._states = 0.0, list[int]()
+        self._sprung: npt.NDArray[np.bool_] | None = None
+        self._constraints: Constraints | None = None
+        self._more: PETSc.Mat | None = None
+        self._last: tuple[Array, Array, float] | None = None
+        self._at_rest: PETSc.Vec | None = None
+
+    @staticmethod
+    def _dofs_of(rows: ContactRows, numbering: StackedNumbering) -> npt.NDArray[np.int64]:
+        """Global number of each of a contact's dofs among all bodies'; -1 of prescribed ones."""
+        part, number = rows.unknowns
+        found = np.full(len(part), -1)
+        for body in {*part[part >= 0].tolist()}:
+            found[part == body] = numbering.of(body, number[part == body])
+        return found[part != -1]
+
+    def destroy(self):
+        """Destroy the PETSc objects."""
+        self._forget()
+        for obj in (self._made, self._ksp, self._ties, self._at_rest):
+            if obj is not None:
+                obj.destroy()
+        self._made = self._ties = self._at_rest = None
+
+    def _forget(self):
+        """Destroy what belongs to the last equations."""
+        for obj in (self._constraints, self._more):
+            if obj is not None and obj is not self._ties:
+                obj.destroy()
+        self._constraints = self._more = None
+
+    def start_step(self):
+        """Start a load step: springs of the last one may be elsewhere by now."""
+        self._sprung = self._last = None
+
+    def remember_stiffness(self):
+        """Remember the diagonal of the bodies' present stiffness, which is that without stress."""
+        if self._made is None:  # K has values from now on
+            with self._options.in_use():
+                self._made = Projection(self._system.K, self._system.spaces, self._prefix)
+        self._at_rest = self._projection.K.createVecRight()
+        self._projection.K.getDiagonal(self._at_rest)
+        self._stiffness = min(mean_diagonal(K) for K in self._system.K)
+
+    @property
+    def _projection(self) -> Projection:
+        assert self._made is not None
+        return self._made
+
+    def guesses(self) -> Guesses:
+        """Rule for guesses of a step's working set: each costs as much as a column or two."""
+        return Guesses(0, STEPS)
+
+    def improves(self, num_wrong: int) -> bool:
+        """True if the last solution is to be solved for accurately.
+
+        Args:
+            num_wrong: Number of wrong states in it.
+        """
+        return self.is_rough
+
+    # Solutions
+
+    def solve(
+        self,
+        right: Sequence[npt.NDArray],
+        equations: Sequence[Linear],
+        *,
+        shift: tuple[float, float] = (0.0, 0.0),
+        beside: npt.NDArray | None = None,
+        anew: bool = False,
+    ) -> tuple[list[npt.NDArray], list[Array]]:
+        """Solve with the present stiffness; arguments and results are those of ``Tangent.solve``.
+
+        Args:
+            right: This rank's right-hand side of bodies and ties.
+            equations: Equations of each contact.
+            shift: Share of the bodies' stiffness, and of its diagonal without stress, that is
+                added.
+            beside: What is subtracted from the right-hand side, in this rank's unknowns.
+            anew: True for an accurate solution, False for one that shows signs.
+
+        Raises:
+            IterationFailed: The iteration failed.
+        """
+        with self._options.in_use():
+            self._update(equations, shift)
+        own = [part.right[rows.mine] for part, rows in zip(equations, self._rows, strict=True)]
+        flat = np.concatenate([*right, *own])
+        loads, start, size = flat[: self._num_dofs], None, 0.0
+        again = self._last is not None and np.array_equal(self._last[0], loads)
+        if self._comm.allreduce(again, MPI.LAND):
+            assert self._last is not None
+            _, start, size = self._last
+        x, size = self._solved(flat if beside is None else flat - beside, start, size, anew)
+        self._last = loads, x[: self._num_dofs], size
+        self._options.tell_unused(self._comm)
+        ends = np.cumsum([len(part) for part in (*right, *own)])
+        found = np.split(x, ends[:-1])
+        return found[: len(right)], [
+            rows.gathered(part) for rows, part in zip(self._rows, found[len(right) :], strict=True)
+        ]
+
+    def responses(self, loads: Sparse, of: npt.NDArray[np.intp]) -> Array:
+        """Solutions for several right-hand sides; as ``Tangent.responses``."""
+        found = np.zeros((len(of), self.num_local))
+        for k, number in enumerate(of.tolist()):
+            at = loads.i == number
+            flat = np.bincount(loads.j[at], loads.values[at], self.num_local).astype(float)
+            found[k], _ = self._solved(flat, None, 0.0, True, alone=True)
+        return found
+
+    def _solved(self, flat: Array, start, size: float, accurate: bool, *, alone=False):
+        """This rank's solution for its right-hand side, and the size of the residual at first.
+
+        Args:
+            flat: The right-hand side.
+            start: This rank's displacements to start with, or None.
+            size: Size of the first residual, if it is known.
+            accurate: False for a solution that shows signs.
+            alone: True for a right-hand side that isn't that of the equations.
+        """
+        now = self._now
+        loads, tied, rest = np.split(flat, (self._num_dofs, self._starts[0]))
+        parts = np.split(rest, self._starts[1:] - self._starts[0])
+        c = np.concatenate([rows.gathered(b) for rows, b in zip(self._rows, parts, strict=True)])
+        c = c if alone else c + now.moved
+        slipping = now.forces.T @ (now.inverse @ _column(c))
+        loads = loads - self._of_rank(slipping)
+        of, ksp, u = self._projection, self._ksp, self._projection.b.duplicate()
+        u.set(0.0)
+        if start is not None:
+            u.array[:] = start
+        with self._options.in_use():
+            try:
+                of.lift(u, np.concatenate((tied, c[self._own])))
+            except SolveError as error:
+                raise IterationFailed(f"{error}".removesuffix(".")) from error
+            of.load(loads, u, of.b)
+            norm = of.b.norm()
+            size = max(size, norm)
+            least = TIGHT * size if alone else max(TIGHT * size, self.floor)
+            goal = least if accurate else max(min(ROUGH * size, norm / 10), least)
+            self.is_rough = not accurate and norm > least
+            if norm > goal:
+                ksp.setTolerances(rtol=0.0, atol=goal)
+                of.add_solution(ksp, u)
+                self.iterations += of.iterations
+                message = saddle.failure(ksp)
+                if message:
+                    raise IterationFailed(message.removesuffix("."))
+                of.load(loads, u, of.r)
+        x, y = u.array_r.real.copy(), of.multipliers.real.copy()
+        u.destroy()
+        if not self._comm.allreduce(bool(np.isfinite(x).all()), MPI.LAND):
+            raise IterationFailed("the linear solve gave no numbers")
+        return np.concatenate((x, y[: len(tied)], *self._unknowns(x, c, y[len(tied) :]))), size
+
+    def _unknowns(self, x: Array, c: Array, y: Array) -> list[Array]:
+        """This rank's unknowns of each contact from its displacements and multipliers."""
+        now, num = self._now, len(c)
+        f, moves = np.zeros((2, num))
+        f[self._own] = y
+        at = now.slopes.some((self._range[0] <= now.slopes.j) & (now.slopes.j < self._range[1]))
+        moves += np.bincount(at.i, at.values * x[at.j - self._range[0]], num)
+        both = np.stack((f, moves))
+        self._comm.Allreduce(MPI.IN_PLACE, both)
+        f, moves = both
+        other = c - moves - np.bincount(now.by_held.i, now.by_held.values * f[now.by_held.j], num)
+        f += np.bincount(now.inverse.i, now.inverse.values * other[now.inverse.j], num)
+        return [f[a + rows.mine] for a, rows in zip(self._first, self._rows)]
+
+    def _of_rank(self, column: Sparse) -> Array:
+        """This rank's part of a column by global dofs."""
+        at = column.some((self._range[0] <= column.i) & (column.i < self._range[1]))
+        return np.bincount(at.i - self._range[0], at.values, self._num_dofs).astype(float)
+
+    # Equations
+
+    def _update(self, equations: Sequence[Linear], shift: tuple[float, float]):
+        """Take the present stiffness, and equations."""
+        self._projection.factor = 1 + shift[0]
+        near = shift[1]
+        states = [K.stateGet() for K in self._system.K]
+        same = self._equations is not None and near == self._near and states == self._states
+        if same and all(map(_is_same, equations, self._equations or ())):
+            return
+        self._now = now = self._sorted(equations)
+        F, more = now.eliminated()
+        self._forget()
+        started = np.cumsum([0, *(rows.num_unknowns for rows in self._rows)])
+        own = [a + rows.mine[now.held[a + rows.mine]] for a, rows in zip(started, self._rows)]
+        self._own = np.concatenate(own)
+        self._constraints = self._joined(own, now.G, None if self._symmetric else F)
+        self._more = self._matrix(more, near)
+        renews = states != self._states or self._sprung is None
+        if self._sprung is not None:
+            renews |= bool(2 * (now.held ^ self._sprung).sum() > self._sprung.sum())
+        self._projection.update(self._ksp, self._constraints, self._more, renews=renews)
+        self._sprung = now.held if renews else self._sprung
+        self._equations, self._near, self._states = list(equations), near, states
+
+    def _sorted(self, equations: Sequence[Linear]) -> _Equations:
+        """The equations of all contacts in global numbers."""
+        num, k = self._first[-1], self._stiffness
+        parts = [[Sparse.empty()] for _ in range(4)]
+        held, moved, inverses = np.zeros(num, dtype=bool), np.zeros(num), [Sparse.empty()]
+        for start, linear, dofs, rows in zip(self._first, equations, self._dofs, self._rows):
+            matrix, size = linear.matrix, len(dofs)
+            is_dof = matrix.i < size, matrix.j < size
+            i, j = (
+                np.where(of, np.append(dofs, -1)[np.where(of, at, -1)], start + at - size)
+                for of, at in zip(is_dof, (matrix.i, matrix.j), strict=True)
+            )
+            every = Sparse(i, j, matrix.values)
+            for part, (a, b) in zip(parts, ((0, 1), (1, 0), (0, 0), (1, 1)), strict=True):
+                part.append(every.some((is_dof[0] == (not a)) & (is_dof[1] == (not b))))
+        forces, slopes, more, own = (joined(*part) for part in parts)
+        forces = forces.T
+        diagonal = own.some(own.i == own.j)
+        sizes = np.bincount(diagonal.i, np.abs(diagonal.values), num)
+        held = sizes <= HOLDS * k
+        among = own.some(~held[own.i] & ~held[own.j])
+        for start, linear, rows in zip(self._first, equations, self._rows):
+            num_of, across = len(rows.g), rows.num_unknowns // len(rows.g)
+            at = among.some((start <= among.i) & (among.i < start + rows.num_unknowns))
+            at = Sparse(at.i - start, at.j - start, at.values)
+            inverse, more_of = _inverse(at, linear.start, num_of, across, k)
+            inverses.append(Sparse(inverse.i + start, inverse.j + start, inverse.values))
+            moved[start : start + rows.num_unknowns] = more_of
+        return _Equations(
+            held,
+            slopes.some(held[slopes.i]),
+            forces.some(held[forces.i]),
+            more,
+            forces.some(~held[forces.i]),
+            slopes.some(~held[slopes.i]),
+            own.some(~held[own.i] & held[own.j]),
+            joined(*inverses),
+            moved,
+        )
+
+    def _joined(self, own: Sequence[npt.NDArray], G: Sparse, F: Sparse | None):
+        """Constraints of ties and contacts; None if there are none at all."""
+        mine = np.concatenate(own)
+        if not self._comm.allreduce(len(mine)):
+            return self._ties
+        first = self._comm.scan(len(mine)) - len(mine)
+        row = np.full(self._first[-1], -1)
+        row[mine] = first + np.arange(len(mine))
+        found, sides = [], list(self._ties.sides) if self._ties is not None else []
+        for matrix in (G,) if F is None else (G, F):
+            use = row[matrix.i] >= 0
+            sizes = len(mine), self._num_dofs
+            entries = row[matrix.i[use]], matrix.j[use], matrix.values[use]
+            part = coo_matrix(self._system.K[0].comm, sizes, *entries)
+            if self._ties is not None:
+                both = nest([[self._ties.B], [part]], part.comm)
+                whole = both.convert("aij", PETSc.Mat())
+                for obj in (both, part):
+                    obj.destroy()
+                part = whole
+            found.append(part)
+        start = self._num_tied
+        for rows, dofs, part in zip(self._rows, self._dofs, own, strict=True):
+            num = len(rows.sides[0].dofs) * (len(dofs) // sum(len(s.dofs) for s in rows.sides))
+            others, mine = (np.unique(self._local(of)) for of in (dofs[:num], dofs[num:]))
+            sides.append((mine, np.setdiff1d(others, mine), slice(start, start + len(part))))
+            start += len(part)
+        return Constraints(found[0], sides, found[1] if F is not None else None)
+
+    def _local(self, dofs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """This rank's dofs among global ones, in its numbers."""
+        first, end = self._range
+        return dofs[(first <= dofs) & (dofs < end)] - first
+
+    def _matrix(self, entries: Sparse, near: float) -> PETSc.Mat | None:
+        """What is added to the stiffness, with a share of its diagonal at rest."""
+        if not len(entries.i) and not near:
+            return None
+        first, end = self._range
+        use = (first <= entries.i) & (entries.i < end)
+        i, j, values = entries.i[use], entries.j[use], entries.values[use]
+        if near:
+            assert self._at_rest is not None
+            every = np.arange(first, end)
+            i, j = np.append(i, every), np.append(j, every)
+            values = np.append(values, near * self._at_rest.array_r.real)
+        return coo_matrix(self._system.K[0].comm, (self._num_dofs,) * 2, i, j, values)
+
+    # As for factors
+
+    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> Sparse:
+        """Rows of numbers of contacts' unknowns, for this rank's unknowns; as ``Tangent.watch``."""
+        found, before = [], 0
+        first, end = self._range
+        for start, dofs, rows, part, size in zip(
+            self._starts, self._dofs, self._rows, entries, sizes, strict=True
+        ):
+            places = np.where((first <= dofs) & (dofs < end), dofs - first, -1)
+            own = np.full(rows.num_unknowns, -1)
+            own[rows.mine] = start + np.arange(len(rows.mine))
+            column = np.append(places, own)[part.j]
+            use = column >= 0
+            found.append(Sparse(before + part.i[use], column[use], part.values[use]))
+            before += size
+        return joined(*found)
+
+    def work(self, changes: Sequence[npt.NDArray]) -> float:
+        """Work of the last matrix on changes of the bodies; as ``Tangent.work``."""
+        return self._projection.work(np.concatenate(changes))
+
+
+def _is_same(a: Linear, b: Linear) -> bool:
+    """True if two equations have the same matrix."""
+    same = np.array_equal(a.matrix.values, b.matrix.values)
+    return (
+        same and np.array_equal(a.matrix.i, b.matrix.i) and np.array_equal(a.matrix.j, b.matrix.j)
+    )

@@ -1,0 +1,224 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Contact by multigrid: the state that factors give, few iterations; told where it isn't for."""
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import Elastic, lame_constants
+
+import meshes
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
+from hypergap_dolfinx.contact_solver import contact_system
+from hypergap_dolfinx.contact_solver.tangent import Tangent
+from hypergap_dolfinx.solvers.multigrid import Multigrid
+
+comm = MPI.COMM_WORLD
+
+
+def block(n, low, high, E=1.0, *, degree=1, large=False, bulge=0.0, loaded=False):
+    """A block between two corners, of which the bottom may be round; its body and facet tags."""
+    low, high = np.array(low), np.array(high)
+
+    def place(x):
+        at = low + x * (high - low)
+        off = ((x[:, :2] - 0.5) ** 2).sum(axis=1)
+        at[:, 2] += bulge * off * (1 - x[:, 2])
+        return at
+
+    mesh, ft = meshes.block(comm, n, place, cell="hexahedron", degree=degree)
+    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    facets = ft.find(meshes.FRONT) if loaded else ()
+    return Elastic.on(V, lame_constants(E), large=large, loaded=facets), ft
+
+
+class Pressed:
+    """A round block pressed on a flat one, from apart; the upper one is free or moved."""
+
+    def __init__(self, n=4, contrast=1.0, *, free=False, tied=False, degree=1, large=False, **more):
+        options = {"degree": degree, "large": large}
+        low, low_tags = block((n, n, n), (-1, -1, -1), (1, 1, 0), contrast, **options)
+        size = (n - 1,) * 2 + (max(n // 2, 2),)
+        top = 1.0 if not tied else 0.5
+        high, tags = block(
+            size, (-0.77, -0.75, 0), (0.83, 0.85, top), bulge=0.2, loaded=not tied, **options
+        )
+        bodies, self.load = [low, high], high.load
+        V, W = low.u.function_space, high.u.function_space
+        self.u, ties = [low.u, high.u], []
+        last, last_tags = high, tags
+        if tied:
+            last, last_tags = block(
+                (n, n, 2), (-0.77, -0.75, top), (0.83, 0.85, 1), loaded=True, **options
+            )
+            bodies.append(last)
+            self.u.append(last.u)
+            self.load = last.load
+            ties = [
+                Tie(
+                    (W, tags.find(meshes.FRONT)),
+                    (last.u.function_space, last_tags.find(meshes.BACK)),
+                )
+            ]
+        self.bcs, self.move = [], fem.Constant(V.mesh, default_scalar_type((0, 0, 0)))
+        self.hold(V, low_tags.find(meshes.BACK), range(3))
+        self.values = []
+        if free:  # but for what contact can't hold without friction
+            for body, ft in zip(bodies[1:], (tags, last_tags), strict=False):
+                sides = np.concatenate([ft.find(t) for t in (meshes.LEFT, meshes.RIGHT)])
+                self.hold(body.u.function_space, sides, (0,))
+                sides = np.concatenate([ft.find(t) for t in (meshes.BOTTOM, meshes.TOP)])
+                self.hold(body.u.function_space, sides, (1,))
+        else:
+            self.values = self.hold(last.u.function_space, last_tags.find(meshes.FRONT), range(3))
+        sides = (V, low_tags.find(meshes.FRONT)), (W, tags.find(meshes.BACK))
+        names = ("friction", "elastic_slip", "sliding", "compliance")
+        self.contact = Contact(*sides, **{k: more.pop(k) for k in names if k in more})
+        self.problem = ContactProblem(
+            [body.F for body in bodies],
+            self.u,
+            bcs=self.bcs,
+            contacts=[self.contact],
+            ties=ties,
+            **more,
+        )
+
+    def hold(self, V, facets, components):
+        """Hold components where facets are; the values, for the user to change."""
+        values = []
+        for k in components:
+            values.append(fem.Constant(V.mesh, default_scalar_type(0)))
+            dofs = fem.locate_dofs_topological(V.sub(k), 2, np.sort(facets))
+            self.bcs.append(fem.dirichletbc(values[-1], dofs, V.sub(k)))
+        return values
+
+    def solve(self, path):
+        """Go to places of the top, or loads on it; Newton steps."""
+        steps = []
+        for goal in path:
+            if self.values:
+                for value, x in zip(self.values, goal, strict=True):
+                    value.value = x
+            else:
+                self.load.value = goal
+            self.problem.solve()
+            steps.append(self.problem.iterations)
+        return steps
+
+
+DOWN = ((0, 0, -0.03), (0, 0, -0.08))
+ACROSS = ((0, 0, -0.08), (0.05, 0.02, -0.08))
+SCENES = {
+    "finite": ({}, DOWN),
+    "small": ({"sliding": "small"}, DOWN),
+    "free": ({"free": True}, (0.01, 0.02)),
+    "free with a tie": ({"free": True, "tied": True}, (0.01, 0.02)),
+    "soft above": ({"contrast": 1e4}, DOWN),
+    "stiff above": ({"contrast": 1e-3}, DOWN),
+    "friction": ({"friction": 0.3}, ACROSS),
+    "friction, free": ({"friction": 0.3, "free": True}, (0.01, 0.02)),
+    "elastic slip": ({"friction": 0.3, "elastic_slip": 0.01}, ACROSS),
+    "large strain": ({"large": True, "friction": 0.3, "n": 3}, ACROSS),
+    "degree 2": ({"degree": 2, "n": 3}, DOWN[1:]),
+}
+
+
+@pytest.mark.ranks(3, name=["finite", "friction", "free with a tie"])
+@pytest.mark.parametrize("name", SCENES)
+def test_as_with_factors(name):
+    """Sets, pressures and displacements; Newton steps but for one."""
+    options, path = SCENES[name]
+    scenes = [Pressed(**options, solver=solver) for solver in ("direct", "iterative")]
+    steps = [scene.solve(path) for scene in scenes]
+    assert scenes[1].problem.halvings == 0 and max(np.abs(np.subtract(*steps))) <= 1, str(steps)
+    assert not isinstance(scenes[1].problem._tangent, Tangent)
+    rows = [scene.problem.rows(scene.contact) for scene in scenes]
+    assert rows[0].state.active.any()
+    assert (rows[0].state.active == rows[1].state.active).all()
+    pressures = [part.state.p for part in rows]
+    np.testing.assert_allclose(*pressures, atol=1e-7 * pressures[0].max())
+    for u, v in zip(*(scene.u for scene in scenes), strict=True):
+        size = comm.allreduce(np.abs(u.x.array).max(initial=0), MPI.MAX)
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-7 * size)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Numbers of iterations of accurate solves, by the residual's fall."""
+    found = []
+    solve = contact_system.MultigridTangent._solved
+
+    def solved(self, *args, **options):
+        before = self.iterations
+        result = solve(self, *args, **options)
+        found.append(self.iterations - before)
+        return result
+
+    monkeypatch.setattr(contact_system.MultigridTangent, "_solved", solved)
+    return found
+
+
+def test_iterations(counted):
+    """As few on a finer mesh, with any contrast, and of a body that only contact holds."""
+    most = []
+    for n, contrast, free in ((4, 1, False), (7, 1, False), (7, 1e4, False), (7, 1e-4, True)):
+        counted.clear()
+        Pressed(n, contrast, free=free, solver="iterative").solve((1e-6,) if free else DOWN[1:])
+        most.append(max(counted))
+    assert max(most) <= 22, str(most)
+
+
+@pytest.mark.ranks(2)
+def test_gives_up(caplog, monkeypatch):
+    """What multigrid doesn't solve is solved with factors from then on, and told."""
+    monkeypatch.setattr(Multigrid, "OPTIONS", {**Multigrid.OPTIONS, "ksp_rtol": 1e-10})
+    scene = Pressed(3, solver="iterative", petsc_options={"ksp_max_it": 2})
+    reference = Pressed(3, solver="direct")
+    with caplog.at_level(logging.WARNING):
+        scene.solve(DOWN)
+    reference.solve(DOWN)
+    assert isinstance(scene.problem._tangent, Tangent)
+    told = [r.getMessage() for r in caplog.records if "given up" in r.getMessage()]
+    assert len(told) == (comm.rank == 0) and ("DIVERGED_MAX_IT" in told[0] if told else True)
+    for u, v in zip(scene.u, reference.u, strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
+
+
+@pytest.mark.ranks(2)
+def test_the_default(monkeypatch):
+    """Multigrid from some size on, in space, where it is possible, unless options name types."""
+    small = Pressed(3)
+    assert isinstance(small.problem._tangent, Tangent)
+    monkeypatch.setattr(contact_system, "LARGE_CONTACT", 100)
+    assert not isinstance(Pressed(3).problem._tangent, Tangent)
+    for options in ({"compliance": 0.1}, {"petsc_options": {"pc_type": "lu"}}):
+        assert isinstance(Pressed(3, **options).problem._tangent, Tangent)
+    with pytest.raises(ValueError, match='"iterative" is not possible: a contact has a compl'):
+        Pressed(3, solver="iterative", compliance=0.1)
+    with pytest.raises(ValueError, match="solver is one of direct, iterative, not 'lu'"):
+        Pressed(3, solver="lu")
+
+
+@pytest.mark.ranks(2)
+def test_misspelt_options(caplog):
+    """PETSc doesn't know of them, and says nothing."""
+    options = {"ksp_mintor": None, "pc_mg_cycle_type": "v"}
+    with caplog.at_level(logging.WARNING):
+        Pressed(3, solver="iterative", petsc_options=options).solve(DOWN[:1])
+    told = [r.getMessage() for r in caplog.records if "misspelt" in r.getMessage()]
+    assert len(told) == (comm.rank == 0)
+    assert all("hypergap_ksp_mintor;" in message for message in told)
+
+
+@pytest.mark.ranks(2)
+def test_a_solver_that_fails():
+    """It ends at once, without MUMPS's settings; no smaller load step is tried."""
+    scene = Pressed(3, petsc_options={"ksp_type": "gmres", "pc_type": "none", "ksp_max_it": 20})
+    with pytest.raises(SolveError, match="DIVERGED_MAX_IT"):
+        scene.solve(DOWN)
+    assert scene.problem.halvings == 0
+    assert not any("mumps" in key for key in scene.problem._tangent._ways[0].options._options)
