@@ -7,7 +7,7 @@ constraints G of closed gaps and of what sticks. Tractions of what slips have eq
 and are eliminated: F isn't G then, and K̃ isn't symmetric. Without friction they are, and conjugate
 gradients do; else GMRES with the same preconditioner.
 
-Aggregates are the bodies' own (:mod:`~hypergap_dolfinx.solvers.hierarchy`): they are made once.
+Aggregates are the bodies' own (:mod:`~hypergap_dolfinx.algebra.hierarchy`): they are made once.
 Springs in the preconditioner needn't be those of the present rows, which Π holds exactly: within a
 load step they are made anew where half as many rows as there are have come or gone.
 """
@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.algebra.hierarchy import nest
 from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import StackedNumbering
@@ -34,7 +35,6 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 )
 from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.solvers.hierarchy import nest
 from hypergap_dolfinx.solvers.multigrid import Multigrid, joined_ties
 from hypergap_dolfinx.solvers.projection import Constraints, Projection
 from hypergap_dolfinx.solvers.solver import Options, System

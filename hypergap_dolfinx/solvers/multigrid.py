@@ -9,9 +9,9 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.algebra.hierarchy import Hierarchy, nest
 from hypergap_dolfinx.core.sparse import nonzero_columns
 from hypergap_dolfinx.solvers.bodywise import LU
-from hypergap_dolfinx.solvers.hierarchy import Hierarchy, nest
 from hypergap_dolfinx.solvers.projection import Constraints, Projection
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.solvers.tolerances import ROUND_OFF_PROJECTED, SMALL_FORCES

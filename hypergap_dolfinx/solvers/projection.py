@@ -25,11 +25,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal
 from hypergap_dolfinx.algebra.rigid_motions import motions, orthonormal
 from hypergap_dolfinx.algebra.saddle import failure
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.bodywise import create_solver
-from hypergap_dolfinx.solvers.hierarchy import Hierarchy, block_diagonal
 from hypergap_dolfinx.solvers.tolerances import CONTRAST
 
 
