@@ -14,13 +14,14 @@
 #include "rays.h"
 #include "vectors.h"
 
-#define MOST_LOCAL (MOST_DOFS * (MOST_SHEETS + 2) + 2)
+#define MOST_LOCAL (MOST_DOFS * (3 * MOST_SHEETS + 2) + 2)
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
 typedef struct {
   int num, dofs[MOST_LOCAL];
   // Numbers among them
   int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_foot[MOST_DOFS], of_end[2];
+  int of_beside[MOST_SHEETS][2][MOST_DOFS];
 } Local;
 
 // A point where it is, as jets. Lengths are in chords |c| of its edge, or times them.
@@ -76,7 +77,13 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
   local->num = 0;
   number_edge(local, sigma->sides + 1, point->edge, local->own);
   for (int k = 0; k < point->num; ++k)
-    number_edge(local, below, sigma->sheets[point->first + k].edge, local->of_sheet[k]);
+  {
+    const Sheet *sheet = sigma->sheets + point->first + k;
+    number_edge(local, below, sheet->edge, local->of_sheet[k]);
+    for (int e = 0; e < 2; ++e)
+      if (sheet->beside[e] >= 0)
+        number_edge(local, below, sheet->beside[e], local->of_beside[k][e]);
+  }
   if (point->foot >= 0)
     number_edge(local, below, point->foot, local->of_foot);
   for (int e = 0; e < 2; ++e)
@@ -168,35 +175,58 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
   return combined(tape, 2, inside, -1, power(tape, dotted(tape, d, d), 0.5));
 }
 
-// Weight of a sheet: NULL if it is 1.
+// Cosine between a chord's normal and the one against an edge's, at a point.
+static Jet cosine_of(Tape *tape, const Ray *ray, const Curve *curve, int num, const int *numbers,
+                     Jet r)
+{
+  Jet t[2];
+  for (int i = 0; i < 2; ++i)
+    t[i] = on_curve(tape, curve, num, numbers, r, 1, i);
+  Jet both = power(tape, product(tape, dotted(tape, t, t), ray->square), -0.5);
+  return product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
+}
+
+// Weight by a cosine.
 //
 // height  times |c|
-// depth   by what is nearest, if that must be known
-static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const int *numbers,
-                     const double *height, const double *depth)
+// inside  depth by what is nearest, times |c|; NULL: it doesn't matter
+static Jet weight_with(Tape *tape, const Sigma *sigma, Jet cos, Jet height, Jet inside)
 {
-  const Curve *curve = ray->curves + k;
-  int fades = sigma->sheets[ray->point->first + k].fades;
-  Jet t[2], result = NULL;
-  double length = hypot(curve->x[1][0], curve->x[1][1]), size = sqrt(ray->square[0]);
-  double cos = -(curve->x[1][0] * ray->c[0][0] + curve->x[1][1] * ray->c[1][0]) / (length * size);
-  if (cos >= sigma->cosines[1] && !fades)
-    return NULL;
-  for (int i = 0; i < 2; ++i)
-    t[i] = on_curve(tape, curve, sigma->sides[0].num_dofs, numbers, ray->r[k], 1, i);
-  Jet both = power(tape, product(tape, dotted(tape, t, t), ray->square), -0.5);
-  Jet turned = product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
-  if (cos < sigma->cosines[1])
-    result = step_of(tape, turned, sigma->cosines);
-  if (fades)
+  Jet weight = step_of(tape, cos, sigma->cosines);
+  if (!inside || height[0] >= 0 || weight[0] <= 0)
+    return weight;
+  Jet part = quotient(tape, scaled(tape, -1, inside), product(tape, height, cos));
+  return product(tape, weight, step_of(tape, part, sigma->nearest));
+}
+
+// Weight of a sheet: NULL if it is 1.
+static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const Local *local,
+                     Jet height, Jet inside)
+{
+  const Side *below = sigma->sides;
+  const Sheet *sheet = sigma->sheets + ray->point->first + k;
+  int num = below->num_dofs;
+  const double *origin = node(below + 1, ray->point->edge, 0);
+  Jet cos = cosine_of(tape, ray, ray->curves + k, num, local->of_sheet[k], ray->r[k]);
+  Jet own = weight_with(tape, sigma, cos, height, inside), of_others = NULL;
+  for (int e = 0; e < 2; ++e)
   {
-    Jet chord = power(tape, ray->square, 0.5);
-    Jet inside = product(tape, combined(tape, -1, depth, -sigma->slack, chord), chord);
-    Jet part = quotient(tape, inside, product(tape, height, turned));
-    Jet deep = step_of(tape, part, sigma->nearest);
-    result = result ? product(tape, result, deep) : deep;
+    if (sheet->beside[e] < 0)
+      continue;
+    Curve curve = curve_at(below, sheet->beside[e], 1 - e, origin);
+    Jet other = cosine_of(tape, ray, &curve, num, local->of_beside[k][e], constant(tape, 1 - e));
+    other = weight_with(tape, sigma, other, height, inside);
+    Jet at = e ? ray->r[k] : combined(tape, -1, ray->r[k], 1, constant(tape, 1));
+    other = product(tape, at, other);
+    of_others = of_others ? combined(tape, 1, of_others, 1, other) : other;
   }
-  return result;
+  if (own[0] >= 1)
+    return NULL;
+  if (!of_others)
+    return own;
+  Jet lacks = combined(tape, -1, own, 1, constant(tape, 1));
+  Jet from = step_of(tape, cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]});
+  return combined(tape, 1, own, 1, product(tape, product(tape, lacks, from), of_others));
 }
 
 // A point's ray as jets.
@@ -243,7 +273,12 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
               : met(tape, &ray.curve, above->num_dofs, local->own, point->s, a, ray.c, to);
   for (int i = 0; i < 2; ++i)
     x1[i] = on_curve(tape, &ray.curve, above->num_dofs, local->own, ray.s, 0, i);
-  Jet depth = point->foot < 0 ? NULL : depth_of(tape, sigma, point, local, origin, x1);
+  Jet inside = NULL;
+  if (point->foot >= 0)
+  {
+    Jet chord = power(tape, ray.square, 0.5), depth = depth_of(tape, sigma, point, local, origin, x1);
+    inside = product(tape, combined(tape, 1, depth, sigma->slack, chord), chord);
+  }
   for (int k = 0; k < point->num; ++k)
   {
     const Sheet *sheet = sigma->sheets + point->first + k;
@@ -257,7 +292,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
       d[i] = combined(tape, 1, x0, -1, x1[i]);
     }
     Jet height = wedge(tape, d, ray.c);
-    Jet weight = weight_of(tape, sigma, &ray, k, numbers, height, depth);
+    Jet weight = weight_of(tape, sigma, &ray, k, local, height, inside);
     Jet part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
     if (weight)
     {

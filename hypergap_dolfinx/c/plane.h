@@ -42,7 +42,8 @@ typedef struct {
 
 // An edge of Γ0 that a ray meets, and where.
 typedef struct {
-  int edge, fades;  // whether its weight is below 1 as another edge is nearer
+  int edge;
+  int beside[2];    // edges before and behind it that share their weight with it, or −1
   double r;         // reference coordinate
 } Sheet;
 

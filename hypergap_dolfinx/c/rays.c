@@ -309,6 +309,41 @@ static double find_foot(const Side *side, const int *order, const double *x, Poi
   return depth;
 }
 
+// Weight by a cosine.
+//
+// depth  by what is nearest, used if the height is below zero
+static double sheet_weight(const Sigma *sigma, double cos, double height, double depth)
+{
+  double step[3], deep[3] = {1};
+  smooth_step(cos, sigma->cosines, step);
+  if (step[0] > 0 && height < 0)
+    smooth_step(depth / (-height * cos), sigma->nearest, deep);
+  return step[0] * deep[0];
+}
+
+// Find a sheet's weight, and the edges beside it that share theirs with it: what an edge lacks it gets
+// from them by its place between both.
+static void weigh(const Cast *cast, double cos, double depth, Hit *hit)
+{
+  const Side *side = cast->below;
+  const Sigma *sigma = cast->sigma;
+  double own = sheet_weight(sigma, cos, hit->height, depth), r = hit->sheet.r, step[3];
+  smooth_step(cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]}, step);
+  hit->weight = own;
+  for (int k = 0; k < 2; ++k)
+  {
+    int next = beside_of(side, hit->sheet.edge, k);
+    hit->sheet.beside[k] = -1;
+    if (next < 0 || own >= 1)
+      continue;
+    double other = cosine(&cast->frame, side, next, 1 - k);
+    double weight = sheet_weight(sigma, other, hit->height, depth);
+    if (weight > 0)
+      hit->sheet.beside[k] = next;
+    hit->weight += (1 - own) * step[0] * (k ? r : 1 - r) * weight;
+  }
+}
+
 // Sheets that a ray sees, those farthest behind first; their number.
 //
 // point  its start on Γ1 is known; what of Γ0 is nearest is set
@@ -318,8 +353,8 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
   const Sigma *sigma = cast->sigma;
   const Frame *frame = &cast->frame;
   Curve x = curve_at(cast->above, cast->edge, point->s, (double[]){0, 0});
-  double start = above(frame, x.x[0]), step[3], depth = NAN;
-  int num = 0, fades = 0, lost = 0;
+  double start = above(frame, x.x[0]), depth = NAN;
+  int num = 0, full = 1, lost = 0;
   for (int k = 0; k < cast->num_facing; ++k)
   {
     const Facing *facing = cast->facing + k;
@@ -329,16 +364,11 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
     hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
     hit.height = height_at(frame, cast->below, facing->edge, hit.sheet.r) - start;
     double cos = cosine(frame, cast->below, hit.sheet.edge, hit.sheet.r);
-    smooth_step(cos, sigma->cosines, step);
-    hit.weight = step[0];
-    if (hit.weight > 0 && hit.height < 0)
-    {
-      if (isnan(depth))
-        depth = find_foot(cast->below, cast->order, x.x[0], point) + sigma->slack * frame->size;
-      smooth_step(depth / (-hit.height * cos), sigma->nearest, step);
-      hit.weight *= step[0];
-      hit.sheet.fades = step[0] < 1;
-    }
+    if (cos <= 0)
+      continue;
+    if (hit.height < 0 && isnan(depth))
+      depth = find_foot(cast->below, cast->order, x.x[0], point) + sigma->slack * frame->size;
+    weigh(cast, cos, depth, &hit);
     if (hit.weight <= 0)
       continue;
     int at = num;
@@ -356,8 +386,8 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
       num = k + 1; // hides the others
   cast->lost |= lost && hits[num - 1].weight < 1;
   for (int k = 0; k < num; ++k)
-    fades |= hits[k].sheet.fades;
-  if (!fades)
+    full &= hits[k].weight >= 1;
+  if (full || isnan(depth))
     point->foot = -1;
   return num;
 }

@@ -42,6 +42,12 @@ static inline int edge_at(const Side *side, int vertex, int *end)
   return *end ? beside[0] : beside[1];
 }
 
+// The edge before the start (0) or behind the end (1) of an edge, or −1.
+static inline int beside_of(const Side *side, int edge, int end)
+{
+  return side->beside[2 * side->vertices[2 * edge + end] + end];
+}
+
 Curve curve_at(const Side *side, int edge, double s, const double *origin);
 const double *position(const Side *side, int vertex);
 

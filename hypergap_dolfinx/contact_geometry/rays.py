@@ -10,16 +10,24 @@ which belongs to the vertex at its end, are
    2 \int \sum_k \omega_k \prod_{j<k} (1 - \omega_j) \,d\xi
 
 over ξ, the place along the chord from 0 to 1, with the sheets in order from behind Γ1 to the front.
-A sheet has the weight
+By its edge's normal a sheet has the weight
 
-.. math:: \omega = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,
+.. math:: \omega_e = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,
    W\Bigl(\frac{d / (-h\cos) - N_0}{N_1 - N_0}\Bigr)
 
 with a smooth step W, the cosine between the normals that face each other, C (:data:`COSINES`) and N
-(:data:`NEAREST`). It fades where Γ0 turns away; and, where h < 0, with the depth d of the point in
-Γ0's body by the edge that is nearest, if that is less than −h cos, the one by the sheet's plane:
-what pushes is what is near, and a sheet behind Γ1's body is that of a body in which the point
-isn't (d < 0). The product is what sheets farther behind leave of the ray: as one fades, it uncovers
+(:data:`NEAREST`). It fades where Γ0 turns away; and, where h < 0, with the depth d of the
+point in Γ0's body by the edge that is nearest, if that is less than −h cos, the one by the sheet's
+plane: what pushes is what is near, and a sheet behind Γ1's body is that of a body in which the
+point isn't (d < 0). If that were all, it would jump at Γ0's vertices, and forces as one of them
+passes an end of Γ1's edge. So an edge gets of what it lacks the weights that the edges before and
+behind it, e ∓ 1, have by their normals at the vertex, at r between 0 and 1 along it:
+
+.. math:: \omega = \omega_e + (1 - \omega_e)\,W\Bigl(\frac{2 \cos}{C_0} - 1\Bigr)
+   \bigl((1 - r)\,\omega_{e-1} + r\,\omega_{e+1}\bigr).
+
+That is continuous at a vertex, 1 on edges that face Γ1 fully, and 0 on those at a right angle.
+The product is what sheets farther behind leave of the ray: as one fades, it uncovers
 those in front of it with exactly what it loses. So gaps and areas are continuous functions of the
 displacements, whatever ends, corners and far sides pass; with one sheet of weight 1 they are
 volumes and lengths.
@@ -31,8 +39,8 @@ bodies, however large, is none.
 
 Where ends of both sides slide along one wall, as one of symmetry, Γ0 goes on beyond it.
 
-Quadrature is exact on straight edges with one sheet; derivatives are those of the quadrature, to
-round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
+Quadrature is exact on straight edges with one sheet of weight 1; derivatives are those of the
+quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +53,13 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.protocol import check
-from hypergap_dolfinx.contact_geometry.tolerances import COSINES, NEAREST, SHARED, SLACK
+from hypergap_dolfinx.contact_geometry.tolerances import (
+    COSINES,
+    FADING_DEGREE,
+    NEAREST,
+    SHARED,
+    SLACK,
+)
 from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
@@ -160,7 +174,8 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
 @cache
 def _rule(num_nodes: int) -> dict[str, Any]:
     """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here."""
-    points, weights = basix.make_quadrature(basix.CellType.interval, 3 * num_nodes - 1)
+    degree = FADING_DEGREE if num_nodes == 2 else 3 * num_nodes - 1
+    points, weights = basix.make_quadrature(basix.CellType.interval, degree)
     return {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
 
 
