@@ -13,6 +13,7 @@ import gallery
 import links
 import messages
 import pytest
+import scenes
 import snippets
 
 import hypergap_dolfinx
@@ -39,12 +40,17 @@ def test_examples():
 
 
 def test_readme(capsys):
-    """The example of contact in README.md runs as it stands."""
+    """The examples of README.md run as they stand, and it is short."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
-    (example,) = re.findall(
-        r"^## Contact\b.*?^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL
-    )
-    exec(example, {})
+    assert text.count("\n") <= 130
+    tie, contact = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lower, upper = scenes.blocks()
+    V = [scenes.fem.functionspace(body, ("Lagrange", 1, (2,))) for body in (lower, upper)]
+    (a0, a1), (L0, L1) = scenes.linear(V)
+    names = {"V0": V[0], "V1": V[1], "a0": a0, "a1": a1, "L0": L0, "L1": L1}
+    names |= {"f0": scenes.facets_at(lower, 1), "f1": scenes.facets_at(upper, 1)}
+    exec(tie, names | {"bcs": [scenes.clamped(V[0], 0)]})
+    exec(contact, {})
     *_, last = capsys.readouterr().out.splitlines()
     force, iterations, num = re.fullmatch(r"\[.* (\S+)\] (\d+) (\d+)", last).groups()
     assert abs(float(force)) == pytest.approx(1.08, rel=0.01)
@@ -97,6 +103,15 @@ def test_messages():
 def test_links():
     """Links of Markdown in the repository lead somewhere (those of the site: `make docs`)."""
     assert not [link for _, link in links.of_markdown() if not links.is_outside(link)]
+
+
+def test_paper():
+    """It is short, its citations are in its list, and its commands name demos that are there."""
+    text = (DOCS / "paper" / "paper.md").read_text(encoding="utf-8")
+    assert len(text.split("---", 2)[2].split()) <= 1000
+    keys = re.findall(r"^@\w+\{(\w+),", (DOCS / "paper" / "paper.bib").read_text(), re.MULTILINE)
+    assert set(re.findall(r"@(\w+)", text)) <= set(keys)
+    assert all((FOLDER / demo).exists() for demo in re.findall(r"demos/\w+\.py", text))
 
 
 def test_gallery():
