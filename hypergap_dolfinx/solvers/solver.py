@@ -17,6 +17,7 @@ import numpy as np
 from dolfinx import fem
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.tolerances import REFINED
 from hypergap_dolfinx.surface.trace import is_mixed
@@ -88,7 +89,7 @@ class Options:
                 + self._unfit * (error.ierr != unknown_type)
             ) from error
         finally:
-            self._unused = {key for key in self._unused if not database.used(key)}
+            self._unused = {key for key in self._unused if not compat.is_used(database, key)}
             for key in self._options:
                 del database[key]
                 if key in before:
