@@ -585,9 +585,11 @@ def where_pressed(scene, problem, x):
         pieces = b.pieces(x[j])
         facets = np.flatnonzero(masks[one])
         ends = a.X[facets][:, a.corner_points]  # (facet, corner, dim)
+        # Pressures may be in the middle of edges, too
+        ends = np.concatenate((ends, a.X[facets], ends.mean(axis=1, keepdims=True)), axis=1)
         for v in np.flatnonzero(p > 1e-6 * largest):
             at = np.abs(ends - contact.surfaces[1].x[v]).max(axis=2).min(axis=1)
-            around = facets[at < 1e-6 * a.size.min()]
+            around = facets[at < at.min() + 1e-6 * a.size.min()]
             points = x[i][around].reshape(-1, scene.dim)
             distance, opposite = pieces.nearest(points)
             distance[pieces.contains(points)] = 0

@@ -169,12 +169,13 @@ def grading(h):
     return np.append(x[:-2], L)
 
 
-def cattaneo(comm, cells, ratio=0.75, picture=None):
+def cattaneo(comm, cells, degree=1, ratio=0.75, picture=None):
     """Press and shear a cylinder.
 
     Args:
         comm: Communicator.
         cells: Number of cells of Γ1 in a.
+        degree: Of displacements and geometry.
         ratio: Size of the block's cells over the cylinder's, which is Γ1.
         picture: Where to save one, if anywhere.
     """
@@ -189,8 +190,8 @@ def cattaneo(comm, cells, ratio=0.75, picture=None):
             bottom = R - np.sqrt(R**2 - x**2)
             return np.column_stack((x, bottom + y * (1 - bottom / L) if i else -y))
 
-        mesh, ft = meshes.block(comm, (2 * n, n), place)
-        bodies.append(Body(mesh, ft, meshes.BOTTOM if i else meshes.TOP, 1))
+        mesh, ft = meshes.block(comm, (2 * n, n), place, degree=degree)
+        bodies.append(Body(mesh, ft, meshes.BOTTOM if i else meshes.TOP, degree))
     bodies[0].hold(meshes.BOTTOM, 0, 1)
     along, down = bodies[1].hold(meshes.TOP, 0, 1)
     contact = Contact(bodies[0].side, bodies[1].side, friction=MU)

@@ -212,6 +212,18 @@ def l2_error(at, p, dx, dim):
     return np.sqrt(square / (exact(at, dim) ** 2 * dx).sum())
 
 
+def surface_error(problem, contact):
+    """Relative L² error of the pressure on Γ1's surface."""
+    p = contact.pressure(problem, on="surface")
+    V, dim = p.function_space, p.function_space.mesh.geometry.dim
+    x = V.tabulate_dof_coordinates()[V.dofmap.list][..., :dim]
+    shares, at, dx = quadrature(x)
+    found, known = p.x.array[V.dofmap.list] @ shares.T, exact(at, dim)
+    square = np.array((((found - known) ** 2 * dx).sum(), (known**2 * dx).sum()))
+    error, whole = V.mesh.comm.allreduce(square)
+    return np.sqrt(error / whole)
+
+
 def errors(problem, contact):
     """Relative errors of what Hertz's solution says."""
     surface, p = contact.surfaces[1], contact.pressures(problem)
@@ -224,6 +236,7 @@ def errors(problem, contact):
         "force": abs(force / P[dim] - 1),
         "half_width": abs(reached / a - 1),
         "l2_pressure": l2_error(at, p[surface.facets] @ shares.T, dx, dim),
+        "l2_surface": float(surface_error(problem, contact)),
         "steps": problem.iterations,
     }
 

@@ -18,7 +18,13 @@ class Coefficient:
     """Non-negative numbers: one for all of Γ1, or one for each of its vertices."""
 
     def __init__(
-        self, value: Value, name: str, what: str, V: fem.FunctionSpace, facets: npt.ArrayLike
+        self,
+        value: Value,
+        name: str,
+        what: str,
+        V: fem.FunctionSpace,
+        facets: npt.ArrayLike,
+        split: bool = False,
     ):
         """Check what is given. Collective.
 
@@ -29,16 +35,22 @@ class Coefficient:
             what: Name of the number, for messages.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
+            split: True if values are needed at the nodes of degree 2.
 
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
         """
+
+        def surface(V: fem.FunctionSpace):
+            whole = create_surface(V, facets, "Γ1")
+            return whole.split if split else whole
+
         self._comm, self._what = V.mesh.comm, what
         self._at: MovingSurface | None = None
         self._value: npt.NDArray | fem.Constant | fem.Function
         if isinstance(value, fem.Function):
             raise_on_all(self._comm, _unfit(value, name, what, V), ValueError)
-            self._at = MovingSurface(create_surface(value.function_space, facets, "Γ1"))
+            self._at = MovingSurface(surface(value.function_space))
             self._value = value
         elif isinstance(value, fem.Constant):
             if value.value.shape:
@@ -51,7 +63,7 @@ class Coefficient:
                 f"{name} is a number, a fem.Constant or a fem.Function on Γ1's mesh, not "
                 f"{type(value).__name__}."
             )
-        self._num = len(create_surface(V, facets, "Γ1").x)
+        self._num = len(surface(V).x)
         self.at_vertices()
 
     @property
@@ -73,7 +85,7 @@ class Coefficient:
             dofmap = self._value.function_space.dofmap
             owned = self._value.x.array[: dofmap.index_map.size_local, None]
             offset = dofmap.index_map.local_range[0]
-            found = look_up(self._comm, owned, offset, self._at.vertex_dofs)[:, 0]
+            found = self._at.at_vertices(look_up(self._comm, owned, offset, self._at.dofs))[:, 0]
         wrong = found[~(np.isfinite(found) & (found >= 0))]
         bad = None
         if len(wrong):
@@ -113,6 +125,7 @@ class Friction(Coefficient):
         shear_limit: float,
         V: fem.FunctionSpace,
         facets: npt.ArrayLike,
+        split: bool = False,
     ):
         """Check what is given. Collective.
 
@@ -122,6 +135,7 @@ class Friction(Coefficient):
             shear_limit: Traction beyond which friction doesn't grow with pressure.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
+            split: As for :class:`Coefficient`.
 
         Raises:
             ValueError: Something else, or values that are negative or no numbers.
@@ -134,7 +148,7 @@ class Friction(Coefficient):
             raise ValueError(f"shear_limit is a traction above 0, not {shear_limit!r}.")
         self.shear_limit = float(shear_limit)
         """Traction beyond which friction doesn't grow with pressure."""
-        super().__init__(value, "friction", "the coefficient of friction", V, facets)
+        super().__init__(value, "friction", "the coefficient of friction", V, facets, split)
 
 
 def friction_of(
@@ -143,6 +157,7 @@ def friction_of(
     shear_limit: float,
     V: fem.FunctionSpace,
     facets: npt.ArrayLike,
+    split: bool = False,
 ) -> Friction | None:
     """Friction as given to a contact, or None. Collective.
 
@@ -152,12 +167,13 @@ def friction_of(
         shear_limit: As for :class:`Friction`.
         V: The space of Γ1's body.
         facets: This rank's facets of Γ1.
+        split: As for :class:`Coefficient`.
 
     Raises:
         ValueError: As :class:`Friction`; an elastic slip or a limit without friction.
     """
     if value is not None:
-        return Friction(value, elastic_slip, shear_limit, V, facets)
+        return Friction(value, elastic_slip, shear_limit, V, facets, split)
     given = (("elastic_slip", elastic_slip, 0), ("shear_limit", shear_limit, np.inf))
     for name, one, none in given:
         if one != none:

@@ -4,7 +4,7 @@
 
 import logging
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
-from hypergap_dolfinx.contact_geometry.opened import on_sigma
+from hypergap_dolfinx.contact_geometry.free_edges import ContactState, SurfacePressure
+from hypergap_dolfinx.contact_geometry.opened import on_sigma, on_surface
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
@@ -47,7 +48,8 @@ class Contact:
     Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a part
     of it: in the plane by the weights w_a = ∂ψ_a/∂α of Σ's cells, in space what stands on its part
     of Γ1's facets, along their normals. Its volume is the weighted gap g_a, and there is a pressure
-    p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance.
+    p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance. In the plane,
+    between bodies of degree 2, the edges of Γ1 are halved, and its nodes are all vertices.
 
     With friction there are tractions q_a too, against the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
@@ -139,20 +141,23 @@ class Contact:
                 f"the mesh of Γ0 has {side0[0].mesh.geometry.dim} coordinates, that of Γ1 "
                 f"{side1[0].mesh.geometry.dim}; they must be equal."
             )
-        self._surfaces = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
+        below, above = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
+        self._finer = _size(below) / _size(above)
+        self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
+        self._surfaces = below, above.split if self._split else above
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND_BODY * min(
             _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
         )
-        self._friction = friction_of(friction, elastic_slip, shear_limit, *side1)
+        self._friction = friction_of(friction, elastic_slip, shear_limit, *side1, self._split)
         self._compliance = (
             None
             if compliance is None
-            else Coefficient(compliance, "compliance", "the compliance", *side1)
+            else Coefficient(compliance, "compliance", "the compliance", *side1, self._split)
         )
-        for doubt in self._doubts():
+        for doubt in self._doubts(below, above):
             if comm.rank == 0:
                 LOG.warning(doubt)
 
@@ -215,11 +220,11 @@ class Contact:
         off = np.abs(wall.normals - wall.normals[0]).max()
         return bool(off <= FILE_DIGITS and not wall.curved.any())
 
-    def _doubts(self):
-        """Warnings about the surfaces, one line each."""
+    def _doubts(self, *surfaces: Surface):
+        """Warnings about the surfaces of the meshes, one line each."""
         if self.doubt_of_sizes and not self.is_wall:  # of a wall a problem knows if it is rigid
             yield self.doubt_of_sizes
-        for surface in self._surfaces:
+        for surface in surfaces:
             if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
                 yield (
                     f"{surface.name} is round with straight facets, of degree "
@@ -264,7 +269,7 @@ class Contact:
     @property
     def finer(self) -> float:
         """Size of Γ0's facets over that of Γ1's."""
-        return _size(self._surfaces[0]) / _size(self._surfaces[1])
+        return self._finer
 
     @property
     def follows(self) -> bool:
@@ -329,7 +334,8 @@ class Contact:
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
 
-        They are means of the multipliers over Σ's cells, of the same force.
+        They are means of the multipliers over Σ's cells, of the same force; the multipliers where
+        these are at the nodes of degree 2.
 
         Args:
             problem: A solved problem with this contact.
@@ -348,18 +354,26 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
             on: ``"sigma"``: on Σ where the bodies are now, a constant for each of its cells.
-                ``"body"``: :meth:`pressures` as a function of degree 1 on Γ1's body, 0 elsewhere.
+                ``"body"``: :meth:`pressures` as a function on Γ1's body, 0 elsewhere; of degree 1,
+                or 2 between bodies of degree 2.
+                ``"surface"``: on a mesh of Γ1 where it is now, with finer cells near free edges of
+                contact: there the pressure goes to zero as a root, within facets, where
+                :meth:`pressures` are linear from vertex to vertex. The best one to draw and to
+                compare; its force is that of :meth:`force` to about a thousandth.
 
         Returns:
-            A force per area of Γ1 where it is now. (To integrate it take :meth:`force`: the cells
-            of Σ have no volume where bodies touch.)
+            A force per area of Γ1 where it is now. (To integrate one on Σ take :meth:`force`: the
+            cells of Σ have no volume where bodies touch.)
 
         Raises:
             ValueError: Not one of the problem's contacts, or not solved yet.
             InterfaceError: Nothing of Γ1 is opposite Γ0, so there is no Σ; ``"body"`` has 0 then.
         """
         rows = self._solved_rows(problem)
-        if self._on_body(on):
+        if self._where(on, "surface") == "surface":
+            found = self._surface_pressure(problem, rows)
+            return self._drawn(found, rows, found.on, "pressure")
+        if on == "body":
             return self._at_vertices(self.pressures(problem), "pressure")
         cells = self._opening(rows).cells(rows.at, rows.spread(rows.state.p * rows.state.active))
         return on_sigma(self._comm, cells, "pressure")
@@ -384,10 +398,15 @@ class Contact:
 
         Args:
             problem: A solved problem with this contact.
-            on: ``"sigma"`` or ``"body"``.
+            on: ``"sigma"``, ``"body"`` or ``"surface"``: near free edges in proportion to the
+                pressure.
         """
         rows = self._friction_rows(self._solved_rows(problem))
-        if self._on_body(on):
+        if self._where(on, "surface") == "surface":
+            found, shears = self._surface_pressure(problem, rows), self.shears(problem)
+            values = partial(found.times, shears, found.ratios(shears))
+            return self._drawn(found, rows, values, "shear")
+        if on == "body":
             return self._at_vertices(self.shears(problem), "shear")
         cells = self._opening(rows).cells(rows.at, rows.shears)
         return on_sigma(self._comm, cells, "shear", cells.pressure)
@@ -453,7 +472,7 @@ class Contact:
         for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
             if u.function_space != V:
                 raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
-        on_body = self._on_body(on)
+        on_body = self._where(on) == "body"
         rows = self._solved_at(u0, u1)
         if rows is None:
             rows = self._rows_at(u0, u1)
@@ -493,10 +512,32 @@ class Contact:
         now = rows.displacements([u.x.array for u in (u0, u1)])
         return rows if all(map(np.array_equal, now, rows.u)) else None
 
-    def _on_body(self, on: str) -> bool:
-        if on not in ("sigma", "body"):
+    def _where(self, on: str, *more: str) -> str:
+        if on not in ("sigma", "body", *more):
+            if more:
+                raise ValueError(f'on is "sigma", "body" or "surface", not {on!r}.')
             raise ValueError(f'on is "sigma" or "body", not {on!r}.')
-        return on == "body"
+        return on
+
+    def _surface_pressure(self, problem, rows: ContactRows) -> SurfacePressure:
+        """The pressure on Γ1's facets."""
+        side, active = rows.sides[1], rows.state.active
+        forces = np.zeros(sum(len(part.dofs) for part in rows.sides) * self._surfaces[1].gdim)
+        np.add.at(forces, rows.C.j, rows.C.values * (rows.state.p * active)[rows.C.i])
+        state = ContactState(
+            side,
+            side.displaced(rows.at[1]),
+            self.pressures(problem),
+            rows.spread(active.astype(float)) > 0,
+            rows.spread(rows.valid.astype(float)) > 0,
+            forces.reshape(-1, self._surfaces[1].gdim)[len(rows.sides[0].dofs) :],
+        )
+        return SurfacePressure.of(state)
+
+    def _drawn(self, found: SurfacePressure, rows: ContactRows, values, name: str) -> fem.Function:
+        """Values on cells of Γ1 where it is now."""
+        surface = rows.sides[1].displaced(rows.u[1])
+        return on_surface(self._comm, surface, found.cells(), values, name)
 
     def _opening(self, rows: ContactRows) -> Segments:
         if rows.state.opening is None:
@@ -539,9 +580,11 @@ class Contact:
         """Values at Γ1's vertices as a function on its body."""
         mesh = self._spaces[1].mesh
         shape = values.shape[1:]
-        V = fem.functionspace(mesh, ("Lagrange", 1, shape) if shape else ("Lagrange", 1))
+        degree = 2 if self._split else 1
+        V = fem.functionspace(mesh, ("Lagrange", degree, shape) if shape else ("Lagrange", degree))
         f = fem.Function(V, name=name)
-        at = MovingSurface(create_surface(V, self._facets[1], "Γ1")).vertex_dofs
+        surface = create_surface(V, self._facets[1], "Γ1")
+        at = MovingSurface(surface.split if self._split else surface).vertex_dofs
         start, end = V.dofmap.index_map.local_range
         mine = (at >= start) & (at < end)
         f.x.array.reshape(-1, *shape)[at[mine] - start] = values[mine]

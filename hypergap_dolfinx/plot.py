@@ -23,7 +23,7 @@ from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.core import display
 from hypergap_dolfinx.core.compat import geometry_dofmap
-from hypergap_dolfinx.surface.trace import Surface, is_mixed
+from hypergap_dolfinx.surface.trace import Surface, is_mixed, lengths
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
@@ -239,6 +239,7 @@ def contact(
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
     surface, p = contact.displaced(problem)[1], contact.pressures(problem)
+    drawn = _drawn(contact.pressure(problem, on="surface"))
     shear = contact.shears(problem) if contact.friction else np.zeros(0)
     plotter, itself = _plotter(comm, window), contact.spaces[0] == contact.spaces[1]
     for u in problem.every_u:
@@ -247,7 +248,7 @@ def contact(
         if plotter and body is not None and (itself or not hides):
             body.points += body["displacement"]
             _add(plotter, body, color=_BODY, opacity=0.3 if hides else 1.0)
-    if plotter:
+    if plotter and drawn:
         largest = (p.max(initial=0) or 1.0) if largest is None else largest
         extent = np.ptp(surface.x, axis=0).max()
         lift = 0.01 * extent  # so that surfaces at one place are drawn one before the other
@@ -257,13 +258,13 @@ def contact(
         for corner in surface.facets.T:
             np.add.at(direction, corner, surface.normals)
         direction /= np.linalg.norm(direction, axis=1)[:, None]
-        drawn = _drawn(surface, p)
         x = surface.x
         if dim == 3:  # before Γ0's body, also where they overlap
             rows = problem.rows(contact)
             overlap = -(rows.g[rows.state.active] / rows.m[rows.state.active]).min(initial=0)
-            x = x - (lift + 2 * overlap) * direction
-            drawn.points = x
+            move = -(lift + 2 * overlap) * direction
+            x = x + move
+            drawn.points += move[[lengths(surface.x - at).argmin() for at in drawn.points]]
         # What isn't pressed is thin, or lets Γ0's body be seen
         pressed = drawn.point_data_to_cell_data()["pressure"] > 0.01 * largest
         if pressed.any():
@@ -294,19 +295,13 @@ def contact(
     return _finish(plotter, dim, filename, window, _beside(up) + up, up)
 
 
-def _drawn(surface: Surface, values: npt.NDArray[np.float64]) -> pyvista.PolyData:
-    """A surface with values at its vertices; edges in eight parts, since they may be curved."""
-    if surface.gdim == 3:
-        cells = np.insert(surface.polygons, 0, surface.polygons.shape[1], axis=1)
-        drawn = pyvista.PolyData(surface.x, cells.ravel())
-        drawn["pressure"] = values
-        return drawn
-    num, t = len(surface.facets), np.linspace(0, 1, 9)
-    x = surface.points(np.repeat(np.arange(num), len(t)), np.tile(t, num)[:, None])
-    cells = np.insert(np.arange(len(x)).reshape(num, -1), 0, len(t), axis=1)
-    drawn = pyvista.PolyData(_padded(x), lines=cells.ravel())
-    drawn["pressure"] = (values[surface.facets] @ np.stack((1 - t, t))).ravel()
-    return drawn
+def _drawn(f: fem.Function) -> pyvista.UnstructuredGrid | None:
+    """A grid with a pressure that is linear in each cell of a surface; on rank 0. Collective."""
+    V = f.function_space
+    mesh = V.mesh
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
+    cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]
+    return _merged(mesh.comm, (cells, types, x), pressure=np.real(f.x.array)[: len(x)])
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -235,11 +235,12 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
   const Side *below = sigma->sides, *above = below + 1;
   const double *origin = node(above, point->edge, 0);
   Ray ray = {.point = point};
+  const int *ends = above->end_dofs + 2 * (point->edge % above->num_parts);
   Jet a[2], x1[2], xi[2], hidden = NULL;
   for (int i = 0; i < 2; ++i)
   {
-    a[i] = vertex_at(tape, origin, origin, local->own, i);
-    Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own + 1, i);
+    a[i] = vertex_at(tape, origin, origin, local->own + ends[0], i);
+    Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own + ends[1], i);
     ray.c[i] = combined(tape, 1, b, -1, a[i]);
   }
   ray.square = dotted(tape, ray.c, ray.c);

@@ -20,8 +20,10 @@ typedef struct {
   int num_nodes;          // of an edge's geometry, its ends first
   const double *node_at;  // their reference coordinates
   const double *nodes;    // (num_edges, num_nodes, 2)
-  int num_dofs;           // of displacements of an edge, its ends first
-  const double *dof_at;   // their reference coordinates
+  int num_dofs;           // of displacements of an edge, its ends first if it isn't a part
+  int num_parts;          // of an edge of the mesh: edge e is part e % num_parts of one
+  const double *dof_at;   // reference coordinates of its dofs, as seen from each part, (…, num_dofs)
+  const int *end_dofs;    // which of them are at the ends of each part, (num_parts, 2)
   const int *dofs;        // their numbers, Γ1's behind all of Γ0's, (num_edges, num_dofs)
 } Side;
 

@@ -83,7 +83,7 @@ Curve curve_at(const Side *side, int edge, double s, const double *origin)
   double N[4][MOST_DOFS];
   const double *nodes = node(side, edge, 0);
   lagrange(side->num_nodes, side->node_at, s, N);
-  lagrange(side->num_dofs, side->dof_at, s, curve.N);
+  lagrange(side->num_dofs, side->dof_at + edge % side->num_parts * side->num_dofs, s, curve.N);
   for (int k = 0; k < 4; ++k)
     for (int a = 0; a < side->num_nodes; ++a)
       for (int i = 0; i < 2; ++i)

@@ -1,7 +1,8 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Σ between bodies where they are now as a DOLFINx mesh, with the pressure and the gap on it."""
+"""Σ between bodies, and Γ1, where they are now as DOLFINx meshes, with values on them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -12,6 +13,7 @@ import numpy.typing as npt
 import basix.ufl
 from dolfinx import fem
 from hypergap_dolfinx.mortar.domain import distributed
+from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass(frozen=True)
@@ -51,4 +53,42 @@ def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str, values=None) -> fem.Fu
     V = fem.functionspace(mesh, (kind, 0, shape) if shape else (kind, 0))
     f = fem.Function(V, name=name)
     f.x.array.reshape(-1, *shape)[V.dofmap.list.ravel()] = values[order]
+    return f
+
+
+def on_surface(
+    comm: MPI.Comm, surface: Surface, parts: Sequence[tuple[npt.NDArray, npt.NDArray]], values, name
+) -> fem.Function:
+    """Values as a function on a surface, linear in each of its cells. Collective.
+
+    Cells have vertices of their own.
+
+    Args:
+        comm: Communicator.
+        surface: The surface; curved facets have straight cells.
+        parts: Facets, and the corners of simplices on the reference facet that are cells of each.
+        values: Gives values at points: of facets, ``(num,)``, and reference coordinates,
+            ``(num_points, dim)``.
+        name: Name of the function.
+    """
+    n = surface.gdim
+    x, rank, at = [], [], []
+    for facets, corners in parts:
+        X = corners.reshape(-1, n - 1)
+        points = surface.points(np.repeat(facets, len(X)), np.tile(X, (len(facets), 1)))
+        found = values(facets, X)
+        x.append(points.reshape(-1, n, n))
+        at.append(found.reshape(-1, n, *found.shape[2:]))
+        rank.append(np.repeat(surface.owner[facets], len(corners)))
+    nodes = np.concatenate(x).reshape(-1, n)
+    kind = {2: "interval", 3: "triangle"}[n]
+    element = basix.ufl.element("Lagrange", kind, 1, shape=(n,))
+    numbers = np.arange(len(nodes)).reshape(-1, n)
+    mesh, order = distributed(comm, numbers, nodes, np.concatenate(rank), element)
+    everything = np.concatenate(at)
+    shape = everything.shape[2:]
+    discontinuous = ("Discontinuous Lagrange", 1)
+    V = fem.functionspace(mesh, (*discontinuous, shape) if shape else discontinuous)
+    f = fem.Function(V, name=name)
+    f.x.array.reshape(-1, *shape)[V.dofmap.list] = everything[order]
     return f

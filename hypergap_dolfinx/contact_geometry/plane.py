@@ -156,7 +156,10 @@ class PlaneSegments(Segments[_Seen]):
         # Each edge has a cell of Σ on itself, half as large as what is covered of both its halves,
         # with the mean pressure of its vertices; what else stands on a half has its vertex'
         gaps = self._at(u).gaps
-        p = gaps.pressures(p)[gaps.facets]
+        p = gaps.pressures(p)
+        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
+            return p
+        p = p[gaps.facets]
         shared = gaps.areas.min(axis=1, keepdims=True)
         forces = gaps.areas * p + shared / 2 * (p.mean(axis=1, keepdims=True) - p)
         total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)

@@ -166,9 +166,17 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
         "num_nodes": num_nodes,
         "node_at": doubles(surface.geometry.points),
         "num_dofs": element.dim,
-        "dof_at": doubles(element.points),
+        "num_parts": surface.num_parts,
+        "dof_at": doubles(_dofs_on_parts(surface)),
+        "end_dofs": ints(surface.functions(np.array([[0.0], [1.0]])).argmax(axis=2)),
         "dofs": ints(first + side.at_facets),
     }
+
+
+def _dofs_on_parts(surface: Surface) -> npt.NDArray[np.float64]:
+    """Reference coordinates of an edge's dofs as seen from its parts, ``(num_parts, num_dofs)``."""
+    start, end = surface.on_whole(np.array([[0.0], [1.0]])).swapaxes(0, 1)
+    return (surface.element.points[:, 0] - start) / (end - start)
 
 
 @cache

@@ -363,7 +363,10 @@ class SpaceSegments(Segments[_Opposite]):
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         # Half of each part has its vertex' pressure, half the mean of its facet
         gaps = self._at(u).gaps
-        p = gaps.pressures(p)[gaps.facets]
+        p = gaps.pressures(p)
+        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
+            return p
+        p = p[gaps.facets]
         size = gaps.areas.sum(axis=1, keepdims=True)
         force = (gaps.areas * p).sum(axis=1, keepdims=True)
         mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)

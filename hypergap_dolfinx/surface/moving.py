@@ -11,9 +11,10 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.trace import Surface, tabulate
+from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,11 @@ class MovingSurface:
     @cached_property
     def vertex_dofs(self) -> npt.NDArray[np.int64]:
         """Global dof at each vertex, ``(num_vertices,)``."""
-        at = [dofs[0] for dofs in self.reference.element.entity_dofs[0]]
-        dofs = np.empty(len(self.reference.x), dtype=np.int64)
-        dofs[self.reference.facets] = self.reference.dofs[:, at]
+        surface = self.reference
+        at = surface.functions(basix.geometry(surface.geometry.cell_type)).argmax(axis=2)
+        dofs = np.empty(len(surface.x), dtype=np.int64)
+        part = np.arange(len(surface.facets)) % surface.num_parts
+        dofs[surface.facets] = np.take_along_axis(surface.dofs, at[part], axis=1)
         return dofs
 
     @cached_property
@@ -54,8 +57,8 @@ class MovingSurface:
 
     @cached_property
     def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
-        """Derivatives of a displaced facet's geometry nodes by its dofs, ``(node, dof)``."""
-        return tabulate(self.rest.element, self.rest.geometry.points)
+        """Derivatives of a displaced facet's nodes by its dofs, ``(num_parts, node, dof)``."""
+        return self.rest.functions(self.rest.geometry.points)
 
     @cached_property
     def _corners(self) -> list[int]:
@@ -65,10 +68,24 @@ class MovingSurface:
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
         rest = self.rest
-        nodes = rest.nodes + self.nodes_by_dofs @ u[self.at_facets]
+        nodes = rest.nodes + self._of_parts(self.nodes_by_dofs, u)
         x = np.empty_like(rest.x)
         x[rest.facets] = nodes[:, self._corners]
         return replace(rest, x=x, nodes=nodes)
+
+    def at_vertices(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values at vertices from those at :attr:`dofs`, ``(num_dofs, n)``."""
+        surface = self.reference
+        corners = surface.functions(basix.geometry(surface.geometry.cell_type))
+        found = np.empty((len(surface.x), values.shape[1]))
+        found[surface.facets] = self._of_parts(corners, values)
+        return found
+
+    def _of_parts(self, table, values) -> npt.NDArray[np.float64]:
+        """A table of functions times values at dofs, ``(num_facets, num_points, n)``."""
+        num, n = self.reference.num_parts, values.shape[1]
+        of_facets = values[self.at_facets].reshape(-1, num, table.shape[2], n)
+        return (table @ of_facets).reshape(len(self.at_facets), -1, n)
 
 
 Sides = tuple[MovingSurface, MovingSurface]

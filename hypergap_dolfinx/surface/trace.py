@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Trace of a function space on the facets of an interface, gathered over the ranks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -46,6 +46,8 @@ class Surface:
     """Lagrange element of the trace."""
     dof_range: npt.NDArray[np.int64]
     """Offsets of the ranks' owned dofs (blocks) of the space, ``(num_ranks + 1,)``."""
+    num_parts: int = 1
+    """Parts of a facet of the mesh: facet f is part f % num_parts of one, with the dofs of all."""
 
     @property
     def gdim(self) -> int:
@@ -133,8 +135,66 @@ class Surface:
             "origins": doubles(origins),
             "factors": doubles(to_terms @ (self.nodes - origins)),
             "num_dofs": self.element.dim,
-            "functions": doubles(to_terms @ tabulate(self.element, self.geometry.points)),
+            "functions": doubles(to_terms @ self.functions(self.geometry.points)),
         }
+
+    def functions(self, X) -> npt.NDArray[np.float64]:
+        """Values of the dofs' functions at points of parts, ``(num_parts, num_points, num_dofs)``.
+
+        Args:
+            X: Reference coordinates on a part, ``(num_points, dim)``.
+        """
+        at = self.on_whole(X).reshape(-1, X.shape[1])
+        return tabulate(self.element, at).reshape(self.num_parts, len(X), -1)
+
+    def on_whole(self, X) -> npt.NDArray[np.float64]:
+        """Points of parts on their facet of the mesh, ``(num_parts, num_points, dim)``."""
+        if self.num_parts == 1:
+            return X[None]
+        factors, origins = _parts(self.geometry.cell_type)
+        return origins[:, None] + factors[:, None, None] * X
+
+    @property
+    def split(self) -> "Surface":
+        """The surface with facets cut at the nodes of degree 2: edges in two, others in four.
+
+        Parts have the shape of their facet, curved ones too, its dofs and its owner; vertices in
+        the middle are behind all others.
+        """
+        whole = basix.create_element(basix.ElementFamily.P, self.geometry.cell_type, 2)
+        corners = basix.geometry(self.geometry.cell_type)
+        factors, _ = _parts(self.geometry.cell_type)
+        parts, every = replace(self, num_parts=len(factors)), np.arange(len(self.facets))
+        X = parts.on_whole(corners).reshape(-1, corners.shape[1])
+        nodes = self._numbers_of_nodes(whole)
+        x = np.empty((nodes.max() + 1, self.gdim))
+        points = self.points(np.repeat(every, whole.dim), np.tile(whole.points, (len(every), 1)))
+        x[nodes] = points.reshape(*nodes.shape, -1)
+        x[: len(self.x)] = self.x
+        at = _match(X, whole.points)
+        assert at is not None
+        facets = nodes[:, at].reshape(-1, len(corners)).astype(np.int32)
+        X = parts.on_whole(self.geometry.points).reshape(-1, corners.shape[1])
+        points = self.points(np.repeat(every, len(X)), np.tile(X, (len(every), 1)))
+        dofs, owner = (
+            np.repeat(self.dofs, len(factors), axis=0),
+            np.repeat(self.owner, len(factors)),
+        )
+        points = points.reshape(len(facets), -1, self.gdim)
+        return replace(parts, x=x, facets=facets, nodes=points, dofs=dofs, owner=owner)
+
+    def _numbers_of_nodes(self, element: basix.finite_element.FiniteElement):
+        """Numbers of nodes of degree 2 of facets, vertices' first, ``(num_facets, num_nodes)``."""
+        edges, count = basix.topology(self.geometry.cell_type)[1], len(self.x)
+        ends = np.sort(self.facets[:, edges], axis=2).astype(np.int64)
+        _, number = np.unique(ends @ [count, 1], return_inverse=True)
+        number = number.reshape(len(self.facets), -1)
+        inside = number.max() + 1 + np.arange(len(self.facets))[:, None]
+        numbers = np.hstack((self.facets, count + number, count + inside))
+        at = [dofs for of in element.entity_dofs for dof in of for dofs in dof]
+        result = np.empty((len(self.facets), element.dim), dtype=np.int64)
+        result[:, at] = numbers[:, : element.dim]
+        return result
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of points at reference coordinates X in facets, ``(num_points, n)``."""
@@ -150,6 +210,19 @@ def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.f
     if not len(X):  # basix 0.9 ends the process here
         return np.empty((0, element.dim))
     return element.tabulate(0, X)[0, :, :, 0]
+
+
+@cache
+def _parts(cell_type: basix.CellType) -> tuple[npt.NDArray, npt.NDArray]:
+    """Factors, ``(num_parts,)``, and origins, ``(num_parts, dim)``, of a facet's parts.
+
+    One at each vertex, and the one in the middle of a triangle, which is turned by 180°.
+    """
+    corners = basix.geometry(cell_type)
+    factors, origins = np.full(len(corners), 0.5), corners / 2
+    if cell_type == basix.CellType.triangle:
+        return np.append(factors, -0.5), np.vstack((origins, (0.5, 0.5)))
+    return factors, origins
 
 
 def _barycentric(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

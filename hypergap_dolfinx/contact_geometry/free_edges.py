@@ -1,0 +1,418 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Pressures on Γ1's facets, below these where contact has a free edge.
+
+Where two smooth surfaces part, p has a root: with the distance d from the edge :math:`p \sim
+\sqrt d`, so p² is linear there and p isn't, on no mesh. So near free edges
+
+.. math:: p = \sqrt{\max(s, 0)}
+
+with s linear on facets between values at vertices, which may be negative: p ends where s = 0, and
+not where a vertex is. s is found by least squares from the moments of the computed forces,
+
+.. math:: \sum_j \Bigl(\frac{\int \varphi_j\,p - F_j}{\bar p \int |\varphi_j|}\Bigr)^2 +
+   \mu^2 \sum_e \Bigl(\frac{h\,[\partial s/\partial\nu]_e}{\bar p^2}\Bigr)^2 \to \min,
+
+with the forces F of the multipliers at the dofs j of Γ1's body, along its normals, and jumps of
+slopes between facets. Elsewhere p is linear between vertices.
+
+An edge of contact is free where an active vertex has a neighbour that is open, as others beside
+that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
+singular there); where a surface ends nothing is open beside it: neither has a root.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+from hypergap_dolfinx.contact_geometry.tolerances import (
+    NEAR_ROOT,
+    PARTS_ROOT,
+    RINGS_ROOT,
+    SMOOTH_ROOT,
+    STEPS_ROOT,
+)
+from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
+from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Contact at the vertices of Γ1; all arrays are the same on every rank."""
+
+    side: MovingSurface
+    """Γ1."""
+    surface: Surface
+    """The same where it is."""
+    p: Floats
+    """Pressures, ``(num_vertices,)``."""
+    active: Mask
+    """Vertices in contact, ``(num_vertices,)``."""
+    exists: Mask
+    """Vertices that lie opposite Γ0, ``(num_vertices,)``."""
+    forces: Floats
+    """Forces of the pressures at :attr:`side`'s dofs, ``(num_dofs, n)``."""
+
+
+@dataclass(frozen=True)
+class SurfacePressure:
+    """A pressure on Γ1's facets."""
+
+    surface: Surface
+    p: Floats
+    """At vertices, ``(num_vertices,)``; linear between these, but near free edges."""
+    s: Floats
+    """p² there at vertices, negative beyond the edge, ``(num_vertices,)``."""
+    near: Mask
+    """Facets near free edges, ``(num_facets,)``."""
+
+    @classmethod
+    def of(cls, state: ContactState) -> "SurfacePressure":
+        """The pressure of a contact."""
+        rooted = _near_free_edges(state)
+        s = np.where(state.p > 0, state.p, 0) ** 2
+        near = rooted[state.surface.facets].any(axis=1)
+        if rooted.any():
+            s = _RootFit(state, rooted, near).solve(s)
+        return cls(state.surface, state.p, s, near)
+
+    def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
+        """Pressures at the same reference points X of some facets, ``(num_facets, num_points)``."""
+        corners, N = self.surface.facets[facets], hats(self.surface, X)
+        root = np.sqrt(np.maximum(self.s[corners] @ N.T, 0))
+        return np.where(self.near[facets, None], root, self.p[corners] @ N.T)
+
+    def ratios(self, q: Floats) -> Floats:
+        """Tractions of friction over pressures at vertices, ``(num_vertices, n)``.
+
+        Those of open vertices are means of their neighbours'.
+
+        Args:
+            q: Tractions at vertices, likewise.
+        """
+        known = self.p > 0
+        result = np.divide(q, self.p[:, None], out=np.zeros_like(q), where=known[:, None])
+        facets = self.surface.facets
+        for _ in range(RINGS_ROOT + 1):
+            count, total = np.zeros(len(q)), np.zeros_like(q)
+            on = known[facets]
+            np.add.at(count, facets, on.sum(axis=1)[:, None])
+            np.add.at(total, facets, (result[facets] * on[..., None]).sum(axis=1)[:, None])
+            new = ~known & (count > 0)
+            result[new] = total[new] / count[new, None]
+            known = known | new
+        return result
+
+    def times(self, q: Floats, ratios: Floats, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
+        """Tractions of friction, as :meth:`on`, ``(num_facets, num_points, n)``.
+
+        Args:
+            q: Tractions at vertices, ``(num_vertices, n)``, linear between these.
+            ratios: What they are near free edges over the pressure, from :meth:`ratios`.
+            facets: Facets, ``(num_facets,)``.
+            X: Reference points, ``(num_points, dim)``.
+        """
+        corners, N = self.surface.facets[facets], hats(self.surface, X)
+        root = self.on(facets, X)[..., None] * (N @ ratios[corners])
+        return np.where(self.near[facets, None, None], root, N @ q[corners])
+
+    def cells(self) -> "list[tuple[npt.NDArray[np.intp], Floats]]":
+        """Facets and simplices on them, between whose corners values are linear to draw.
+
+        Returns:
+            Facets, ``(num,)``, and reference coordinates of the corners of each one's simplices,
+            ``(num_simplices, dim + 1, dim)``: facets as they are, and those near free edges.
+        """
+        kind = self.surface.geometry.cell_type
+        parts = PARTS_ROOT[self.surface.gdim - 2]
+        given = ((~self.near, 1), (self.near, parts))
+        return [(np.flatnonzero(on), simplices(kind, num)) for on, num in given]
+
+
+def hats(surface: Surface, X: Floats) -> Floats:
+    """Linear functions of a facet's vertices at reference points, ``(num_points, num_corners)``."""
+    return tabulate(basix.create_element(basix.ElementFamily.P, surface.geometry.cell_type, 1), X)
+
+
+@cache
+def simplices(cell_type: basix.CellType, num: int) -> Floats:
+    """Simplices that fill a reference facet, ``num`` along an edge, ``(…, dim + 1, dim)``."""
+    if cell_type == basix.CellType.interval:
+        x = np.linspace(0, 1, num + 1)
+        return np.stack((x[:-1], x[1:]), axis=1)[..., None]
+    i, j = np.indices((num, num)).reshape(2, -1)
+    lower = np.stack(((i, j), (i + 1, j), (i, j + 1)))
+    upper = np.stack(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
+    found = np.concatenate((lower, upper), axis=2)  # (corner, coordinate, triangle)
+    if cell_type == basix.CellType.triangle:
+        found = found[:, :, found.sum(axis=1).max(axis=0) <= num]
+    return np.moveaxis(found, 2, 0) / num
+
+
+def _near_free_edges(state: ContactState) -> Mask:
+    """Vertices near free edges of contact, those where pressure has a root, ``(num_vertices,)``."""
+    facets, active = state.surface.facets, state.active
+    on = active[facets]
+    apart = np.zeros(len(active), dtype=bool)  # not only a hole of one vertex in the contact
+    apart[facets[~on.any(axis=1)]] = True
+    ends = on.any(axis=1) & (state.exists & apart)[facets].any(axis=1)
+    last = np.zeros(len(active), dtype=bool)
+    last[facets[ends]] = True
+    last &= active
+    # Mean pressure of the active vertices beside the last ones, 0 where there are none
+    inner = (active & ~last)[facets]
+    count, total = np.zeros((2, len(active)))
+    np.add.at(count, facets, inner.sum(axis=1)[:, None])
+    np.add.at(total, facets, (state.p[facets] * inner).sum(axis=1)[:, None])
+    some = (last & (count > 0))[facets] & ends[:, None]
+    beside = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
+    falls = (np.where(some, state.p[facets] - beside[facets], 0)).sum(axis=1) <= 0
+    near, singular = np.zeros((2, len(active)), dtype=bool)
+    near[facets[ends & falls]] = True
+    singular[facets[ends & ~falls]] = True
+    for _ in range(RINGS_ROOT):
+        near[facets[near[facets].any(axis=1)]] = True
+    return near & ~singular
+
+
+class _RootFit:
+    """Least squares for s at the vertices near free edges."""
+
+    def __init__(self, state: ContactState, free: Mask, near: Mask):
+        """Set up quadrature, moments and jumps.
+
+        Args:
+            state: The contact.
+            free: Vertices at which s is sought, ``(num_vertices,)``.
+            near: Facets with any of these, ``(num_facets,)``.
+        """
+        self.state, self.free = state, free
+        surface, side = state.surface, state.side
+        self.facets = np.flatnonzero(near)
+        dofs = np.zeros(len(side.dofs), dtype=bool)
+        dofs[side.at_facets[self.facets]] = True
+        around = np.flatnonzero(dofs[side.at_facets].any(axis=1))
+        corners = simplices(surface.geometry.cell_type, PARTS_ROOT[surface.gdim - 2])
+        X = corners.mean(axis=1)
+        self.hats = hats(surface, X)
+        functions = surface.functions(X)[around % surface.num_parts]  # (facet, point, dof)
+        normals = _normals(surface, around, X) / len(X)
+        if surface.geometry.cell_type == basix.CellType.triangle:
+            normals *= 0.5
+        at, sizes = side.at_facets[around], lengths(normals.reshape(-1, surface.gdim))
+        sizes = sizes.reshape(normals.shape[:2])
+        along, scale = np.zeros_like(state.forces), np.zeros(len(side.dofs))
+        np.add.at(along, at, np.einsum("fqd,fqi->fdi", np.abs(functions), normals))
+        np.add.at(scale, at, np.einsum("fqd,fq->fd", np.abs(functions), sizes))
+        along /= np.maximum(lengths(along), 1e-300)[:, None]
+        # ∫ φ_j p over facets, of p at their points
+        self.moments = np.einsum("fqd,fqi,fdi->fqd", functions, normals, along[at])
+        mean = _means(state, free)
+        self.mean = np.where(free, mean, 1)
+        rest = -np.einsum("ji,ji->j", state.forces, along)
+        own = near[around]
+        linear = state.p[surface.facets[around[~own]]] @ self.hats.T
+        np.add.at(rest, at[~own], -np.einsum("fqd,fq->fd", self.moments[~own], linear))
+        self.moments, self.at = self.moments[own], at[own]
+        of_dofs = np.zeros(len(side.dofs))
+        np.maximum.at(of_dofs, self.at, mean[surface.facets[self.facets]].max(axis=1)[:, None])
+        self.dofs = np.flatnonzero(dofs)
+        self.scale = 1 / (scale * np.where(dofs, of_dofs, 1))[self.dofs]
+        self.rest = rest[self.dofs]
+        self.jumps = self._jumps()
+
+    def _jumps(self) -> Sparse:
+        """Jumps of slopes of s over edges at free vertices, times sizes and factors."""
+        surface, free = self.state.surface, self.free
+        D = slope_jumps(surface, self.facets)
+        touched, unknown = np.zeros((2, D.i.max(initial=-1) + 1), dtype=bool)
+        touched[D.i[free[D.j]]] = True
+        unknown[D.i[~free[D.j] & ~self.state.active[D.j]]] = True  # s isn't known there
+        touched &= ~unknown
+        mean = np.zeros(len(touched))
+        np.maximum.at(mean, D.i, np.where(free, self.mean, 0)[D.j])
+        use = touched[D.i]
+        return Sparse(
+            D.i[use],
+            D.j[use],
+            SMOOTH_ROOT * D.values[use] / mean[D.i[use]] ** 2,
+        )
+
+    def _errors(self, s: Floats) -> tuple[Floats, Sparse]:
+        """Weighted errors, and their derivatives by s over squares of mean pressures."""
+        corners = self.state.surface.facets[self.facets]
+        values = s[corners] @ self.hats.T  # (facet, point)
+        p = np.sqrt(np.maximum(values, 0))
+        error = -self.rest
+        number = np.zeros(len(self.state.side.dofs), dtype=np.int64)
+        number[self.dofs] = np.arange(len(self.dofs))
+        at = number[self.at]
+        np.add.at(error, at, np.einsum("fqd,fq->fd", self.moments, p))
+        slope = np.where(
+            values > 0, 0.5 / np.maximum(p, NEAR_ROOT * self.mean[corners].max(axis=1)[:, None]), 0
+        )
+        by = np.einsum("fqd,fq,qv->fdv", self.moments, slope, self.hats)
+        i = np.broadcast_to(at[:, :, None], by.shape).ravel()
+        j = np.broadcast_to(corners[:, None], by.shape).ravel()
+        J = Sparse(i, j.astype(np.int64), self.scale[i] * by.ravel())
+        jumps = np.bincount(self.jumps.i, self.jumps.values * s[self.jumps.j])
+        K = Sparse(len(error) + self.jumps.i, self.jumps.j, self.jumps.values)
+        every = joined(J, K).some(self.free[np.append(J.j, K.j)])
+        values = every.values * self.mean[every.j] ** 2
+        return np.append(error * self.scale, jumps), Sparse(every.i, every.j, values).summed
+
+    def _continued(self, s: Floats) -> Floats:
+        """Values of s with slopes that go on beyond the edge: from s = 0 no step finds its sign."""
+        jumps = self.jumps
+        left = np.bincount(jumps.i, jumps.values * s[jumps.j])
+        return s - _least(jumps, left, self.free & ~self.state.active, 0.0)
+
+    def solve(self, s: Floats) -> Floats:
+        """Find s at all vertices, by the method of Levenberg and Marquardt.
+
+        Args:
+            s: p² at vertices, ``(num_vertices,)``.
+        """
+        s = self._continued(s)
+        error, J = self._errors(s)
+        damping, least = 1e-3, error @ error
+        for _ in range(STEPS_ROOT):
+            step = self.mean**2 * _least(J, error, self.free, damping)
+            new, new_J = self._errors(s - step)
+            if new @ new < least:
+                done = least - new @ new < 1e-6 * least
+                s, error, J, least = s - step, new, new_J, new @ new
+                damping /= 5
+                if done:
+                    break
+            else:
+                damping *= 5
+        return s
+
+
+def _means(state: ContactState, free: Mask) -> Floats:
+    """Largest pressure on the part of a region with each of its vertices, ``(num_vertices,)``."""
+    facets = state.surface.facets[free[state.surface.facets].any(axis=1)]
+    first = np.repeat(facets[:, 0], facets.shape[1] - 1)
+    part = components(len(free), first, facets[:, 1:].ravel())
+    most = np.zeros(part.max() + 1)
+    np.maximum.at(most, part[facets], state.p[facets])
+    return most[part]
+
+
+def _normals(surface: Surface, facets, X: Floats) -> Floats:
+    """Normals as long as areas for the reference coordinates, ``(num_facets, num_points, n)``."""
+    T = _tangents(surface, facets, X)
+    if surface.gdim == 2:
+        return np.stack((T[0, ..., 1], -T[0, ..., 0]), axis=-1)
+    return np.cross(T[0], T[1])
+
+
+def _tangents(surface: Surface, facets, X: Floats) -> Floats:
+    """Derivatives of points by reference coordinates, ``(dim, num_facets, num_points, n)``."""
+    table = surface.geometry.tabulate(1, X)[1:, :, :, 0]
+    return np.einsum("kqm,fmi->kfqi", table, surface.nodes[facets])
+
+
+def slope_jumps(surface: Surface, facets: npt.NDArray[np.intp]) -> Sparse:
+    """Jumps of slopes across edges between facets, times the distance of their middles.
+
+    Edges are vertices in the plane. On quadrilaterals also a row of each one's twist: slopes in the
+    middle of edges don't see it.
+
+    Args:
+        surface: The surface.
+        facets: Its facets of which edges count if both beside them are among these.
+
+    Returns:
+        Jumps by values at vertices, ``(num_jumps, num_vertices)``.
+    """
+    kind = surface.geometry.cell_type
+    corners = basix.geometry(kind)
+    first = basix.create_element(basix.ElementFamily.P, kind, 1)
+    edges = surface.edge_numbers[facets]
+    number, count = np.unique(edges, return_inverse=True, return_counts=True)[1:]
+    number = number.reshape(edges.shape)
+    ring = around_corners(len(corners))
+    sides = len(ring) if surface.gdim == 3 else 2
+    middle = surface.points(facets, np.tile(corners.mean(axis=0), (len(facets), 1)))
+    rows, columns, values = [], [], []
+    for k in range(sides):
+        pair = [ring[k], ring[(k + 1) % sides]] if surface.gdim == 3 else [k]
+        at = corners[pair].mean(axis=0)[None]
+        T = _tangents(surface, facets, at)[:, :, 0]  # (dim, facet, n)
+        metric = np.einsum("kfi,lfi->fkl", T, T)
+        away = surface.points(facets, np.tile(at, (len(facets), 1))) - middle
+        out = np.linalg.solve(metric, np.einsum("kfi,fi->fk", T, away)[..., None])[..., 0]
+        if surface.gdim == 3:  # across the edge
+            along = corners[pair[1]] - corners[pair[0]]
+            part = np.einsum("fk,fkl,l->f", out, metric, along)
+            out = out - (part / np.einsum("k,fkl,l->f", along, metric, along))[:, None] * along
+        size = np.sqrt(np.einsum("fk,fkl,fl->f", out, metric, out))[:, None]
+        slopes = out @ first.tabulate(1, at)[1:, 0, :, 0] / size  # (facet, corner)
+        distance = np.bincount(number[:, k], size[:, 0], len(count))
+        rows.append(np.repeat(number[:, k], len(corners)))
+        columns.append(surface.facets[facets].ravel())
+        values.append((slopes, distance))
+    size = np.sum([distance for _, distance in values], axis=0)
+    shared = count[np.concatenate(rows)] == 2
+    flat = np.concatenate([slopes.ravel() for slopes, _ in values])
+    i, j = np.concatenate(rows), np.concatenate(columns).astype(np.int64)
+    found = Sparse(i[shared], j[shared], (flat * size[i])[shared])
+    if kind != basix.CellType.quadrilateral:
+        return found
+    twist = np.broadcast_to([1.0, -1.0, -1.0, 1.0], (len(facets), 4))
+    i = np.repeat(len(count) + np.arange(len(facets)), 4)
+    return joined(found, Sparse(i, surface.facets[facets].ravel().astype(np.int64), twist.ravel()))
+
+
+def around_corners(num: int) -> Sequence[int]:
+    """Vertices of a reference facet in cyclic order."""
+    return [0, 1, 3, 2] if num == 4 else list(range(num))
+
+
+def _least(J: Sparse, error: Floats, free: Mask, damping: float) -> Floats:
+    """Solve for x with (JᵀJ + damping · its diagonal) x = Jᵀ error, on each rank by itself.
+
+    Args:
+        J: ``(num_errors, num)``.
+        error: ``(num_errors,)``.
+        free: Where x may differ from zero, ``(num,)``.
+        damping: Factor of the diagonal.
+    """
+    J, number = J.some(free[J.j]), np.cumsum(free) - 1
+    result = np.zeros(len(free))
+    A = J.T @ J
+    A = Sparse(number[A.i], number[A.j], A.values)
+    b = np.bincount(J.j, J.values * error[J.i], len(free))[free]
+    if not len(b):
+        return result
+    every = np.arange(len(b))
+    diagonal = np.bincount(A.i[A.i == A.j], A.values[A.i == A.j], len(b))
+    more = Sparse(every, every, damping * diagonal + 1e-12 * diagonal.max(initial=1))
+    A = joined(A, more).summed
+    order = np.lexsort((A.j, A.i))
+    starts = np.searchsorted(A.i[order], np.arange(len(b) + 1)).astype(PETSc.IntType)
+    csr = starts, A.j[order].astype(PETSc.IntType), A.values[order]
+    matrix = PETSc.Mat().createAIJ((len(b), len(b)), csr=csr, comm=PETSc.COMM_SELF)
+    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+    ksp.setOperators(matrix)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    right, x = matrix.createVecs()
+    right.array[:] = b
+    ksp.solve(right, x)
+    result[free] = x.array.real
+    for part in (ksp, matrix, right, x):
+        part.destroy()
+    return result

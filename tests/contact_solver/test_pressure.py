@@ -1,0 +1,230 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Where pressures live: multipliers at the nodes of degree 2, and pressures below facets."""
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import hertz
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse
+from assembly import Elastic, rectangle
+from helpers import sweep
+from scipy.sparse.linalg import splu
+from test_contact import Blocks
+from test_contact_scenes import press_punch
+
+import meshes
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import CellType, create_box, locate_entities_boundary
+from hypergap_dolfinx.contact_geometry.free_edges import (
+    ContactState,
+    SurfacePressure,
+    _near_free_edges,
+    _normals,
+    hats,
+    simplices,
+)
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
+from hypergap_dolfinx.surface.moving import MovingSurface
+from hypergap_dolfinx.surface.trace import create_surface
+
+comm = MPI.COMM_WORLD
+RATIOS = ((1, 3), (1, 2), (2, 3), (1, 1), (3, 2), (2, 1), (3, 1))
+
+
+@pytest.mark.ranks(2, ratio=[(3, 1)], swap=[True])
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_patch_of_degree_2(ratio, swap):
+    """A uniform pressure, at each of the nodes of degree 2."""
+    scene = Blocks(degree=2, n=tuple(3 * n for n in ratio), held=False, walls=True, swap=swap)
+    scene.load.value = 0.05
+    scene.problem.solve()
+    p = scene.problem.rows(scene.contact).state.p
+    assert len(p) == 6 * ratio[0 if swap else 1] + 1
+    assert np.abs(p / 0.05 - 1).max() <= 1e-11
+
+
+@pytest.mark.parametrize("geometry", (1, 2))
+def test_derivatives_of_halves(geometry):
+    """Gaps of halved edges, displaced at random: ∂g/∂u, and no moment in a rotation."""
+    rng, sides, places = np.random.default_rng(1), [], []
+    for i, (n, tag) in enumerate(((5, meshes.TOP), (4, meshes.BOTTOM))):
+
+        def place(x, i=i):
+            low = np.column_stack((1.4 * x[:, 0] - 0.2, x[:, 1] - 1))
+            return low if i == 0 else x + np.outer((x[:, 0] - 0.5) ** 2, (0, 0.1))
+
+        mesh, ft = meshes.block(MPI.COMM_SELF, (n, 2), place, degree=geometry)
+        V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+        surface = create_surface(V, ft.find(tag), f"Γ{i}")
+        sides.append(MovingSurface(surface.split if i else surface))
+        places.append(V.tabulate_dof_coordinates()[sides[i].dofs, :2])
+    u = [0.02 * rng.standard_normal(x.shape) for x in places]
+    segments = PlaneSegments.between((sides[0], sides[1]), (u[0], u[1]))
+    g, _, C = segments.gap((u[0], u[1]))
+    turned = [np.column_stack((-(x + v)[:, 1], (x + v)[:, 0])) for x, v in zip(places, u)]
+    assert np.abs(C.times(turned, len(g))).max() <= 1e-13
+    w, step = [rng.standard_normal(x.shape) for x in places], 1e-6
+    ends = [segments.gap((u[0] + t * w[0], u[1] + t * w[1]))[0] / (2 * step) for t in (-step, step)]
+    assert np.abs(ends[1] - ends[0] - C.times(w, len(g))).max() <= 1e-8
+
+
+class Pressed:
+    """Blocks of a degree, one on the other, with multipliers at nodes of degree 2."""
+
+    def __init__(self, n, degree):
+        """Make both, with n facets on Γ0 and on Γ1."""
+        self.bodies, parts = [], []
+        for i, low in enumerate((-0.25, 0)):
+            given = (n[i], n[i] // 4), (0, low), (1, low + 0.25)
+            body = rectangle(*given, degree=degree)
+            surface = create_surface(body.V, body.facets((meshes.TOP, meshes.BOTTOM)[i]), f"Γ{i}")
+            parts.append(MovingSurface(surface.split if i else surface))
+            self.bodies.append((body, body.facets((meshes.BOTTOM, meshes.TOP)[i])))
+        self.sides = parts[0], parts[1]
+
+    def schur(self):
+        """C K⁻¹ Cᵀ of the bodies, which are held far away."""
+        u = [np.zeros((len(side.dofs), 2)) for side in self.sides]
+        g, _, C = PlaneSegments.between(self.sides, (u[0], u[1])).gap((u[0], u[1]))
+        found, first = 0, 0
+        for (body, far), side in zip(self.bodies, self.sides, strict=True):
+            elastic = Elastic.on(body.V)
+            K = fem.assemble_matrix(fem.form(ufl.derivative(elastic.F, elastic.u)))
+            K = K.to_scipy().tocsc()
+            held = fem.locate_dofs_topological(body.V, 1, far)
+            free = np.setdiff1d(np.arange(K.shape[0]), (2 * held[:, None] + np.arange(2)).ravel())
+            own = (C.j >= first) & (C.j < first + 2 * len(side.dofs))
+            node, component = np.divmod(C.j[own] - first, 2)
+            columns = 2 * side.dofs[node] + component
+            shape = len(g), K.shape[0]
+            B = scipy.sparse.csr_matrix((C.values[own], (C.i[own], columns)), shape)[:, free]
+            found = found + B @ splu(K[free][:, free]).solve(B.T.toarray())
+            first += 2 * len(side.dofs)
+        return found
+
+
+@pytest.mark.parametrize("num", sweep((8, 16, 32), 3))
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_stable(ratio, num):
+    """The least work of a pressure, over what displacements of degree 4 would give it: β²."""
+    n = tuple(num * part // min(ratio) for part in ratio[::-1])
+    coarse, fine = (Pressed(n, degree).schur() for degree in (2, 4))
+    assert np.sqrt(scipy.linalg.eigvalsh(coarse, fine)[0]) >= 0.6
+
+
+def integral(f):
+    """Over all ranks."""
+    return comm.allreduce(fem.assemble_scalar(fem.form(f * ufl.dx)), MPI.SUM)
+
+
+def top_of(kind, degree):
+    """The top of a square or cube, with multipliers at the nodes of the degree."""
+    if kind == "edges":
+        body = rectangle((9, 2), (0, 0), (1, 1), degree=degree)
+        V, facets = body.V, body.facets(meshes.TOP)
+    else:
+        cell = CellType.tetrahedron if kind == "triangles" else CellType.hexahedron
+        mesh = create_box(comm, [(0, 0, 0), (1, 1, 1)], (7, 6, 1), cell)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        facets = locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 1))
+    surface = create_surface(V, facets, "Γ1")
+    return MovingSurface(surface.split if degree == 2 else surface)
+
+
+def moments(side, s, root):
+    """Forces at the side's dofs of the pressure √s, s linear on facets, or of a linear one."""
+    surface, found = side.reference, np.zeros((len(side.dofs), side.reference.gdim))
+    corners = simplices(surface.geometry.cell_type, 96 if surface.gdim == 2 else 40)
+    X, every = corners.mean(axis=1), np.arange(len(surface.facets))
+    N = hats(surface, X).T
+    linear = np.sqrt(np.maximum(s, 0))[surface.facets] @ N
+    p = np.where(root[:, None], np.sqrt(np.maximum(s[surface.facets] @ N, 0)), linear)
+    parts = surface.functions(X)[every % surface.num_parts]
+    weight = 0.5 if surface.geometry.cell_type.name == "triangle" else 1.0
+    normals = _normals(surface, every, X) * weight / len(X)
+    np.add.at(found, side.at_facets, -np.einsum("fq,fqd,fqi->fdi", p, parts, normals))
+    return found
+
+
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("kind", ("edges", "triangles", "quadrilaterals"))
+def test_root_at_a_free_edge(kind, degree):
+    """A root that ends within facets is found from its moments and from vertices inside."""
+    side = top_of(kind, degree)
+    surface = side.reference
+    x = surface.x[:, 0] + (0.3 * surface.x[:, 1] if kind != "edges" else 0)
+    s = 0.73 - x
+    active = s > 0
+    p = np.sqrt(np.maximum(s, 0))
+    forces = np.zeros((len(side.dofs), surface.gdim))
+    state = ContactState(side, surface, p, active, np.ones_like(active), forces)
+    near = _near_free_edges(state)[surface.facets].any(axis=1)
+    found = SurfacePressure.of(replace(state, forces=moments(side, s, near)))
+    inside = np.zeros_like(active)
+    inside[surface.facets[active[surface.facets].any(axis=1)]] = True
+    assert near.any() and np.abs(found.s - s)[inside].max() <= 5e-3
+
+
+@pytest.mark.parametrize("kind", ("edges", "triangles"))
+def test_no_root(kind):
+    """Where pressure rises towards its edge, or where a surface ends, there is none."""
+    side = top_of(kind, 1)
+    x = side.reference.x[:, 0]
+    active, none = x < 0.6, np.zeros((len(side.dofs), side.reference.gdim))
+    for p, exists in ((1 + x, x < 2), (1 - x, active)):
+        given = ContactState(side, side.reference, p * active, active, exists, none)
+        found = SurfacePressure.of(given)
+        assert not found.near.any()
+
+
+@pytest.mark.ranks(2, degree=[2])
+@pytest.mark.parametrize(("degree", "bound"), ((1, 0.048), (2, 0.0235)))
+def test_hertz(degree, bound):
+    """The edge lies within a facet; linear pressures between vertices are off by 8e-2, 4.6e-2."""
+    problem, contact = hertz.press(comm, hertz.a / 3.625, degree, 2 / 3, False)
+    p = contact.pressure(problem, on="surface")
+    x = ufl.SpatialCoordinate(p.function_space.mesh)[0] / hertz.a
+    exact = hertz.p0[2] * ufl.sqrt(ufl.max_value(1 - x**2, 0))
+    metadata = {"quadrature_degree": 20}
+    one = ufl.dx(metadata=metadata)
+    error, size = (
+        comm.allreduce(fem.assemble_scalar(fem.form(f**2 * one)), MPI.SUM)
+        for f in (p - exact, exact)
+    )
+    assert np.sqrt(error / size) <= bound
+    assert p.x.array.min(initial=0) >= 0
+    assert abs(2 * integral(p) / hertz.P[2] - 1) <= 0.015
+    edge = ufl.conditional(ufl.gt(p, 1e-9), 1, 0)
+    assert abs(integral(edge) / hertz.a - 1) <= 0.06
+
+
+@pytest.mark.parametrize("wide", (False, True))
+def test_punch_without_root(wide):
+    """Pressure is singular at its corners: as at vertices, linear between."""
+    contact, problem, _ = press_punch(0.3, wide)
+    p = contact.pressure(problem, on="surface")
+    mesh, found = p.function_space.mesh, contact.pressures(problem)
+    assert mesh.topology.index_map(1).size_global == len(contact.surfaces[1].facets)
+    assert abs(p.x.array.max(initial=0) / found.max() - 1) <= 1e-14
+
+
+def test_flat_surfaces():
+    """A uniform pressure is the same everywhere; shear is in proportion to it."""
+    scene = Blocks(degree=2, n=(3, 4), held=False, walls=True, friction=0.3)
+    scene.load.value = 0.05
+    scene.problem.solve()
+    for on in ("surface", "body"):
+        p = scene.contact.pressure(scene.problem, on=on)
+        most = p.x.array.max(initial=0)
+        assert abs(most / 0.05 - 1) <= 1e-11
+    q = scene.contact.shear(scene.problem, on="surface")
+    assert np.abs(q.x.array).max(initial=0) <= 1e-10
+    with pytest.raises(ValueError, match='"surface"'):
+        scene.contact.pressure(scene.problem, on="facets")
