@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
-from hypergap_dolfinx.contact_geometry.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.contact_geometry.opened import on_sigma, on_surface
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.protocol import Segments
@@ -31,6 +30,7 @@ from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
+from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs

@@ -53,3 +53,23 @@ Measured: circle of 500: 1.6e-3; files 1e-8."""
 UNEVEN = 5.5
 """Ratio by which facets of Γ1 may be narrower, per degree, without a warning.
 Measured: cubes, smooth field: λ's error 2.3 × at 4, 4 × at 8."""
+
+SMOOTH_ROOT = 0.2
+"""μ: weight of jumps of slopes beside that of moments, for roots at free edges.
+Measured: with .05, .1, .15, .2: L², means over four places of the edge. Hertz, degree 1, a/3:
+6.8e-2, 5.3e-2, 4.3e-2, 3.5e-2; degree 2: 1.6e-2, 1.5e-2, 1.4e-2, 1.4e-2. A profile x⁴, degree 1,
+a/5: 7.1e-2, 6.0e-2, 6.3e-2, 6.7e-2; degree 2, a/3: 2.9e-2, 3.3e-2, 4.0e-2, 4.8e-2. Cattaneo's
+shear, degree 2, a/10, from .1 on: 6.2e-2, 5.8e-2, 5.5e-2."""
+
+RINGS_ROOT = 2
+"""Facets of multipliers beside those with a free edge on which pressure has a root.
+Measured: before jumps at unknown s were left out: x⁴, degree 2, a/3: 4.2e-2 with 1, 3.9e-2 with 2;
+Hertz's line: the same with 2 and 3."""
+
+NEAR_ROOT = 0.05
+"""Pressure, over the largest beside it, below which slopes of its root are those there.
+Measured: the same with .02 to .2; without it steps end where s = 0 at a vertex, in one of 28."""
+
+STEPS_ROOT = 30
+"""Most steps of Levenberg and Marquardt's method for roots.
+Measured: 4 to 12 in Hertz's contact, plane and space."""

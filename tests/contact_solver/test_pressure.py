@@ -21,7 +21,8 @@ import meshes
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
-from hypergap_dolfinx.contact_geometry.free_edges import (
+from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
+from hypergap_dolfinx.mortar.free_edges import (
     ContactState,
     SurfacePressure,
     _near_free_edges,
@@ -29,7 +30,6 @@ from hypergap_dolfinx.contact_geometry.free_edges import (
     hats,
     simplices,
 )
-from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 

@@ -31,16 +31,18 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.tolerances import (
+from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.mortar.tolerances import (
     NEAR_ROOT,
-    PARTS_ROOT,
     RINGS_ROOT,
     SMOOTH_ROOT,
     STEPS_ROOT,
 )
-from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
+
+PARTS_ROOT = 32, 8
+"""Parts of edges for integrals of roots, and to draw them, in the plane and in space."""
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
