@@ -24,7 +24,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh.cells import GapCells, Hosts, covered_parts
-from hypergap_dolfinx.gap_mesh.tolerances import ALIGNED, COINCIDE, END, SAME_TURN
+from hypergap_dolfinx.gap_mesh.tolerances import ALIGNED, COINCIDE, END, NEWTON_RIM, SAME_TURN
 from hypergap_dolfinx.surface.tolerances import KINK, NOISE, STANDS_OUT, TURN
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -92,6 +92,31 @@ class Chain:
         distance = _length(a + position[:, None] * t - point)
         edge = int(distance.argmin())
         return edge, float(position[edge]), float(distance[edge])
+
+    def nearest(
+        self, edge: int, position: float, point: npt.NDArray[np.float64], surface: Surface
+    ) -> float:
+        """Position on an edge that is nearest to a point, from that on its chord.
+
+        Gauss-Newton steps on a curved edge as long as they come nearer; the same position on a
+        straight one.
+        """
+        facet = self.facets[edge]
+        if not surface.curved[facet]:
+            return position
+        start, end = self.X[edge]
+        nodes = surface.nodes[facet] - point
+        found, least = position, np.inf
+        for _ in range(NEWTON_RIM):
+            X = np.array(((start + position * (end - start),),))
+            x, slope = surface.geometry.tabulate(1, X)[:, 0, :, 0] @ nodes
+            if x @ x >= least:
+                break
+            found, least = position, x @ x
+            tangent = (end - start) * slope
+            step = (x @ tangent) / max(tangent @ tangent, 1e-300)
+            position = float(np.clip(position - step, 0, 1))
+        return found
 
     def clipped(self, cuts: Sequence[tuple[int, float]], surface: Surface) -> "Chain":
         """The part between two points, each an edge and a position on it (0 to 1)."""
@@ -283,6 +308,9 @@ def _overlap(c0: Chain, c1: Chain, surface0: Surface, surface1: Surface, reach: 
         for i, chain in enumerate((c0, c1)):
             edge, position, _ = hits[i]
             cut = inside[i] and not inside[1 - i]
+            if cut:
+                point, surface = ((c1.x[end], surface0), (c0.x[end], surface1))[i]
+                position = chain.nearest(edge, position, point, surface)
             whole = (0, 0.0) if end == 0 else (len(chain.facets) - 1, 1.0)
             cuts[i].append(_snapped(edge, position, end) if cut else whole)
         if not any(inside) and min(hit[2] for hit in hits) > reach:

@@ -17,11 +17,11 @@ from assembly import (
     tie,
     traction_error,
 )
-from helpers import sweep
+from helpers import close, comm, sweep, two_blocks
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import TiedProblem
+from hypergap_dolfinx import Tie, TiedProblem
 from meshes import BOTTOM, LEFT, RIGHT, TOP
 
 TIED = [(0, TOP), (1, BOTTOM)]
@@ -156,3 +156,22 @@ def test_resultants(span, element, swap):
     assert np.abs(q.integrate(traction) - length * force).max() <= 1e-12
     if element[1] > 1:  # of degree 1, λ is constant on each edge and has its moment from Bᵀλ alone
         assert abs(q.integrate(moment) - length * (middle * force[1] - 1.5 * force[0])) <= 1e-12
+
+
+@pytest.mark.ranks(span=[(0.3, 1.5)], swap=[False])
+@pytest.mark.parametrize("swap", (False, True))
+@pytest.mark.parametrize("span", ((0.3, 1.5), (-0.4, 0.9), (0.13, 2.4)))
+def test_ends_on_curved_edges(span, swap):
+    """Nodes of edges off the middle, on one parabola: ∫ n dΓ is that between the tie's ends."""
+
+    def parabola(x):
+        return np.column_stack((x[:, 0] + 0.2 * x[:, 0] ** 2, x[:, 1] + 0.1 * x[:, 0] ** 2))
+
+    spans = ((0, 2), span)
+    sides = two_blocks((2, 3), (2, 2), shape=(), mapping=parabola, spans=spans, g=2)
+    q = Tie(*(sides[::-1] if swap else sides)).quadrature(4)
+    area = comm.allreduce(q.weights.ravel() @ q.normal.reshape(-1, 2))
+    ends = np.array(((max(0, span[0]), 0), (min(2, span[1]), 0)))
+    x, y = np.diff(parabola(ends), axis=0)[0]
+    print(span, swap, np.abs(area) - (y, x))
+    close(np.abs(area), (y, x))
