@@ -111,7 +111,8 @@ class ContactProblem(ContactSystem):
             solver: ``"direct"`` factorises; ``"iterative"`` takes multigrid and an iteration on
                 displacements that close the active gaps: much faster and smaller from about
                 40 000 displacements in space on, for stiffness that is symmetric and positive
-                definite. Where it fails, factors replace it, and the log says so. None chooses.
+                definite. Where it fails, factors replace it, and the log says so. With friction it
+                may take more Newton steps, and halve load steps. None chooses (factors for it).
             petsc_options: Options of the KSP of Newton's steps (for ``"direct"`` its matrix is an
                 AIJ); if they name no type MUMPS's LDLᵀ or, with friction or where that doesn't
                 solve, its LU.

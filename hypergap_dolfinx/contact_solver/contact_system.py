@@ -146,13 +146,14 @@ class ContactSystem(NonlinearSystem):
             ValueError: An unknown name, or a solver that isn't possible.
         """
         reason = multigrid_tangent.why_not(self._system, self._rows)
+        symmetric = not self._frictional
         if solver is None:
             large = self._dim == 3 and sum(K.getSize()[0] for K in self._K) >= LARGE_CONTACT
-            solver = "iterative" if large and not reason and not self._names_types else "direct"
+            can = symmetric and not reason and not self._names_types
+            solver = "iterative" if large and can else "direct"
         if solver not in ("direct", "iterative"):
             raise ValueError(f"solver is one of direct, iterative, not {solver!r}.")
         options = self._prefix, self._given
-        symmetric = not self._frictional
         if solver == "iterative":
             if reason:
                 raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')

@@ -269,8 +269,11 @@ class MultigridTangent:
         Raises:
             IterationFailed: The iteration failed.
         """
-        with self._options.in_use():
-            self._update(equations, shift)
+        try:
+            with self._options.in_use():
+                self._update(equations, shift)
+        except SolveError as error:  # aggregates and springs need a positive diagonal
+            raise IterationFailed(f"{error}".removesuffix(".")) from error
         own = [part.right[rows.mine] for part, rows in zip(equations, self._rows, strict=True)]
         flat = np.concatenate([*right, *own])
         loads, start, size = flat[: self._num_dofs], None, 0.0

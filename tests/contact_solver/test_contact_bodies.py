@@ -14,6 +14,7 @@ import meshes
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import CellType, GhostMode
 from hypergap_dolfinx import Contact, ContactProblem, Tie
+from hypergap_dolfinx.contact_solver.tangent import Tangent
 
 comm = MPI.COMM_WORLD
 UNIAXIAL = (1 - 0.3) / (1.3 * 0.4)
@@ -136,8 +137,9 @@ def clamp():
 
 
 @two_ranks(swap=[True])
+@pytest.mark.parametrize("solver", ("direct", "iterative"))
 @pytest.mark.parametrize("swap", (False, True))
-def test_one_mesh_with_itself(swap):
+def test_one_mesh_with_itself(swap, solver):
     """A clamp that closes, as one mesh, and as three bodies with matching meshes that are tied."""
     found = []
     for whole in (True, False):
@@ -164,8 +166,9 @@ def test_one_mesh_with_itself(swap):
             scene.hold(0, component, meshes.BOTTOM)
         scene.load(top, meshes.TOP).value = 0.001
         contact = Contact(*(sides[::-1] if swap else sides))
-        problem = scene.problem([contact], ties)
+        problem = scene.problem([contact], ties, solver=solver if whole else "direct")
         problem.solve()
+        assert isinstance(problem._tangent, Tangent) == (not whole or solver == "direct")
         order = np.argsort(contact.surfaces[1].x[:, 0])
         found.append((contact.pressures(problem)[order], contact.force(problem)))
         assert 2 <= contact.active.sum() < len(order) - 1

@@ -11,6 +11,7 @@ import pytest
 from assembly import Elastic, lame_constants
 
 import meshes
+import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
 from hypergap_dolfinx.contact_solver import contact_system
@@ -39,7 +40,18 @@ def block(n, low, high, E=1.0, *, degree=1, large=False, bulge=0.0, loaded=False
 class Pressed:
     """A round block pressed on a flat one, from apart; the upper one is free or moved."""
 
-    def __init__(self, n=4, contrast=1.0, *, free=False, tied=False, degree=1, large=False, **more):
+    def __init__(
+        self,
+        n=4,
+        contrast=1.0,
+        *,
+        free=False,
+        tied=False,
+        degree=1,
+        large=False,
+        repelled=0.0,
+        **more,
+    ):
         options = {"degree": degree, "large": large}
         low, low_tags = block((n, n, n), (-1, -1, -1), (1, 1, 0), contrast, **options)
         size = (n - 1,) * 2 + (max(n // 2, 2),)
@@ -78,6 +90,8 @@ class Pressed:
         sides = (V, low_tags.find(meshes.FRONT)), (W, tags.find(meshes.BACK))
         names = ("friction", "elastic_slip", "sliding", "compliance")
         self.contact = Contact(*sides, **{k: more.pop(k) for k in names if k in more})
+        if repelled:
+            low.F -= repelled * ufl.inner(low.u, ufl.TestFunction(V)) * ufl.dx(V.mesh)
         self.problem = ContactProblem(
             [body.F for body in bodies],
             self.u,
@@ -189,13 +203,27 @@ def test_gives_up(caplog, monkeypatch):
 
 
 @pytest.mark.ranks(2)
+@pytest.mark.parametrize("repelled", (1.0, 2.0, 400.0))
+def test_stiffness_that_isnt_definite(caplog, repelled):
+    """A body on springs that push it on, also with a negative diagonal: factors solve, told."""
+    scenes = [Pressed(3, repelled=repelled, solver=s) for s in ("direct", "iterative")]
+    with caplog.at_level(logging.WARNING):
+        steps = [scene.solve(DOWN) for scene in scenes]
+    told = [r.getMessage() for r in caplog.records if "given up" in r.getMessage()]
+    assert len(told) == (comm.rank == 0) and scenes[1].problem.halvings == 0
+    assert steps[0] == steps[1] and isinstance(scenes[1].problem._tangent, Tangent)
+    for u, v in zip(*(scene.u for scene in scenes), strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
+
+
+@pytest.mark.ranks(2)
 def test_the_default(monkeypatch):
-    """Multigrid from some size on, in space, where it is possible, unless options name types."""
+    """Multigrid from some size on, in space, if possible, without friction or types in options."""
     small = Pressed(3)
     assert isinstance(small.problem._tangent, Tangent)
     monkeypatch.setattr(contact_system, "LARGE_CONTACT", 100)
     assert not isinstance(Pressed(3).problem._tangent, Tangent)
-    for options in ({"compliance": 0.1}, {"petsc_options": {"pc_type": "lu"}}):
+    for options in ({"compliance": 0.1}, {"friction": 0.3}, {"petsc_options": {"pc_type": "lu"}}):
         assert isinstance(Pressed(3, **options).problem._tangent, Tangent)
     with pytest.raises(ValueError, match='"iterative" is not possible: a contact has a compl'):
         Pressed(3, solver="iterative", compliance=0.1)
