@@ -100,7 +100,9 @@ class ContactStatus:
         ]
         overlaps = self.gaps < -self.closed
         for on in (self.facing & ~overlaps, self.facing & overlaps):
-            k = int(np.where(on, self.gaps, np.inf).argmin())
+            gaps = np.where(on, self.gaps, np.inf)
+            least = np.flatnonzero(gaps <= gaps.min() + self.closed)  # equal but for round-off
+            k = least[np.lexsort(self.x[least].T[::-1])[0]]
             far = abs(self.gaps[k])
             length = "closed" if far <= self.closed else f"{far:.3g}"
             cells += [length, spot(self.x[[k]])] if on[k] else ["–", ""]

@@ -70,7 +70,7 @@ def test_refused_structs():
     with raises(TypeError, "Facets's x isn't C-contiguous"):
         compiled.structs("Facets", [{"x": POINTS}, {"x": POINTS.T}])
     sheets = np.empty(1, dtype=[("edge", np.int32)])
-    with raises(TypeError, "Sigma's sheets is of .*edge.*; it must be of .*fades"):
+    with raises(TypeError, "Sigma's sheets is of .*edge.*; it must be of .*beside"):
         struct("Sigma", sheets=sheets)
 
 
