@@ -5,6 +5,7 @@
 import logging
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -233,12 +234,12 @@ def test_the_default(monkeypatch):
 
 @pytest.mark.ranks(2)
 def test_misspelt_options(caplog):
-    """PETSc doesn't know of them, and says nothing."""
+    """PETSc doesn't know of them, and says nothing; petsc4py of Debian 13 can't tell."""
     options = {"ksp_mintor": None, "pc_mg_cycle_type": "v"}
     with caplog.at_level(logging.WARNING):
         Pressed(3, solver="iterative", petsc_options=options).solve(DOWN[:1])
     told = [r.getMessage() for r in caplog.records if "misspelt" in r.getMessage()]
-    assert len(told) == (comm.rank == 0)
+    assert len(told) == (comm.rank == 0 and hasattr(PETSc.Options, "used"))
     assert all("hypergap_ksp_mintor;" in message for message in told)
 
 
