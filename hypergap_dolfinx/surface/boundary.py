@@ -69,7 +69,7 @@ class Boundary:
     @property
     def size(self) -> npt.NDArray[np.float64]:
         """Longest edges, ``(num,)``."""
-        return np.linalg.norm(self.x - np.roll(self.x, 1, axis=1), axis=2).max(axis=1)
+        return _sizes(self.x)
 
     @property
     def most(self) -> npt.NDArray[np.float64]:
@@ -165,7 +165,7 @@ def _parts(facets: ExteriorFacets) -> list[Boundary]:
     x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
     curvature, turn = _curvature(x, nodes)
     height = facets.height[facet]  # known for facets that are curved themselves
-    size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
+    size = _sizes(x)
     turn = np.maximum(turn, 8 * height / np.where(size > 0, size, 1))
     boundary = Boundary(x, nodes, facet, curvature, height, turn)
     part = facets.part[facet]
@@ -174,6 +174,11 @@ def _parts(facets: ExteriorFacets) -> list[Boundary]:
         vertices = x[part == p].reshape(-1, x.shape[2])
         lowest.append(vertices[np.lexsort(vertices.T[::-1])[0]])
     return [boundary[part == p] for p in np.lexsort(np.reshape(lowest, (-1, x.shape[2])).T[::-1])]
+
+
+def _sizes(x: npt.NDArray) -> npt.NDArray[np.float64]:
+    """Longest edges of simplices ``(num, n, n)``, ``(num,)``."""
+    return np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
 
 
 def _curvature(x: npt.NDArray, nodes: npt.NDArray):
