@@ -25,7 +25,7 @@ from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.sparse import mean_diagonal
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
 from hypergap_dolfinx.joining import Joined
-from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
+from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
@@ -364,8 +364,7 @@ class ContactProblem(ContactSystem):
         only contact holds, or not even that.
         """
         self._check_usable()
-        if self._free is None:
-            self._prepare()
+        self._prepare_once()
         fresh = [type(rows)(pair, self._held) for rows, pair in zip(self._rows, self._pairs)]
         for rows, known in zip(fresh, self._rows, strict=True):
             rows.condensed_to = known.condensed_to
@@ -399,22 +398,6 @@ class ContactProblem(ContactSystem):
                 "boundary conditions."
             )
         return found
-
-    def restore(self, state: State):
-        """Go back, or on, to a state of this problem or of one made by the same script. Collective.
-
-        Values in forms, boundary conditions, ties and contacts are set too.
-
-        Args:
-            state: From :meth:`state` or ``State.load``.
-
-        Raises:
-            ValueError: It is of another problem or of other meshes; nothing has changed then.
-        """
-        self._check_usable()
-        if self._free is None:
-            self._prepare()  # the stiffness at the start is a measure later on
-        super().restore(state)
 
     def _values(self) -> Sequence[Value]:
         return self._path.values

@@ -203,6 +203,11 @@ class ContactSystem(NonlinearSystem):
     def _release(self) -> list:
         return [self.__dict__.pop("_tangent", None), *super()._release()]
 
+    def _prepare_once(self):
+        """Find what the first solve finds; the stiffness at the start is a measure later on."""
+        if self._free is None:
+            self._prepare()
+
     def _prepare(self):
         """Start a solve; at first find the rigid motions that only contact holds. Collective."""
         for u, x in zip(self._u, self._x.getNestSubVecs()):

@@ -287,6 +287,7 @@ class NonlinearSystem(TiedSystem):
             ValueError: It is of another problem or of other meshes; nothing has changed then.
         """
         self._check_usable()
+        self._prepare_once()
         lost = list[str]()
         checkpoint = self._prepared_checkpoint()
         checkpoint.restore(type(self).__name__, self._parts(checkpoint, lost), state)
@@ -299,6 +300,9 @@ class NonlinearSystem(TiedSystem):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._assign(self._x)
         self._forget()
+
+    def _prepare_once(self):
+        """Find what the first solve finds, before another state is there. Collective."""
 
     def _prepared_checkpoint(self) -> Checkpoint:
         """Orders for states. Collective."""
