@@ -62,6 +62,8 @@ DEMOS = {
     "any_contacts_in_space": Demo(
         "--dim 3 --only 5 13 26 27", {"*.ok": True}, needs=("gmsh", "scipy"), script="any_contacts"
     ),
+    "benchmarks": Demo("--scene plate wedge press-fit lifting-beam", {"rows.*.met": True}),
+    "benchmarks_all": Demo("", {"rows.*.met": True}, slow=True, script="benchmarks"),
     "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
         pinned={"*.displacement": 3.39994e-2, "*.energy": 18.3092, "*.ties": 32},
@@ -408,8 +410,9 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("bouncing", "contact_patch", "friction", "gap_domain", "heat", "hertz_published"),
-    *("incompressible", "ironing", "kernel_speed", "modal_analysis", "periodic_cell"),
+    *("benchmarks", "bouncing", "contact_patch", "friction", "gap_domain", "heat"),
+    *("hertz_published", "incompressible", "ironing", "kernel_speed", "modal_analysis"),
+    "periodic_cell",
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
     *("contact_conductance", "contact_run_time", "peeling", "plasticity", "press_fit"),
     "rolling",
