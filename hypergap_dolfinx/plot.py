@@ -15,6 +15,10 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 import pyvista
+from vtkmodules.vtkFiltersGeometry import (
+    vtkDataSetSurfaceFilter,
+    vtkUnstructuredGridGeometryFilter,
+)
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -28,6 +32,7 @@ from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
 _BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#0d0887"
+_FINER = 3  # times that a curved edge is halved
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -450,28 +455,49 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
 
 
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
-    """Draw cells and their edges; VTK's own triangles lack the edges of curved cells."""
-    if cells.n_cells and cells.get_cell(0).dimension == 3:
-        options |= {"show_edges": True, "edge_color": edges, "line_width": 1}
-        plotter.add_mesh(_straight(cells), ambient=0.4, diffuse=0.6, **options)
-        return
-    if cells.n_cells and cells.get_cell(0).dimension == 1:  # a side's traction in the plane
+    """Draw cells and their edges, as curved as they are."""
+    dim = cells.get_cell(0).dimension if cells.n_cells else 2
+    if dim == 1:  # a side's traction in the plane
         plotter.add_mesh(cells, lighting=False, line_width=8, **options)
         return
-    plotter.add_mesh(cells, lighting=False, **options)
-    plotter.add_mesh(cells.extract_all_edges(), color=edges, line_width=1.5)
+    skin = _skin(cells)
+    lit: Any = {"lighting": False}
+    if dim == 3:
+        lit = {"ambient": 0.4, "diffuse": 0.6}
+        if not cells.get_cell(0).is_linear:
+            lit |= {"smooth_shading": True, "split_sharp_edges": True}
+    plotter.add_mesh(skin, **lit, **options)
+    lines = plotter.add_mesh(_outlines(skin), color=edges, line_width=1.5, lighting=False)
+    lines.mapper.SetResolveCoincidentTopologyToPolygonOffset()  # before the cells, not among them
+    lines.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -20)
 
 
-def _straight(cells: pyvista.UnstructuredGrid) -> pyvista.UnstructuredGrid:
-    """Tetrahedra or hexahedra without the nodes between their vertices, which come first."""
-    if cells.cells[0] in (4, 10, 20, 35):
-        corners, kind = 4, pyvista.CellType.TETRA
-    else:
-        corners, kind = 8, pyvista.CellType.HEXAHEDRON
-    nodes = cells.cells.reshape(-1, cells.cells[0] + 1)[:, 1 : corners + 1]
-    straight = pyvista.UnstructuredGrid({kind: nodes}, cells.points)
-    straight.point_data.update(cells.point_data)
-    return straight
+def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
+    """Triangles of what is seen of cells; each face of curved ones makes several."""
+    faces = cells
+    if cells.n_cells and cells.get_cell(0).dimension == 3:
+        outside = vtkUnstructuredGridGeometryFilter()
+        outside.SetInputDataObject(cells)  # faces that no other cell has, with their nodes
+        outside.Update()
+        faces = pyvista.wrap(outside.GetOutput())
+    finer = vtkDataSetSurfaceFilter()
+    finer.SetInputDataObject(faces)
+    finer.SetNonlinearSubdivisionLevel(_FINER)
+    finer.PassThroughCellIdsOn()
+    finer.Update()
+    return pyvista.wrap(finer.GetOutput()).triangulate()
+
+
+def _outlines(skin: pyvista.PolyData) -> pyvista.PolyData:
+    """The edges of the faces that triangles come from: those that one triangle of a face has."""
+    corners = skin.faces.reshape(-1, 4)[:, 1:]
+    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    face = np.repeat(skin["vtkOriginalCellIds"], 3)
+    keyed, count = np.unique(
+        np.column_stack((face, edges.reshape(-1, 2))), axis=0, return_counts=True
+    )
+    ends = np.unique(keyed[count == 1, 1:], axis=0)
+    return pyvista.PolyData(skin.points, lines=np.insert(ends, 0, 2, axis=1))
 
 
 def _bar(title: str) -> Any:

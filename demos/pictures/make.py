@@ -31,7 +31,7 @@ PICTURES = {
     "peeling": ("peeling",),
     "periodic_cell": ("periodic_cell", "--fibres"),
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
-    "pressurised_sphere": ("gap_domain", "--degree", "1", "--levels", "1"),
+    "pressurised_sphere": ("gap_domain", "--degree", "2", "--levels", "1"),
     "read_meshes": ("read_meshes",),
     "thermal_resistance": ("thermal_resistance", "--levels", "2"),
     "write_files": ("write_files",),
