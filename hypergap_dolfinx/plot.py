@@ -32,7 +32,6 @@ from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
 _BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#0d0887"
-_FINER = 3  # times that a curved edge is halved
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
@@ -482,7 +481,7 @@ def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
         faces = pyvista.wrap(outside.GetOutput())
     finer = vtkDataSetSurfaceFilter()
     finer.SetInputDataObject(faces)
-    finer.SetNonlinearSubdivisionLevel(_FINER)
+    finer.SetNonlinearSubdivisionLevel(3)  # each edge in eight
     finer.PassThroughCellIdsOn()
     finer.Update()
     return pyvista.wrap(finer.GetOutput()).triangulate()

@@ -29,7 +29,7 @@ def test_curved_cells(cell, num_edges):
     skin = plot._skin(plot.grid(mesh))
     r = np.linalg.norm(skin.points, axis=1)
     outer = r > 1.9
-    assert outer.sum() >= 3 * 2**plot._FINER
+    assert outer.sum() >= 3 * 8
     assert np.abs(r[outer] - 2).max() <= 0.01
     lines = plot._outlines(skin)
-    assert lines.n_cells == num_edges * 2**plot._FINER
+    assert lines.n_cells == num_edges * 8
