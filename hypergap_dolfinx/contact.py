@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma, on_surface
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -89,6 +90,7 @@ class Contact:
         elastic_slip: float = 0.0,
         shear_limit: float = np.inf,
         compliance: Value | None = None,
+        axisymmetric: revolution.Given = False,
     ):
         """Find the two surfaces. Collective.
 
@@ -108,6 +110,11 @@ class Contact:
             compliance: c, a length over a pressure, where surfaces overlap by c p: given as
                 ``friction``. A layer of thickness t and modulus E that is thin has t / E or, if it
                 can't give way sideways, t (1 + ν) (1 − 2ν) / (E (1 − ν)). None for none.
+            axisymmetric: True if both bodies are swept about the axis, r = x[0] = 0, with 2πr in
+                their forms: gaps are volumes of revolution then, pressures are forces per area,
+                and of :meth:`force` the second component is the force on the whole circumference
+                along the axis. ``"radian"`` if the forms have r without 2π. Friction acts in the
+                plane (r, z), not around the axis.
 
         Raises:
             ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
@@ -141,7 +148,13 @@ class Contact:
                 f"the mesh of Γ0 has {side0[0].mesh.geometry.dim} coordinates, that of Γ1 "
                 f"{side1[0].mesh.geometry.dim}; they must be equal."
             )
-        below, above = create_surface(*side0, "Γ0"), create_surface(*side1, "Γ1")
+        self.axisymmetric = axisymmetric
+        """What the forms have: True for 2πr, "radian" for r, False for neither."""
+        angle = revolution.angle_of(axisymmetric)
+        below, above = (
+            revolution.swept(create_surface(*side, name), angle)
+            for side, name in ((side0, "Γ0"), (side1, "Γ1"))
+        )
         self._finer = _size(below) / _size(above)
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
         self._surfaces = below, above.split if self._split else above
@@ -560,7 +573,9 @@ class Contact:
             on: Displacement of the body, one of the problem's; of Γ1's body if not given.
 
         Returns:
-            ``(n,)``, the same on every rank.
+            ``(n,)``, the same on every rank. Of axisymmetric bodies the second is the force along
+            the axis, on the whole circumference or one radian; the first is the sum of forces
+            away from the axis, which balance each other around it.
 
         Raises:
             ValueError: Not one of the problem's contacts, or not solved yet; another function, or

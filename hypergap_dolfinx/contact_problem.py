@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
+from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.algebra.load_path import LoadPath, Value, values_of
 from hypergap_dolfinx.contact import Contact
@@ -210,6 +211,8 @@ class ContactProblem(ContactSystem):
         self._told_far: set[int] = set()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
+        revolution.tell(F, contacts, "contact")
+        revolution.tell(F, ties, "tie")
 
     def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
         """The body on one side of a contact."""

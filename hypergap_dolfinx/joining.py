@@ -131,7 +131,7 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
         if not (tie.free_interior or tie.discontinuous):
             jump = tie.jump and tie.jump.key
             motion = tie.motion and tie.motion.key
-            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion
+            law = tie.closes_gap, tie.adjusts, jump, tie.gives_way, motion, tie.axisymmetric
             alike[first, law].append(t)
     pairs, parts_of = [], PartsOf()
     for same in alike.values():
@@ -194,6 +194,7 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
             adjust=adjusts,
             jump=first.jump,
             motion=first.motion,
+            axisymmetric=first.axisymmetric,
             **first._gives,
         )
     except (InterfaceError, InvertedCellError):  # the same on all ranks

@@ -12,6 +12,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
+from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
@@ -121,6 +122,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._solver = choice.create(
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
+        revolution.tell(F, self._pieces.ties, "tie")
         self._failed: BaseException | None = None
         self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find

@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from hypergap_dolfinx.algebra import checks
+from hypergap_dolfinx.algebra import checks, revolution
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.joining import Joined
@@ -129,6 +129,7 @@ class TiedProblem(TiedSystem):
         compiled = create_forms(a, form_compiler_options, jit_options)
         super().__init__(compiled, bcs or (), Joined(ties), solutions)
         self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
+        revolution.tell(a, self._pieces.ties, "tie")
 
     def assemble_vector(self):
         """Assemble the loads and lift the prescribed displacements into b. Collective."""

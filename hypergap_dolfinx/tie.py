@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
@@ -84,6 +85,7 @@ class Tie(collective.Owner):
         conductance: soft.Given | None = None,
         law: laws.Given | laws.Law | None = None,
         discontinuous: bool = False,
+        axisymmetric: revolution.Given = False,
     ):
         """Mesh Σ between two surfaces. Collective.
 
@@ -145,6 +147,11 @@ class Tie(collective.Owner):
                 materials on both sides traction jumps from one to the next: give a tie for each
                 material then, with this, its two surfaces ending at one place. Without it λ is as
                 smooth as Γ1, however many ties it is given as.
+            axisymmetric: True if the bodies are swept about the axis, r = x[0] = 0, with 2πr in
+                their forms: the tie's integrals have it too, so that λ is a force per area and
+                ``quadrature`` integrates it to the force on the whole circumference. ``"radian"``
+                if the forms have r without 2π. Values of any number of components, as with a
+                twist (u_r, u_z, u_θ).
 
         Raises:
             InterfaceError: Facets or spaces that form no interface; the message says which and why.
@@ -206,11 +213,14 @@ class Tie(collective.Owner):
             )
         self._spaces = self.components[0].space, self.components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
+        self.axisymmetric = axisymmetric
+        """What the forms have: True for 2πr, "radian" for r, False for neither."""
+        angle = revolution.angle_of(axisymmetric)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
         surfaces = (
-            create_surface(self._spaces[0], facets0, "Γ0"),
-            create_surface(self._spaces[1], facets1, "Γ1"),
+            revolution.swept(create_surface(self._spaces[0], facets0, "Γ0"), angle, motion),
+            revolution.swept(create_surface(self._spaces[1], facets1, "Γ1"), angle, motion),
         )
         shared = V0.mesh is V1.mesh and bool(np.isin(facets0, facets1).any())
         message = "Γ0 and Γ1 share facets; give each side its own."
@@ -596,8 +606,9 @@ class Tie(collective.Owner):
                 fields change within a few facets, λ is as accurate.
 
         Returns:
-            Force per area (2D: per length and unit depth), of the side's own area: the areas of
-            sides that lie apart differ, and the integral of λ is the force.
+            Force per area (in the plane, not axisymmetric: per length and unit depth), of the
+            side's own area: the areas of sides that lie apart differ, and the integral of λ is the
+            force.
 
         Raises:
             ValueError: Not one of the problem's ties, not solved yet, or an unknown ``on``.

@@ -35,6 +35,8 @@ typedef struct {
   Jet volume;              // width · Σ visible height
   Jet covered;             // width · Σ visible
   Jet visible[MOST_SHEETS]; // weight of a sheet times what others leave of it; NULL: 1
+  Jet arcs[MOST_SHEETS];   // of bodies of revolution, in the middle of the ray; NULL: 1
+  double arc;              // the same on Γ1
 } Ray;
 
 static void add(Entries *entries, int row, int column, double value)
@@ -234,7 +236,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
 {
   const Side *below = sigma->sides, *above = below + 1;
   const double *origin = node(above, point->edge, 0);
-  Ray ray = {.point = point};
+  Ray ray = {.point = point, .arc = 1};
   const int *ends = above->end_dofs + 2 * (point->edge % above->num_parts);
   Jet a[2], x1[2], xi[2], hidden = NULL;
   for (int i = 0; i < 2; ++i)
@@ -274,6 +276,8 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
               : met(tape, &ray.curve, above->num_dofs, local->own, point->s, a, ray.c, to);
   for (int i = 0; i < 2; ++i)
     x1[i] = on_curve(tape, &ray.curve, above->num_dofs, local->own, ray.s, 0, i);
+  if (sigma->angle > 0)
+    ray.arc = sigma->angle * (origin[0] + x1[0][0]);
   Jet inside = NULL;
   if (point->foot >= 0)
   {
@@ -303,6 +307,13 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
     ray.visible[k] = part;
     part = part ? product(tape, part, ray.width) : ray.width;
     height = product(tape, part, height);
+    if (sigma->angle > 0)
+    {
+      Jet middle = combined(tape, 1, x1[0], 0.5, d[0]);
+      ray.arcs[k] = combined(tape, sigma->angle, middle, sigma->angle * origin[0],
+                             constant(tape, 1));
+      height = product(tape, ray.arcs[k], height);
+    }
     ray.covered = ray.covered ? combined(tape, 1, ray.covered, 1, part) : part;
     ray.volume = ray.volume ? combined(tape, 1, ray.volume, 1, height) : height;
   }
@@ -345,9 +356,11 @@ static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
 //
 // g           (num_edges₁, 2)
 // covered     parts of the halves that see Γ0, likewise
+// areas       of these parts, likewise
 // C           ∂g/∂u
 // by_covered  ∂covered/∂u
-int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered)
+int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
+              Entries *by_covered)
 {
   Local local;
   Tape tape = {0};
@@ -355,6 +368,7 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entrie
   Ray ray;
   memset(g, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
   memset(covered, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
+  memset(areas, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
   for (int p = 0; can && p < sigma->num_points; ++p)
   {
     const Point *point = sigma->points + p;
@@ -366,6 +380,7 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entrie
       int row = 2 * point->edge + e;
       Jet volume = shared(&tape, &ray, ray.volume, e), part = shared(&tape, &ray, ray.covered, e);
       g[row] += volume[0], covered[row] += 2 * part[0];
+      areas[row] += part[0] * sqrt(ray.square[0]) * ray.arc;
       add_row(&local, row, volume, C);
       add_row(&local, row, scaled(&tape, 2, part), by_covered);
     }
@@ -424,6 +439,8 @@ static Jet slip_by(Tape *tape, const Ray *ray, int i, int sheet, int across)
   Jet slip = product(tape, ray->c[across ? 1 - i : i], ray->width);
   if (ray->visible[sheet])
     slip = product(tape, slip, ray->visible[sheet]);
+  if (ray->arcs[sheet])
+    slip = product(tape, slip, ray->arcs[sheet]);
   return across && i == 1 ? scaled(tape, -1, slip) : slip;
 }
 

@@ -56,6 +56,7 @@ typedef struct {
   double cosines[2];     // between normals: from which on edges face each other, and do so fully
   double nearest[2];     // depth by the nearest edge over that by a sheet, from which on it counts
   double slack;          // length that is added to that depth, over a chord of Γ1
+  double angle;          // by which bodies of revolution are swept about x = 0; 0 for others
   double fixed[4];       // places along chords of the numbers −1 … −4: ends, and of what is shared
   int num_rule;          // points of the quadrature rule
   const double *rule_at, *rule_weights;
@@ -75,7 +76,8 @@ typedef struct {
 
 int cast_rays(Sigma *sigma);
 void find_columns(const Sigma *sigma, double *x, int *shown);
-int find_gaps(const Sigma *sigma, double *g, double *covered, Entries *C, Entries *by_covered);
+int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
+              Entries *by_covered);
 int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H);
 int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows);
 int slip_curvature(const Sigma *sigma, const double *q, Entries *H);

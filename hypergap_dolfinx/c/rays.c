@@ -423,7 +423,7 @@ static void add_piece(Cast *cast, Sigma *sigma, const Break *from, const Break *
   Hit hits[MOST_SHEETS];
   int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2;
   int part = to->xi <= sigma->fixed[1] ? 0 : from->xi >= sigma->fixed[2] ? 1 : 2;
-  int one = straight && part < 2, sheet = -1;
+  int one = straight && part < 2 && sigma->angle == 0, sheet = -1;
   int num_points = sigma->num_points, num_sheets = sigma->num_sheets;
   double width = to->xi - from->xi;
   Point point = {

@@ -37,6 +37,10 @@ A motion Δu of both sides has the slip :math:`\int \mathbf c\cdot(\Delta\mathbf
 the gap for a rotation, and zero if Δu is the position: with Δu = x − x_n a rotation of closed
 bodies, however large, is none.
 
+Of bodies of revolution gaps and slips have one more factor, the arc :math:`\varphi\,(r_0 + r_1)/2`
+with the distances from the axis of both ends of the ray (φ is 2π or 1): then a gap is the volume
+that a ray's column sweeps, exactly, and pressures act on what they are on in space.
+
 Where ends of both sides slide along one wall, as one of symmetry, Γ0 goes on beyond it.
 
 Quadrature is exact on straight edges with one sheet of weight 1; derivatives are those of the
@@ -64,7 +68,7 @@ from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
-from hypergap_dolfinx.surface.trace import Surface, lengths
+from hypergap_dolfinx.surface.trace import Surface
 
 points_an_edge = 4  # room at first; with more they are found anew
 entries_a_row = 32  # likewise
@@ -88,13 +92,12 @@ class PlaneRays:
 
     def gaps(self) -> "tuple[npt.NDArray, npt.NDArray, npt.NDArray, Sparse, Sparse]":
         """Gaps, covered shares and lengths of halves; ∂g/∂u, summed over vertices; ∂covered/∂u."""
-        g, covered = np.empty((2, self.num_halves))
-        given = self.sigma, g, covered
+        g, covered, areas = np.empty((3, self.num_halves))
+        given = self.sigma, g, covered, areas
         C, by_covered = _filled(self.num_halves, 2, lambda C, K: call("find_gaps", *given, C, K))
         C = Sparse(self.above.facets.ravel().astype(np.int64)[C.i], C.j, C.values)
-        ends, share = self.above.x[self.above.facets], covered.reshape(-1, 2)
-        chords = lengths(ends[:, 1] - ends[:, 0])
-        return g.reshape(-1, 2), share, share * chords[:, None] / 2, C, by_covered
+        g, covered, areas = (part.reshape(-1, 2) for part in (g, covered, areas))
+        return g, covered, areas, C, by_covered
 
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
@@ -203,6 +206,7 @@ def _placed(
     rule = _rule(max(side["num_nodes"] for side in sides))
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
+    given["angle"] = surfaces[1].angle
     return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}
 
 

@@ -132,8 +132,11 @@ class ContactRows:
         self._compliance = np.zeros(num)
         self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
         corners = surface.facets.shape[1]
-        areas = lengths(normals_by_area(surface.x[surface.facets])) / (corners * (self._n - 1))
-        self._area = np.bincount(surface.facets.ravel(), np.repeat(areas, corners), num)
+        x = surface.x[surface.facets]
+        areas = lengths(normals_by_area(x)) / (corners * (self._n - 1))
+        arcs = surface.arc(0.75 * x + 0.25 * x[:, ::-1])  # in the middle of halves
+        areas = (areas[:, None] * arcs).ravel()
+        self._area = np.bincount(surface.facets.ravel(), areas, num)
         self._rank = np.searchsorted(surface.dof_range[1:], self.sides[1].vertex_dofs, side="right")
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""

@@ -117,6 +117,29 @@ class GapDomain:
         i, j = self.nodes[:, :, None], self.nodes[:, None, :]
         return np.broadcast_to(i, W.shape), np.broadcast_to(j, W.shape), W
 
+    @property
+    def is_revolved(self) -> bool:
+        """True if the bodies are axisymmetric."""
+        return self.surfaces[1].angle > 0
+
+    def areas(self, element: kernel.GapElement, N, cells=slice(None)) -> npt.NDArray[np.float64]:
+        """Areas |N| at the points of an element, of bodies of revolution times their arcs.
+
+        Args:
+            element: Tables of the gap element.
+            N: n dΓ_α dα there, ``(num_cells, num_points, n)``.
+            cells: The cells.
+
+        Returns:
+            ``(num_cells, num_points)``.
+        """
+        length = np.linalg.norm(N, axis=2)
+        return length * self._arcs(element, cells) if self.is_revolved else length
+
+    def _arcs(self, element: kernel.GapElement, cells=slice(None)) -> npt.NDArray[np.float64]:
+        """Factor of areas of bodies of revolution, ``(num_cells, num_points)``."""
+        return self.surfaces[1].arc(np.einsum("pm,cmi->cpi", element.psi, self.x[cells]))
+
     def distance(self) -> float:
         """Mean distance of Γ0 and Γ1: the volume between them over their area. Collective."""
         n = self.x.shape[2]
@@ -143,8 +166,8 @@ class GapDomain:
         """
         k, nodes = self.element.degree, self.element.dim
         G = np.empty((len(self.x), nodes, nodes))
-        straight, curved = ~self.curved, self.curved
-        error = None
+        curved = self.curved | self.is_revolved
+        straight, error = ~curved, None
         try:
             if straight.any():
                 vertices = self.x[straight][:, : self.x.shape[2] + 1]
@@ -155,11 +178,13 @@ class GapDomain:
                     self.normal[straight],
                 )
             if curved.any():
+                element = self.quadrature(self.curved_rule)
                 G[curved] = kernel.curved_gap_matrices(
-                    self.quadrature(self.curved_rule),
+                    element,
                     self.x[curved],
                     self.alpha_vertices[curved],
                     self.normal[curved],
+                    self._arcs(element, curved) if self.is_revolved else None,
                 )
         except InvertedCellError as e:
             error = str(e)
@@ -199,7 +224,7 @@ class GapDomain:
         """
         element = self.quadrature(self.curved_rule)
         N, v = kernel.geometry_at_points(element, self.x[cells], self.alpha_vertices[cells])
-        size = np.sqrt(np.abs(element.weights) * np.linalg.norm(N, axis=2))
+        size = np.sqrt(np.abs(element.weights) * self.areas(element, N, cells))
         D = size[..., None] * kernel.alpha_derivatives(element, v)
         return D, np.sign(element.weights)
 

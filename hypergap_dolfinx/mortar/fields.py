@@ -32,7 +32,8 @@ class GapQuadrature:
     normal: npt.NDArray[np.float64]
     """Unit normals of Γ_α, from Γ0 to Γ1, ``(num_cells, num_points, n)``."""
     weights: npt.NDArray[np.float64]
-    """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``."""
+    """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``; of axisymmetric bodies
+    with 2πr or r, as their forms have it."""
 
     def evaluate(self, f: fem.Function) -> npt.NDArray:
         """Values of a function on Σ, ``(num_cells, num_points, block_size)``.
@@ -58,8 +59,8 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
     element = domain.quadrature(degree)
     N, _ = kernel.geometry_at_points(element, domain.x, domain.alpha_vertices)
     length = np.linalg.norm(N, axis=2)
-    x = np.einsum("pm,cmi->cpi", tabulate(domain.geometry, points), domain.x)
-    weights = element.weights * length - _beyond(domain, points, degree)
+    x = np.einsum("pm,cmi->cpi", element.psi, domain.x)
+    weights = element.weights * domain.areas(element, N) - _beyond(domain, points, degree)
     arrays = (array[domain.order] for array in (x, N / length[..., None], weights))
     return GapQuadrature(domain.mesh, points, *arrays)
 
@@ -139,8 +140,9 @@ def _create(
         dx = kernel.alpha_derivatives(tables, v) @ nodal[cells]
         for f, values in zip(found, parts(dx, N / length[..., None]), strict=True):
             if tables is at_gauss:
-                mass = (length @ squares).reshape(-1, basis.dim, basis.dim)
-                load = table.T @ ((weights * length)[..., None] * values)
+                areas = domain.areas(tables, N, cells)
+                mass = (areas @ squares).reshape(-1, basis.dim, basis.dim)
+                load = table.T @ ((weights * areas)[..., None] * values)
                 values = np.linalg.solve(mass, load)
             V = f.function_space
             f.x.array.reshape(-1, V.dofmap.index_map_bs)[V.dofmap.list[domain.in_mesh[cells]]] = (

@@ -209,6 +209,7 @@ class _RootFit:
         self.hats = hats(surface, X)
         functions = surface.functions(X)[around % surface.num_parts]  # (facet, point, dof)
         normals = _normals(surface, around, X) / len(X)
+        normals *= surface.arc(_points(surface, around, X))[..., None]
         if surface.geometry.cell_type == basix.CellType.triangle:
             normals *= 0.5
         at, sizes = side.at_facets[around], lengths(normals.reshape(-1, surface.gdim))
@@ -318,6 +319,11 @@ def _normals(surface: Surface, facets, X: Floats) -> Floats:
     if surface.gdim == 2:
         return np.stack((T[0, ..., 1], -T[0, ..., 0]), axis=-1)
     return np.cross(T[0], T[1])
+
+
+def _points(surface: Surface, facets, X: Floats) -> Floats:
+    """Points at the same reference points X of some facets, ``(num_facets, num_points, n)``."""
+    return np.einsum("qm,fmi->fqi", tabulate(surface.geometry, X), surface.nodes[facets])
 
 
 def _tangents(surface: Surface, facets, X: Floats) -> Floats:

@@ -82,6 +82,8 @@ def curved_rule(dim: int, degree: int, geometry: int) -> int:
 class GapElement:
     """Tables of the gap element on the reference simplex: geometry ψ, field φ, α linear."""
 
+    psi: npt.NDArray[np.float64]
+    """ψ_m, ``(num_points, num_geometry_nodes)``."""
     dpsi: npt.NDArray[np.float64]
     """∂ψ_m/∂ξ_j, ``(num_points, num_geometry_nodes, n)``."""
     phi: npt.NDArray[np.float64]
@@ -98,8 +100,8 @@ class GapElement:
         def gradients(e):
             return np.ascontiguousarray(e.tabulate(1, points)[1:, :, :, 0].transpose(1, 2, 0))
 
-        phi = element.tabulate(0, points)[0, :, :, 0]
-        return cls(gradients(geometry), phi, gradients(element), np.asarray(weights))
+        psi, phi = (e.tabulate(0, points)[0, :, :, 0] for e in (geometry, element))
+        return cls(psi, gradients(geometry), phi, gradients(element), np.asarray(weights))
 
     @classmethod
     @cache
@@ -165,7 +167,7 @@ def affine_gap_matrices(element: GapElement, x, alpha, normal):
     return _contract(edges, T, x, alpha, normal)
 
 
-def curved_gap_matrices(element: GapElement, x, alpha, normal):
+def curved_gap_matrices(element: GapElement, x, alpha, normal, arc=None):
     """G_ab = ∫ ∂φ_a/∂α ∂φ_b/∂α √det ḡ d□ (eqs. 13 and 19) by quadrature.
 
     Args:
@@ -173,6 +175,7 @@ def curved_gap_matrices(element: GapElement, x, alpha, normal):
         x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
         alpha: α at the vertices, ``(num_cells, n + 1)``.
         normal: Reference normals from Γ0 to Γ1, ``(num_cells, n)``.
+        arc: Factor of areas at the points, ``(num_cells, num_points)``; 1 if not given.
 
     Returns:
         ``(num_cells, num_nodes, num_nodes)``.
@@ -181,10 +184,10 @@ def curved_gap_matrices(element: GapElement, x, alpha, normal):
         InvertedCellError: N points against the reference normal at a point.
     """
     dpsi = element.dpsi.transpose(0, 2, 1)
-    return _contract(dpsi, element.reference_tensors, x, alpha, normal)
+    return _contract(dpsi, element.reference_tensors, x, alpha, normal, arc)
 
 
-def _contract(dpsi, T, x, alpha, normal):
+def _contract(dpsi, T, x, alpha, normal, arc=None):
     """G_ab = Σ_p Σ_ij (|N| v_i v_j)_p T_pijab, as one product of matrices for many cells.
 
     With ∂ψ_m/∂ξ_j at points, ``(num_points, n, num_geometry_nodes)``, and the
@@ -208,6 +211,7 @@ def _contract(dpsi, T, x, alpha, normal):
         N, v = normal_and_direction(np.moveaxis(X, (0, 1), (2, 3)), (vertices[1:] - vertices[0]).T)
         _check_orientation(N, normal[part], x[part])
         length = np.sqrt(sum(N[..., i] ** 2 for i in range(n)))
+        length = length if arc is None else length * arc[part].T
         vv = np.stack([length * v[..., i] * v[..., j] for i in range(n) for j in range(i, n)])
         np.take(vv.reshape(len(T), -1).T @ T, pair, axis=1, out=G[part])
     return G.reshape(-1, nodes, nodes)

@@ -28,14 +28,16 @@ class Samples(collective.Owner):
         self.domain = domain
         n = domain.x.shape[2]
         # On straight cells c and both derivatives are polynomials of degree k − 1
-        rule = domain.curved_rule if domain.curved.any() else 3 * (domain.element.degree - 1)
+        rule = 3 * (domain.element.degree - 1) + domain.is_revolved
+        rule = domain.curved_rule if domain.curved.any() else rule
         self.element = domain.quadrature(rule)
         """Tables at the Gauss points, the same in all cells."""
         N, self.v = kernel.geometry_at_points(self.element, domain.x, domain.alpha_vertices)
         length = np.linalg.norm(N, axis=2)
         self.normal: npt.NDArray[np.float64] = (N / length[..., None]).reshape(-1, n)
         """Unit normals from Γ0 to Γ1, ``(num_points, n)``."""
-        self.root: npt.NDArray[np.float64] = np.sqrt(np.abs(self.element.weights) * length).ravel()
+        areas = domain.areas(self.element, N)
+        self.root: npt.NDArray[np.float64] = np.sqrt(np.abs(self.element.weights) * areas).ravel()
         """Roots of the weights' magnitudes, ``(num_points,)``."""
         self.sign: npt.NDArray[np.float64] = np.tile(np.sign(self.element.weights), len(N))
         """Signs of the weights."""

@@ -113,6 +113,8 @@ class Faces:
             x = self.domain.x[self.cells[some]]
             t = np.einsum("jpm,cmi,kj->cpki", dpsi, x - x[:, :1], edges, optimize=True)
             measure = np.sqrt(np.linalg.det(np.einsum("cpki,cpli->cpkl", t, t)))
+            psi = geometry.tabulate(0, points)[0, :, :, 0]
+            measure *= self.domain.surfaces[1].arc(np.einsum("pm,cmi->cpi", psi, x))
             M[some] = np.einsum("cp,pa,pb->cab", measure * weights, phi, phi, optimize=True)
         return M
 
@@ -402,7 +404,7 @@ def distances_from_polynomials(surface: Surface, pairs) -> npt.NDArray[np.float6
     psi = surface.geometry.tabulate(1, X)[..., 0]  # (1 + j, point, node)
     x, *tangents = (np.einsum("pm,fsmi->fspi", values, surface.nodes[pairs]) for values in psi)
     t = np.stack(tangents, axis=3)  # (pair, facet, point, j, i)
-    measure = np.sqrt(np.linalg.det(np.einsum("fspji,fspki->fspjk", t, t)))
+    measure = np.sqrt(np.linalg.det(np.einsum("fspji,fspki->fspjk", t, t))) * surface.arc(x)
     root = np.sqrt(measure * weights).reshape(len(pairs), -1)
     x = x.reshape(len(pairs), -1, n)
     x = x - np.einsum("fp,fpi->fi", root**2, x)[:, None] / (root**2).sum(axis=1)[:, None, None]

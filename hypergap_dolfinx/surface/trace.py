@@ -48,6 +48,16 @@ class Surface:
     """Offsets of the ranks' owned dofs (blocks) of the space, ``(num_ranks + 1,)``."""
     num_parts: int = 1
     """Parts of a facet of the mesh: facet f is part f % num_parts of one, with the dofs of all."""
+    angle: float = 0.0
+    """Angle by which a body of revolution is swept about x[0] = 0, 2π or 1; 0 for others."""
+
+    def arc(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Factor of areas at points ``(..., n)``: r times the angle of a body of revolution, or 1.
+
+        Returns:
+            ``(...)``.
+        """
+        return self.angle * x[..., 0] if self.angle else np.ones(x.shape[:-1])
 
     @property
     def gdim(self) -> int:

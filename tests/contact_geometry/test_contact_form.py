@@ -32,6 +32,10 @@ SCENES = (
     {"k": (1, 2), "spans": ((0.31, 1.2), (0, 2))},
     {"k": (2, 1), "spans": ((0, 1.3), (0.4, 2))},
 )
+REVOLVED = (  # about x = 0
+    {"angle": 2 * np.pi},
+    {"k": (1, 2), "spans": ((0.31, 1.2), (0, 2)), "angle": 1.0},
+)
 
 
 RARE = (  # for derivatives: Γ0 much finer; loops that are curved at first; surfaces with corners
@@ -41,7 +45,7 @@ RARE = (  # for derivatives: Γ0 much finer; loops that are curved at first; sur
 )
 
 
-def scene(gap=0.1, amplitude=0.02, *, whole=False, rings=False, **options):
+def scene(gap=0.1, amplitude=0.02, *, whole=False, rings=False, angle=0.0, **options):
     """Two sides, and displacements that part them and make both surfaces rough."""
     if rings:
         blocks = two_rings(**{"n": (10, 12), "g": 2, "angle": 2 * np.pi, **options})
@@ -49,7 +53,7 @@ def scene(gap=0.1, amplitude=0.02, *, whole=False, rings=False, **options):
         blocks = two_blocks(**{"n": (5, 7), "mapping": skew, **options})
     if whole:
         blocks = [(V, exterior_facet_indices(V.mesh.topology)) for V, _ in blocks]
-    sides = sides_of(blocks)
+    sides = tuple(MovingSurface(replace(side.reference, angle=angle)) for side in sides_of(blocks))
     rng = np.random.default_rng(1)
     u = [amplitude * rng.standard_normal((len(side.dofs), 2)) for side in sides]
     u[1] += gap * skew(np.array([[0.0, 1.0]])) - gap * skew(np.zeros((1, 2)))
@@ -75,7 +79,7 @@ def dense(sparse, shape):
     return A
 
 
-@pytest.mark.parametrize("options", (*SCENES, *RARE))
+@pytest.mark.parametrize("options", (*SCENES, *REVOLVED, *RARE))
 def test_derivatives(options):
     """C is ∂g/∂u and H is ∂(pᵀC)/∂u, with all that moves: feet, rays and cut ends."""
     sides, u, rng = scene(**options)
@@ -134,6 +138,20 @@ def test_value(options):
     spans = options.get("spans", ((0, 2), (0, 2)))
     width = min(b for _, b in spans) - max(a for a, _ in spans)
     assert abs(m.sum() - width) <= 0.1  # ends that don't match are cut at their feet
+
+
+@pytest.mark.parametrize("k", ((1, 1), (2, 2)))
+def test_volume_of_revolution(k):
+    """Gaps are the volume of a body of revolution, areas those of its surface, on the axis too."""
+    blocks, angle = two_blocks(n=(5, 7), k=k, cells=("triangle", "triangle")), 2 * np.pi
+    sides = tuple(MovingSurface(replace(s.reference, angle=angle)) for s in sides_of(blocks))
+    x = _positions(sides[0], np.zeros((len(sides[0].dofs), 2)))
+    u = -0.2 * x[:, :1] * (0, 1), np.tile((0, 0.4), (len(sides[1].dofs), 1))
+    g, m, C = PlaneSegments.between(sides, u).gap(u)
+    close(m.sum(), np.pi * 2**2)
+    close(g.sum(), np.pi * 2**2 * 0.4 + 2 * np.pi * 0.2 * 2**3 / 3)
+    close(C.times((0 * u[0], 0 * u[1] + (0, 1)), len(g)), m)
+    assert m[sides[1].reference.x[:, 0].argmin()] > 0
 
 
 @pytest.mark.parametrize("k", ((1, 1), (2, 2), (1, 2)))

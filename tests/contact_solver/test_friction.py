@@ -69,7 +69,7 @@ def slip_of(opening, sides, u, rng, positions):
 
 
 @pytest.mark.parametrize(
-    "options", (*plane.SCENES[1:3], *plane.RARE[::2], {"rings": True, "k": (2, 2)})
+    "options", (*plane.SCENES[1:3], *plane.REVOLVED, *plane.RARE[::2], {"rings": True, "k": (2, 2)})
 )
 def test_slip(options):
     """A rotation's slip is the gap: so moments of friction balance where it is closed."""
