@@ -252,8 +252,7 @@ def errors(problem, contact):
 # - Half bodies whose middle planes are moved aren't half-spaces that are moved far away: spheres
 #   moved by 2 mm each transmit 13 % more than Hertz's force. So the load is his force.
 #
-# Spheres are discs around an axis: with the weight r in the bodies' forms, what contact gives is r
-# times the pressure.
+# Spheres are discs around an axis: the bodies' forms have 2πr in their measures, and contact too.
 
 
 @dataclass
@@ -322,7 +321,7 @@ def press_published(comm, scene, cells, degree):
             e, hoop = ufl.sym(ufl.grad(w)), w[0] / r if scene.around else 0
             return ufl.as_tensor(((e[0, 0], e[0, 1], 0), (e[1, 0], e[1, 1], 0), (0, 0, hoop)))
 
-        weight = r / width if scene.around else 1
+        weight = 2 * np.pi * r if scene.around else 1
         eps = strain(w)
         sigma = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(3))
         dx = ufl.dx(metadata={"quadrature_degree": 4 * degree})
@@ -341,7 +340,7 @@ def press_published(comm, scene, cells, degree):
         facets = ft.find(meshes.BOTTOM)
         near = compute_midpoints(mesh, 1, facets)[:, 0] < 2 * width
         sides.append((V, facets[near]))
-    contact = Contact.between(*sides)
+    contact = Contact.between(*sides, axisymmetric=scene.around)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     area = scene.radii[1] * (np.pi * scene.radii[1] if scene.around else 2)
     for step in range(scene.steps):
@@ -350,11 +349,12 @@ def press_published(comm, scene, cells, degree):
 
     order = np.argsort(contact.surfaces[1].x[:, 0])
     x, now = (s.x[order, 0] for s in (contact.surfaces[1], contact.displaced(problem)[1]))
-    p = contact.pressures(problem)[order] * np.gradient(now) / np.gradient(x)
+    stretch = np.gradient(now, x)
+    if scene.around:  # of the radius too
+        stretch *= np.divide(now, x, out=stretch.copy(), where=x > 0)
+    p = contact.pressures(problem)[order] * stretch
     inside = (x > (0.15 * width if scene.around else -1)) & (x < 0.8 * width)
     x, p = x[inside], p[inside]
-    if scene.around:
-        p *= width / x
     slope, square = np.polyfit(x**2, p**2, 1)  # p² = p0² (1 - x²/a²)
     row = {
         "p0": abs(np.sqrt(square) / scene.p0 - 1),
