@@ -23,8 +23,8 @@
 # loading then, though the body is unloaded: the first step back takes 33 Newton steps and is halved
 # (`--threshold 0`), with `gt(f, 1e-8 * sigma_y)` 4.
 #
-# The scene is axisymmetric: residuals have 2πr in them, forces of contact are those of the whole
-# circle, and a pressure per area is `contact.pressures(problem) / (2πr)`.
+# The scene is axisymmetric: residuals have 2πr in them, and so has contact: its forces are those of
+# the whole circle, its pressures per area.
 
 # +
 import argparse
@@ -195,7 +195,8 @@ class Scene:
         outer = locate_entities_boundary(
             arc, 1, lambda x: np.isclose(np.hypot(x[0], x[1] - R), R, atol=1e-3 * a**2, rtol=0)
         )
-        self.contact = Contact((self.ball.function_space, outer), (V, top))
+        sides = (self.ball.function_space, outer), (V, top)
+        self.contact = Contact(*sides, axisymmetric=True)
         self.problem = ContactProblem(
             [None, self.body.F],
             [self.ball, self.body.u],
@@ -224,7 +225,7 @@ class Scene:
         """
         r = self.contact.surfaces[1].x[:, 0]
         order = np.argsort(r)
-        r, p = r[order][1:], self.contact.pressures(self.problem)[order][1:] / r[order][1:]
+        r, p = r[order], self.contact.pressures(self.problem)[order]
         last = np.flatnonzero(p > 0)[-1]
         ends = (r[last - 1] + r[last]) / 2, (r[last] + r[last + 1]) / 2
         return ends[0] + min(p[last] / p[last - 1], 1) * (ends[1] - ends[0])

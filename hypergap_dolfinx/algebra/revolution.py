@@ -120,7 +120,8 @@ def _doubt(form: ufl.Form, angle: float) -> str | None:
             return None
         return (
             "the form of {} divides by x[0], as the hoop strain of axisymmetric bodies: give "
-            'axisymmetric=True (2πr in forms) or "radian" (r in forms), else pressures are none.'
+            'axisymmetric=True (2πr in forms) or "radian" (r in forms), else '
+            "its multipliers are no tractions."
         )
     if not any(map(_is_radius, parts)):
         return (
