@@ -204,18 +204,11 @@ def arc(centre, radius, start, end):
     return point
 
 
-def profile(problem, contact, kind="plane strain"):
-    """Places of Γ1's vertices and pressures per area there, from the axis of symmetry on.
-
-    Where forms have 2πr in them, multipliers are forces per length of the section's boundary.
-    """
+def profile(problem, contact):
+    """Places of Γ1's vertices and pressures there, from the axis of symmetry on."""
     x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem)
     order = np.argsort(x)
-    x, p = x[order], p[order]
-    if kind != "axisymmetric":
-        return x, p
-    x, p = x[1:], p[1:]
-    return x, p / (2 * np.pi * x)
+    return x[order], p[order]
 
 
 # ## NAFEMS
@@ -296,13 +289,14 @@ def punch(comm, friction):
         base.side(meshes.TOP, lambda x: x[0] < R),
         tool.side(meshes.BOTTOM),
         friction=friction or None,
+        axisymmetric=True,
     )
     problem = problem_of([tool, base], [contact])
     for share in np.linspace(0, 1, 5)[1:]:
         load.value = share * 100
         problem.solve()
     published = (-0.13079, -95.47) if friction else (-0.13294, -94.12)
-    r, p = profile(problem, contact, "axisymmetric")
+    r, p = profile(problem, contact)
     here = base.at((18, 0))[1], -np.interp(18, r, p)
     return [
         Row("punch", f"{name} at r = 18 mm, μ = {friction:g}", known, value, 0.01)
@@ -364,12 +358,13 @@ def pressed(comm, shape, depth, kind, cells=40):
 
     tool = Body(comm, (6 * cells, 1), place, degree=1)
     near = base.side(meshes.TOP, lambda x: x[0] < 2.5)
-    contact = Contact(tool.side(meshes.BOTTOM), near, sliding="small")
+    around = kind == "axisymmetric"
+    contact = Contact(tool.side(meshes.BOTTOM), near, sliding="small", axisymmetric=around)
     problem = problem_of([tool, base], [contact])
     tool.u.x.array[1::2] = -depth
     problem.solve()
     force = abs(contact.force(problem)[1])
-    return force * (1 if kind == "axisymmetric" else 2), profile(problem, contact, kind)
+    return force * (1 if around else 2), profile(problem, contact)
 
 
 def wedge(comm):
