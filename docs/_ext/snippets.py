@@ -4,7 +4,6 @@
 
 A page's blocks of Python run one after the other, in one namespace. A block of text behind one is
 what it prints, numbers to 2 % (to 30 % where versions of Gmsh make other meshes).
-``<!-- python … -->`` runs too, and isn't shown: what a short example needs.
 
 ``python snippets.py PAGE`` runs one in the present folder; with ``--write`` its outputs are put
 into it.
@@ -20,8 +19,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).parents[1]
 BLOCK = re.compile(
-    r"^```python\n(?P<shown>.*?)^```\n(?:\n```text\n(?P<output>.*?)^```\n)?"
-    r"|^<!-- python\n(?P<hidden>.*?)^-->\n",
+    r"^```python\n(?P<code>.*?)^```\n(?:\n```text\n(?P<output>.*?)^```\n)?",
     re.MULTILINE | re.DOTALL,
 )
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
@@ -57,10 +55,9 @@ def run(page: Path) -> list[tuple[re.Match, str]]:
     """
     text, names, outputs = page.read_text(encoding="utf-8"), {"__name__": "__main__"}, []
     for block in BLOCK.finditer(text):
-        shown = "shown" if block["shown"] else "hidden"
-        line = text.count("\n", 0, block.start(shown))
+        line = text.count("\n", 0, block.start("code"))
         with contextlib.redirect_stdout(io.StringIO()) as printed:
-            exec(compile("\n" * line + block[shown], str(page), "exec"), names)
+            exec(compile("\n" * line + block["code"], str(page), "exec"), names)
         if block["output"] is not None:
             outputs.append((block, printed.getvalue()))
     return outputs

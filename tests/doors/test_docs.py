@@ -5,6 +5,7 @@
 import doctest
 import logging
 import re
+import runpy
 from pathlib import Path
 
 from mpi4py import MPI
@@ -112,6 +113,12 @@ def test_paper():
     keys = re.findall(r"^@\w+\{(\w+),", (DOCS / "paper" / "paper.bib").read_text(), re.MULTILINE)
     assert set(re.findall(r"@(\w+)", text)) <= set(keys)
     assert all((FOLDER / demo).exists() for demo in re.findall(r"demos/\w+\.py", text))
+
+
+def test_api():
+    """The API's pages have the members of what they name."""
+    options = runpy.run_path(str(DOCS / "conf.py"))["autodoc_default_options"]
+    assert options["members"] and options["inherited-members"]
 
 
 def test_gallery():
