@@ -6,12 +6,14 @@ A vertex a has the halves e of its edges, and is covered by :math:`c_a = 1 - \pr
 where one of them lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
 the weight of its row: a row that is hard to satisfy by little forces. So the row is
 
-.. math:: \hat g_a = t(c_a)\,\bigl(g_a + \theta (1 - c_a)^2 S_a\bigr), \qquad S_a = \sum_b c_b g_b,
+.. math:: \hat g_a = g_a + \theta (1 - c_a)^2 S_a, \qquad S_a = \sum_b c_b g_b,
 
-with the vertices b beside a, and a smooth step t from 0 at c = 0 to 1 at :data:`HARD`: the less is
-covered, the more it says what its neighbours' rows say already. Below HARD it has no multiplier;
-its neighbours get the pressure, and forces jump by no more than about HARD of it. With the matrix L
-of these sums, ĝ = L g, multipliers p have the pressures Lᵀp. The same holds for slips.
+with the vertices b beside a: the less is covered, the more it says what its neighbours' rows say
+already. Its multiplier may take the place of a neighbour's then, but not press where that doesn't:
+as c goes to 0, forces are those without the row, and equilibria are continuous functions of the
+load. Below :data:`SLIVER` the row is left out, and its pressure given to its neighbours', and below
+:data:`HARD` where no vertex beside it is covered by more. With the matrix L of these sums, ĝ = L g,
+multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD
+from hypergap_dolfinx.contact_geometry.tolerances import BLENDS, HARD, SLIVER
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
 Floats = npt.NDArray[np.float64]
@@ -48,15 +50,8 @@ class Blended:
         self._left = left
         self._c = 1 - left
         self._g = self._sums(halves)
-        c, rest = self._c, left
-        x = np.clip(c / HARD, 0, 1)
-        self.t, dt, ddt = x**2 * (3 - 2 * x), 6 * x * (1 - x) / HARD, (6 - 12 * x) / HARD**2
-        ddt[(x <= 0) | (x >= 1)] = 0
-        self._dt, self._ddt = dt, ddt
-        self._q = BLENDS * self.t * rest**2
-        self._dq = BLENDS * (dt * rest**2 - 2 * self.t * rest)
-        self._ddq = BLENDS * (ddt * rest**2 - 4 * dt * rest + 2 * self.t)
-        hard = (c > 0) & (c < 1)
+        self._q, self._dq = BLENDS * left**2, -2 * BLENDS * left
+        hard = (self._c > 0) & (self._c < 1)
         self.pairs = self.beside.compress(hard[self.beside[0]], axis=1)
         """Vertices that are covered in part, and others beside them, ``(2, num_pairs)``."""
 
@@ -67,8 +62,11 @@ class Blended:
 
     @cached_property
     def m(self) -> Floats:
-        """L of the areas of vertices, 0 below :data:`HARD`, ``(num,)``."""
-        return np.where(self._c < HARD, 0, self.blended(self.sizes))
+        """L of the areas of vertices, 0 where there is no multiplier, ``(num,)``."""
+        a, b = self.pairs
+        most = self._c.copy()
+        np.maximum.at(most, a, self._c[b])
+        return np.where((self._c < SLIVER) | (most < HARD), 0, self.blended(self.sizes))
 
     @cached_property
     def sizes(self) -> Floats:
@@ -78,27 +76,21 @@ class Blended:
     @cached_property
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
-        S, g = self._slopes, self._g
-        return joined(self.L @ S, self.by_weights(g, g[self.pairs[1]]))
+        return joined(self.L @ self._slopes, self.by_weights(self._g[self.pairs[1]]))
 
-    def by_weights(self, own: Floats, beside: Floats) -> Sparse:
-        """∂L/∂u times values.
-
-        Args:
-            own: Values of vertices, ``(num,)``.
-            beside: Those that are counted beside them, ``(num_pairs,)``.
-        """
+    def by_weights(self, beside: Floats) -> Sparse:
+        """∂L/∂u times values that are counted beside vertices, ``(num_pairs,)``."""
         a, b = self.pairs
         if not len(a):
             return Sparse.empty()
         sums = np.bincount(a, self._c[b] * beside, self.num)
-        return self._matrix(self._dt * own + self._dq * sums, self._q[a] * beside) @ self._K
+        return self._matrix(self._dq * sums, self._q[a] * beside) @ self._K
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""
         a, b = self.pairs
-        result = (self.t * p.T).T
-        np.add.at(result, b, ((self._q[a] * self._c[b]) * p[a].T).T)
+        result = p.astype(float)
+        np.add.at(result, b, (self.shares * p[a].T).T)
         return result
 
     def given_over(self, values: npt.NDArray, gone: npt.NDArray[np.bool_]) -> npt.NDArray:
@@ -112,7 +104,7 @@ class Blended:
         on = gone[a]
         a, b = a[on], b[on]
         result = np.where(gone, np.zeros_like(values), values)
-        share = BLENDS * (1 - self._c[a]) ** 2 * self._c[b]
+        share = self._q[a] * self._c[b]
         if values.dtype == bool:
             result[..., b] |= values[..., a] & (share > 0)
         else:
@@ -121,24 +113,23 @@ class Blended:
 
     def blended(self, values: Floats) -> Floats:
         """L of values at vertices, ``(num,)``."""
-        return self.t * values + self._q * self._sums_of(values)
+        return values + self._q * self._sums_of(values)
 
     def curvature(self, p: Floats) -> Sparse:
         """Σ_a p_a ∂²ĝ_a/∂u²."""
         a, b = self.pairs
-        by_c = p * self._by_own_c
+        S = self._sums_of(self._g)
+        by_c = p * self._dq * S
         np.add.at(by_c, b, p[a] * self._q[a] * self._g[b])
         by_half = (by_c * self._left)[self.facets] * self._per_left
         H = self.rays.curvature(self.pressures(p)[self.facets], by_half)
         if not len(a) or not p[a].any():
             return H
         G, K = self._slopes, self._K
-        weights = p * self._dt
-        np.add.at(weights, b, p[a] * self._q[a])
-        bends = self._ddt * self._g + self._ddq * self._sums_of(self._g)
+        weights = np.bincount(b, p[a] * self._q[a], self.num)
         beside = (p * self._dq)[a]
         by_g = self._matrix(weights, beside * self._c[b]) @ G
-        M = K.T @ joined(by_g, self._matrix(0.5 * p * bends, beside * self._g[b]) @ K)
+        M = K.T @ joined(by_g, self._matrix(BLENDS * p * S, beside * self._g[b]) @ K)
         # Of the product of what halves leave uncovered: of each one's by those before it
         halves, pairs = self._halves_of_c
         vertex = self.facets.ravel()[pairs[0]]
@@ -168,8 +159,7 @@ class Blended:
         """
         slopes, T = self._by_vertex(self.rays.slips(moved)), self._T
         s = np.bincount(T.i, T.values * moved[T.j], self.num)
-        by_weights = self.by_weights(s, s[self.pairs[1]])
-        return joined(self.L @ slopes, by_weights)
+        return joined(self.L @ slopes, self.by_weights(s[self.pairs[1]]))
 
     def slip_curvature(self, q: Floats) -> Sparse:
         """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
@@ -181,14 +171,8 @@ class Blended:
     def pressure_slopes(self, p: Floats) -> Sparse:
         """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
         a, b = self.pairs
-        own = self._dt * p
-        np.add.at(own, b, p[a] * self._q[a])
+        own = np.bincount(b, p[a] * self._q[a], self.num)
         return self._matrix(own, p[a] * self._dq[a] * self._c[b], self.pairs[::-1]) @ self._K
-
-    @cached_property
-    def _by_own_c(self) -> Floats:
-        """∂ĝ/∂c by a vertex' own c."""
-        return self._dt * self._g + self._dq * self._sums_of(self._g)
 
     def _sums(self, halves: Floats) -> Floats:
         """Sums at vertices."""
@@ -212,7 +196,7 @@ class Blended:
     @cached_property
     def L(self) -> Sparse:
         """The matrix of weights, ``(num, num)``."""
-        return self._matrix(self.t, self.shares)
+        return self._matrix(np.ones(self.num), self.shares)
 
     @cached_property
     def shares(self) -> Floats:

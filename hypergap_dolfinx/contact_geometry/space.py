@@ -328,14 +328,13 @@ class SpaceSegments(Segments[_Opposite]):
         columns, gaps, num = state.columns, state.gaps, self.num_multipliers
         e = directions(columns.frames)[target]
         every, (a, b) = np.arange(num), gaps.pairs
-        own, others = gaps.t[:, None, None] * e, gaps.shares[:, None, None] * e[a]
-        A = joined(_projection(num, every, every, own), _projection(num, a, b, others))
+        others = gaps.shares[:, None, None] * e[a]
+        A = joined(_projection(num, every, every, e), _projection(num, a, b, others))
         parts = [A @ columns.slips(on | gaps.near, moved)]
         if moved is not None and len(a):
             s = columns.slips(gaps.near).times([moved], 3 * num).reshape(num, 3)
             for way in range(2):
-                given = (e[:, way] * s).sum(axis=1), (e[a, way] * s[b]).sum(axis=1)
-                by = gaps.by_weights(*given)
+                by = gaps.by_weights((e[a, way] * s[b]).sum(axis=1))
                 parts.append(Sparse(num * way + by.i, by.j, by.values))
         return joined(*parts)
 

@@ -19,7 +19,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import AROUND, BACK, OSCILLATES
+from hypergap_dolfinx.contact_solver.tolerances import BACK, OSCILLATES
 
 
 class Continuation:
@@ -39,8 +39,8 @@ class Continuation:
 
     @property
     def is_at_kink(self) -> bool:
-        """True if steps go to and fro, and don't become shorter."""
-        return self._num_turned >= AROUND
+        """True if three steps go to and fro, and don't become shorter."""
+        return self._num_turned > 1
 
     def goes_back(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> bool:
         """True if a step is to be taken backwards. Collective.

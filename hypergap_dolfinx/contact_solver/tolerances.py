@@ -78,13 +78,8 @@ Measured: flat die, μ = 0.5: 126 Newton steps in 32 load steps; 160 and a halvi
 between steps, which also turns steps back that become shorter: then ironing in space takes up to
 13 in a load step, not 9, and a rigid saw 46, not 21."""
 
-AROUND = 3
-"""Newton steps in a row, each opposite to the one before and as long, that go around a kink.
-Measured: twist of two cylinders whose rims coincide: as long from the fifth step on; 2 and 5 change
-nothing there."""
-
 AT_KINK = 1e-6
-"""Residual, over the forces in the bodies, that such an equilibrium may have.
+"""Residual, over the forces in the bodies, of an equilibrium at a kink of gaps.
 Measured: that twist: 1.6e-8."""
 
 BACK = 3

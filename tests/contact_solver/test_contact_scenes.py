@@ -86,6 +86,35 @@ def test_ball_in_socket(swap):
     assert abs(contact.pressures(problem).max() / 0.0339 - 1) <= 0.12
 
 
+@pytest.mark.parametrize(
+    ("below", "above", "degree"),
+    (((16, 4), (10, 5), 1), ((16, 4), (9, 5), 1), ((16, 4), (9, 5), 2)),
+)
+def test_block_that_bulges(below, above, degree):
+    """Its corners pass vertices of the wider one, Γ1, which have a row from there on.
+
+    While that needed 1 % of a vertex to be covered there was no equilibrium: with the row less is
+    covered than without it.
+    """
+    u, F, bcs, sides = [], [], [], []
+    for i, n in enumerate((below, above)):
+        low, size = np.array((i, 1.1 * i - 1)), np.array((4 - 2 * i, 1))
+        place = lambda x, low=low, size=size: low + x * size  # noqa: E731
+        mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        body = Elastic.on(V, (1.0, 1.0), large=True)
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs += [held(V, c, away) for c in (0, 1)]
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact.between(*sides)])
+    for down in (0.05, 0.2, 0.4):
+        bcs[3].g.value[()] = -down
+        problem.solve()
+    assert problem.iterations <= 50 and problem.halvings <= 1
+
+
 def press_punch(cut, wide):
     """A flat punch of width 1 on a block of which the nodes are anywhere."""
     h = 0.1
