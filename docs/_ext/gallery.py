@@ -11,17 +11,22 @@ DOCS = Path(__file__).parents[1]
 DEMOS = DOCS.parent / "demos"
 ROW = re.compile(
     r"^\| (?:<img src=\"pictures/(?P<picture>[\w.]+)\".*?>)? ?\| "
-    r"\[(?P<name>\w+)\]\(\w+\.py\)(?P<how>.*?) \| (?P<shows>.*) \| (?P<result>.*) \|$"
+    r"\[(?P<name>\w+)\]\(\w+\.py\)(?P<how>.*?) \| (?P<shows>.*) \| (?P<seconds>.*) \|$"
 )
 
 
 def rows():
     """Headings and rows of demos/README.md's tables."""
     for line in (DEMOS / "README.md").read_text(encoding="utf-8").splitlines():
-        if match := ROW.match(line):
-            yield match
-        elif line.endswith(":") and line != "What this says:" and line[0] not in "#|-":
-            yield line.rstrip(":")
+        if match := ROW.match(line) or re.match(r"^\*\*([^*]+)\*\*$", line):
+            yield match if match.re is ROW else match[1]
+
+
+def results() -> dict[str, str]:
+    """Results of each demo, the sections of demos/README.md behind its tables."""
+    text = (DEMOS / "README.md").read_text(encoding="utf-8")
+    found = re.findall(r"^### (\w+)\n\n(.*?)\n(?=\n### |\n`pictures|\Z)", text, re.M | re.S)
+    return {name: part.replace("(../docs/", "(../") for name, part in found}
 
 
 def cells(text: str):
@@ -46,10 +51,10 @@ def page(name: str, row) -> str:
     rest = re.sub(r"^# Copyright.*\n#\n# SPDX.*\n(#\n)?", "", rest, flags=re.MULTILINE)
     rest = re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", rest)
     picture = f"![](pictures/{row['picture']})\n\n" if row["picture"] else ""
-    result = row["result"][0].upper() + row["result"][1:]
+    seconds = f" ({row['seconds']} processor seconds)" if row["seconds"].isdigit() else ""
     return (
-        f"# {title_of(text)}\n\n{picture}**Result.** {result}.\n\n"
-        f"Run it: `python demos/{name}.py`; the file: [{name}.py](../../demos/{name}.py)\n\n"
+        f"# {title_of(text)}\n\n{picture}**Result**\n\n{results()[name]}\n\n"
+        f"Run it: `python demos/{name}.py`{seconds}; the file: [{name}.py](../../demos/{name}.py)\n\n"
         + "\n\n".join(cells(rest)).lstrip("\n")
         + "\n"
     )

@@ -122,6 +122,8 @@ def test_api():
 
 
 def test_gallery():
-    """Each demo has a page."""
-    names = {row["name"] for row in gallery.rows() if not isinstance(row, str)}
-    assert names == {file.stem for file in gallery.DEMOS.glob("*.py")}
+    """Each demo has a page, a short row and results."""
+    rows = [row for row in gallery.rows() if not isinstance(row, str)]
+    names = {file.stem for file in gallery.DEMOS.glob("*.py")}
+    assert {row["name"] for row in rows} == set(gallery.results()) == names
+    assert max(len(row["shows"]) for row in rows) <= 80
