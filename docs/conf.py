@@ -37,7 +37,7 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.strikethrough"]
 
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "inherited-members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True, "inherited-members": True}
 autodoc_typehints = "none"  # the docstrings say it in words
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

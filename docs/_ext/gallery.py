@@ -54,7 +54,8 @@ def page(name: str, row) -> str:
     seconds = f" ({row['seconds']} processor seconds)" if row["seconds"].isdigit() else ""
     return (
         f"# {title_of(text)}\n\n{picture}**Result**\n\n{results()[name]}\n\n"
-        f"Run it: `python demos/{name}.py`{seconds}; the file: [{name}.py](../../demos/{name}.py)\n\n"
+        f"Run it: `python demos/{name}.py`{seconds}; the file: "
+        f"[{name}.py](../../demos/{name}.py)\n\n"
         + "\n\n".join(cells(rest)).lstrip("\n")
         + "\n"
     )
