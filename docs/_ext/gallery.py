@@ -55,9 +55,7 @@ def page(name: str, row) -> str:
     return (
         f"# {title_of(text)}\n\n{picture}**Result**\n\n{results()[name]}\n\n"
         f"Run it: `python demos/{name}.py`{seconds}; the file: "
-        f"[{name}.py](../../demos/{name}.py)\n\n"
-        + "\n\n".join(cells(rest)).lstrip("\n")
-        + "\n"
+        f"[{name}.py](../../demos/{name}.py)\n\n" + "\n\n".join(cells(rest)).lstrip("\n") + "\n"
     )
 
 
