@@ -305,9 +305,10 @@ class Contact:
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
+        gives = self._compliance is not None
         if self._surfaces[0].gdim == 3:
-            return SpaceSegments.between(self._sides, u)
-        return PlaneSegments.between(self._sides, u, held)
+            return SpaceSegments.between(self._sides, u, gives=gives)
+        return PlaneSegments.between(self._sides, u, held, gives=gives)
 
     @property
     def swapped(self) -> bool:

@@ -66,7 +66,8 @@ class Blended:
         a, b = self.pairs
         most = self._c.copy()
         np.maximum.at(most, a, self._c[b])
-        return np.where((self._c < SLIVER) | (most < HARD), 0, self.blended(self.sizes))
+        least = HARD if self.beside.size else SLIVER  # rows that share nothing aren't hard
+        return np.where((self._c < SLIVER) | (most < least), 0, self.blended(self.sizes))
 
     @cached_property
     def sizes(self) -> Floats:

@@ -62,6 +62,9 @@ class Segments[State: Found](ABC):
     """
 
     sides: Sides
+    gives: bool = field(default=False, kw_only=True)
+    """True if surfaces give way where they are pressed: rows of what is hardly covered aren't hard
+    to satisfy then, and have nothing of their neighbours', whose springs they would double."""
     num_multipliers: int = field(init=False)
     """Number of vertices of Γ1, in reach of Γ0 or not."""
     num_dofs: int = field(init=False)
@@ -75,7 +78,9 @@ class Segments[State: Found](ABC):
 
     @cached_property
     def beside(self) -> npt.NDArray[np.int64]:
-        """Vertices of Γ1 and others beside them along facets, ``(2, num_pairs)``."""
+        """Vertices of Γ1 and others, whose rows theirs share, along facets, ``(2, num_pairs)``."""
+        if self.gives:
+            return np.empty((2, 0), dtype=np.int64)
         ring = self.sides[1].reference.polygons
         pairs = np.stack((ring, np.roll(ring, -1, axis=1)), axis=-1).reshape(-1, 2)
         pairs = np.unique(np.concatenate((pairs, pairs[:, ::-1])), axis=0)

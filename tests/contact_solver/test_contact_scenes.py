@@ -28,8 +28,8 @@ def held(V, component, where, value=0.0):
     return fem.dirichletbc(default_scalar_type(value), dofs, W)
 
 
-def solve(F, u, bcs, sides, swap):
-    contact = Contact(*(sides[::-1] if swap else sides))
+def solve(F, u, bcs, sides, swap, **options):
+    contact = Contact(*(sides[::-1] if swap else sides), **options)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     problem.solve()
     return contact, problem
@@ -113,6 +113,25 @@ def test_block_that_bulges(below, above, degree):
         bcs[3].g.value[()] = -down
         problem.solve()
     assert problem.iterations <= 50 and problem.halvings <= 1
+
+
+@pytest.mark.parametrize("cut", (0.05, 0.5))
+def test_layer_that_ends_between_vertices(cut):
+    """A stiff block on springs on a wider one: each of them has its force once."""
+    u, F, bcs, sides = [], [], [], []
+    for i, (low, size, n) in enumerate((((0, -1), (4, 1), (16, 2)), ((1.5, 0), (1, 1), (8, 2)))):
+        low, size = np.add(low, (i * cut / 4, 0)), np.array(size)
+        place = lambda x, low=low, size=size: low + x * size  # noqa: E731
+        mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V, lame_constants(1e6))
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs += [held(V, c, away, -0.01 * i * c) for c in (0, 1)]
+    contact, problem = solve(F, u, bcs, sides, True, compliance=1.0)
+    assert abs(abs(contact.force(problem)[1]) / 0.01 - 1) <= 1e-5
 
 
 def press_punch(cut, wide):
