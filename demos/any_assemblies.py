@@ -6,22 +6,23 @@
 
 # # Any assemblies
 #
-# A square or a cube is cut into 3 to 12 boxes, each from edge to edge of a piece (a guillotine's
-# cuts): faces meet in Ts and crosses. Each box has a mesh of its own, of triangles, quadrilaterals,
-# tetrahedra or hexahedra, with sizes of 1 : 4, its nodes moved along its faces. The whole is left
-# straight, sheared, or bent: then the two polygons of an interface lie apart by the sag of both.
-# `find_touching` finds what touches, `Tie.between` ties it.
+# A square or a cube is cut into 3 to 12 boxes. Each cut goes through a whole piece, so faces meet
+# in Ts and crosses. Each box has its own mesh of triangles, quadrilaterals, tetrahedra or
+# hexahedra, with sizes of up to 1 : 4 and with nodes moved along its faces. The assembly is
+# straight, sheared or bent. If it is bent, the two polygons of an interface lie apart by the sag of
+# both. `find_touching` finds the interfaces, `Tie.between` ties them.
 #
-# A smooth field is exact, with Poisson's or the elastic operator, degrees 1 and 2, and materials of
-# up to 1 : 10⁴, box by box. With the softest one's flux λ through all interfaces,
+# The exact solution is a smooth field, for Poisson's or the elastic operator, degrees 1 and 2, and
+# a material of its own for each box, up to 1 : 10⁴. With the flux λ of the softest material through
+# all interfaces,
 #
 #     a_i(u_i, v) = a_i(u, v) + ∫ λ(v) over what is tied or free,
 #
-# λ as a volume integral (it is a divergence), so that nothing here knows where the interfaces are.
-# On some sides of the whole the field is given, on the others λ is.
+# with λ as the volume integral of a divergence, so that no form depends on where the interfaces
+# are. On some outer sides the field is prescribed, on the others λ.
 #
-# A line for each scene: H¹ error over the interpolant's, L² error of λ on Σ, and the largest
-# difference of a tie's area from the exact one of both boxes' common face.
+# Each scene has a line: the H¹ error over that of the interpolant, the L² error of λ on Σ, and the
+# largest error of a tie's area.
 #
 #     python demos/any_assemblies.py --dim 3 --scenes 20 --seed 1 --json rows.json
 #     python demos/any_assemblies.py --dim 3 --only 7

@@ -17,9 +17,9 @@
 # - each body is in equilibrium away from the contacts, and what contact does to them balances;
 # - no vertex has a pressure where the bodies are apart;
 # - pressures push, and shear stays in Coulomb's cone;
-# - no cell is turned over.
+# - no cell is inverted.
 #
-# A scene is well posed, by construction:
+# Scenes are well posed by construction:
 #
 # - each body is held on a good part of its boundary, by displacements or by a bed of springs in all
 #   of it, so that it needs no contact to stay where it is; springs are stiff enough, and tractions
@@ -31,7 +31,7 @@
 #   height (of a beam or an arch: of the geometric mean of thickness and length), and brings no part
 #   that is held onto another body.
 #
-# That doesn't make equilibria unique or stable: arches snap, corners pass corners.
+# Equilibria may still be unstable or not unique: arches snap, corners slide past corners.
 #
 #     python demos/any_contacts.py --scenes 100 --seed 1 --json rows.json
 #     python demos/any_contacts.py --dim 3 --only 7
@@ -215,8 +215,8 @@ def jacobians(element, points, x):
 
 # ## Scenes
 #
-# Bodies are placed with the last coordinate upwards, each let down on those that are there. Then
-# all is turned at random.
+# Each body is lowered onto those that are already placed, along the last coordinate. Then the whole
+# scene is rotated at random.
 
 
 # +

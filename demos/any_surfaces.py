@@ -6,11 +6,11 @@
 
 # # Any two surfaces
 #
-# Random pairs of triangulated surfaces, closed and open ones, coarse and fine ones, with ratios of
-# their facets' sizes between 1 : 7 and 7 : 1, with straight facets and curved ones, are tied. Every
-# scene gets a gap domain Σ, which this demo looks at itself: Σ's boundary are the facets of both
-# sides, each inner face has a cell on both sides, and no cell is turned over at any point of the
-# quadrature rule. The bodies are thin layers under the surfaces: nothing is solved.
+# Random pairs of triangulated surfaces are tied: closed and open, coarse and fine, straight and
+# curved, with facet sizes between 1 : 7 and 7 : 1. The demo checks the gap domain Σ of each pair:
+# the boundary of Σ consists of the facets of both sides, each inner face has a cell on both sides,
+# and no cell is inverted at any quadrature point. The bodies are thin layers under the surfaces,
+# and nothing is solved.
 #
 #     python demos/any_surfaces.py --scenes 100 --seed 1 --json rows.json
 
@@ -78,8 +78,7 @@ class Shape:
 
 # ## Closed surfaces
 #
-# Points spread over a sphere, their convex hull, and what a mapping makes of it; a grid around a
-# torus.
+# The convex hull of points spread over a sphere, deformed by a mapping; a grid around a torus.
 
 
 # +
@@ -182,7 +181,7 @@ def tube(p):
 
 # ## Open surfaces
 #
-# An outline, points on it and inside, and the triangles between them that lie inside.
+# The triangulation of points on an outline and inside it.
 
 
 # +
@@ -291,7 +290,7 @@ def rotation(rng):
 # ## Scenes
 #
 # Both surfaces of a scene are triangulations of one shape. Some are the same triangulation, exactly
-# or nearly, or one is the other's refinement and shares its nodes.
+# or nearly. In others one is a refinement of the other and shares its nodes.
 
 
 # +

@@ -9,9 +9,9 @@
 # This demo shows
 #
 # - parts that are meshed one by one, each with its own cell size and material,
-# - that nobody has to name what touches: `find_touching` finds the 32 pairs, whose surfaces overlap
-#   in part, at holes, around cylinders that three parts share end to end,
-# - with `--fused`, the same on one conforming mesh of all parts, which Gmsh has to make first.
+# - that you needn't name the interfaces: `find_touching` finds the 32 pairs. Their surfaces overlap
+#   in part, have holes, or share a cylinder with a third part,
+# - with `--fused`, the same on one conforming mesh of all parts.
 
 # +
 import argparse
@@ -39,8 +39,8 @@ from meshes.cad import fused_assembly, parts_of_assembly
 FILE = Path(sys.prefix) / "share/doc/gmsh/examples/boolean/as1-tu-203.stp"
 comm = MPI.COMM_WORLD
 
-# Newtons and millimetres: the plate and the brackets are of aluminium, all else is of steel. The
-# plate is held at both sides, the rod is pushed down and aside.
+# Units are newtons and millimetres. The plate and the brackets are aluminium, the other parts
+# steel. The plate is held at both sides; the rod is pushed down and sideways.
 
 ALUMINIUM, STEEL = (70e3, 0.33), (210e3, 0.3)
 MATERIALS = {"plate": ALUMINIUM, "l-bracket": ALUMINIUM, "rod": STEEL, "bolt": STEEL, "nut": STEEL}
@@ -105,8 +105,8 @@ def integral(form):
 
 # ## Tied
 #
-# A form on each part, and a tie for each two that touch. Γ1 is where cells are larger; where they
-# are alike, the materials decide.
+# Each part has a form, and each pair a tie. The side with the larger cells is Γ1; where cells are
+# alike, the softer one.
 
 
 def tied(factor, degree, geometry):
@@ -135,9 +135,9 @@ def make_ties(V, names):
 
 # ## Fused
 #
-# One mesh: Gmsh cuts all faces along each other first, and where parts meet cells have the mean of
-# their sizes: of the smaller ones the plate would get 2.5 times the nodes that it has by itself.
-# The materials are functions on it.
+# For one mesh Gmsh first cuts all faces along each other. Where parts meet, cells have the mean of
+# their sizes; with the smaller one the plate would have 2.5 times its own number of nodes. The
+# materials are functions on the mesh.
 
 
 def fused(factor, degree, geometry):
@@ -153,18 +153,19 @@ def fused(factor, degree, geometry):
 
 # ## What comes out
 #
-# Tied and fused come closer as cells get smaller: displacement and energy differ by 1.1 % and 0.6 %
-# (degree 1, sizes 1 and 0.7), 0.7 % and 0.4 % (degree 2, sizes 1.4 and 1), with `--curved` both by
-# 0.14 % (degree 2, size 1.4). That is the meshes: of the fused mesh cut into its parts, and these
-# tied, the displacement differs by 1e-4 (degree 1) and 2e-5 (degree 2).
+# The difference between tied and fused decreases with the cell size: displacement and energy differ
+# by 1.1 % and 0.6 % (degree 1, sizes 1 and 0.7), 0.7 % and 0.4 % (degree 2, sizes 1.4 and 1), with
+# `--curved` both by 0.14 % (degree 2, size 1.4). It is due to the meshes: if the fused mesh is cut
+# into its parts and these are tied, the displacement differs by 1e-4 (degree 1) and 2e-5 (degree
+# 2).
 #
-# The parts are tied round in circles, which the solver `"bodies"` doesn't take. Of the others
-# `"direct"` is no slower: 40 851 displacements of degree 1 take 4 s of one core, 44 iterations of
-# `"iterative"` 5 s. 117 342 of degree 2 take 1027 iterations, 55 s, which is about what the
-# factors take; but these have 2 GB, and the iterations are content with 0.2.
+# The ties form closed loops of parts, which the solver `"bodies"` doesn't take. With 40 851
+# displacements of degree 1, `"direct"` takes 4 s of one core, `"iterative"` 5 s and 44 iterations.
+# With 117 342 of degree 2, `"iterative"` takes 55 s and 1027 iterations, about as long as the
+# factorisation, but 0.2 GB instead of 2 GB.
 #
-# The reactions are what the forms leave at the plate's sides. They balance the load if each tie
-# hands on what acts on it.
+# The reactions are the residuals at the plate's sides. They balance the load if each tie transmits
+# its force exactly.
 
 
 def balance(model, us):

@@ -4,13 +4,13 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A table "published, here, difference" with a row for each number. Each scene is a function of its
-# own, with its source. Some references are closed forms of infinite bodies, or of beams, which a
-# finite mesh meets within about 1 %; others are other codes' results or curves read from a paper,
-# with a tolerance that their authors give.
+# A table "published, here, difference" has a row for each number. Each scene is a function, with
+# its source. Some references are closed forms of infinite bodies or of beams, which a finite mesh
+# meets within about 1 %. Others are results of other codes, or curves read from a paper, with the
+# tolerance that their authors give.
 #
-# `--scene wedge cone` runs some of them; the program ends with status 1 where a number is off by
-# more than its tolerance.
+# `--scene wedge cone` runs some of them. The exit status is 1 if a number is off by more than its
+# tolerance.
 
 # +
 import argparse

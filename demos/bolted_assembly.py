@@ -5,13 +5,13 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # In `assembly` the 18 parts of AS1 are tied wherever they touch. Here they are bolted: nuts are
-# tied to their threads, and faces that touch are in contact with friction. Bolts and the rod are
-# drawn as wide as their holes; they count as having clearance: friction alone keeps the brackets in
-# place, and the rod between them. This demo shows
+# tied to their threads, and faces that touch are in contact with friction. The CAD file draws bolts
+# and rod as wide as their holes, but here they have clearance. So friction alone holds the
+# brackets, and the rod between them. This demo shows
 #
-# - that `find_touching` and the parts' names say what is a contact, a tie, or free,
-# - how a bolt is tightened: it is cut across, and a tie with a jump pulls its halves together,
-# - 16 contacts with friction between 18 parts, of which nothing else holds 17,
+# - how `find_touching` and the names of the parts tell contacts, ties and free surfaces apart,
+# - how to tighten a bolt: it is cut in two, and a tie with a jump pulls the halves together,
+# - 16 contacts with friction between 18 parts, 17 of which only contact holds,
 # - where brackets part from the plate and where they slip.
 
 # +
@@ -37,8 +37,8 @@ from meshes.cad import parts_of_assembly
 
 # -
 
-# Newtons and millimetres, as in `assembly`. Bolts and the rod are cut across at half their length,
-# along an axis, and lose a slice there. The force is the rod's, which slides from about 2 kN on.
+# Units are newtons and millimetres, as in `assembly`. Bolts and the rod are cut at half their
+# length, and a slice is removed there. The load acts on the rod, which slides from about 2 kN on.
 
 AXIS = {"bolt": 2, "rod": 0}
 SLICE = {"bolt": 0.05, "rod": 0.4}
@@ -63,9 +63,9 @@ class Part:
 
 # ## What touches
 #
-# Names say what is between two parts. The halves of a bolt are tied with a jump, which is that of
-# the upper half's displacement over the lower one's. Of a bolt and a bracket, the face under the
-# head is in contact. What is left are shanks in holes.
+# The names of two parts decide. The halves of a bolt are tied with a jump: the displacement of the
+# upper half minus that of the lower one. Between a bolt and a bracket, the face under the head is
+# in contact. All other pairs are shanks in holes, and free.
 
 CONTACTS = {
     frozenset(("l-bracket", "plate")): "foot",
@@ -102,9 +102,9 @@ def at_top(mesh, facets):
 
 # ## Load steps
 #
-# First all is tightened, then the rod is loaded; at once would be another story, since slip is
-# counted from step to step. What only contact holds is to be pressed in the first step: a rod that
-# lies in its holes without a weight can be anywhere.
+# First everything is tightened, then the rod is loaded. Friction depends on the path, so both at
+# once would give another result. A part that only contact holds must be pressed in the first load
+# step: a loose rod without weight has no definite place.
 
 
 def run(args):
@@ -205,8 +205,9 @@ def print_row(row):
 
 # ## Pictures
 #
-# On the plate, the pressure of the brackets' feet and where they stick and slip; beside it a
-# section through two bolts and the rod, with the stress along bolts, much deformed.
+# One picture shows the pressure of the brackets' feet on the plate, and where they stick and slip.
+# The other is a section through two bolts and the rod, with the stress along the bolts and
+# magnified displacements.
 
 
 def section(part, y):

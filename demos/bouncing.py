@@ -4,14 +4,14 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A neo-Hookean ball, hollow and in plane strain, falls on a rigid floor. The residual has the
-# inertia of Newmark's method in it (β = 1/4, γ = 1/2: no damping), a time step is one `solve()`.
+# A neo-Hookean ball, hollow and in plane strain, falls on a rigid floor. The residual contains the
+# inertia of Newmark's method (β = 1/4, γ = 1/2: no damping). A time step is one call of `solve()`.
 #
-# Contact asks for one thing: what can touch must have no mass of its own. Else each node that hits
-# the floor is stopped within one time step, whatever its length: forces jump between zero and what
-# stops a node, nodes chatter, and Newmark's method makes energy of that (`--mass` shows it). So the
-# cells along the surface get no density, and the others have theirs. Then the surface follows the
-# floor as a spring does, contact forces are continuous in time, and energy stays.
+# Contact has one requirement: nodes that can touch must have no mass. Otherwise each node that hits
+# the floor is stopped within one time step, however short: forces jump, nodes chatter, and
+# Newmark's method gains energy (`--mass` shows it). So the density of the cells along the surface
+# is moved to the other cells. The surface then follows the floor like a spring, contact forces are
+# continuous in time, and the energy is conserved.
 
 # +
 import argparse

@@ -41,8 +41,7 @@ SOFT = {"gasket": 0.1, "core": 0.02}
 """Young's modulus of soft parts over that of the others."""
 FORCE = (0.3, 0.5, -1.0)
 
-# The first part is held where x is least, the last one is loaded by a force that is spread over its
-# volume.
+# The first part is held where x is smallest. The last one is loaded by a volume force.
 
 
 def held(V, cells=slice(None)):
@@ -114,7 +113,7 @@ def off(rows, reference):
 
 # ## What comes out
 #
-# Both meshes have polygons for circles, so that both are off by their shape, too.
+# Both meshes approximate circles by polygons, so both also have an error of shape.
 
 
 def run(name, factor, degree, fine):

@@ -4,12 +4,11 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Two bars stand on each other, and are pressed: the more, the more of them touches, and the better
-# heat gets across. First contact is solved, load step by load step; then heat, on the same meshes,
-# with a tie whose conductance comes from the pressure.
-# (Where heat strains bodies, do both by turns.) Between even ends all is exact. Where an end is
-# crowned heat has to squeeze through the middle; if contact itself is perfect the resistance of
-# that is known.
+# Two bars stand on each other and are pressed together. The higher the load, the larger the contact
+# area and the heat flow. First contact is solved, load step by load step. Then heat is solved on
+# the same meshes, with a tie whose conductance comes from the pressure. (If temperature strains the
+# bodies, alternate between the two.) Between flat ends the result is exact. If an end is crowned,
+# heat is constricted to the middle; the resistance of that is known if the contact itself has none.
 
 # +
 import argparse
@@ -36,7 +35,7 @@ args = parser.parse_args()
 comm = MPI.COMM_WORLD
 # -
 
-# Half of each bar, of width and length 1 and 1.5, between walls that it slides along; E, ν, and the
+# One half of each bar, 1 wide and 1.5 long, between walls without friction; E, ν and the
 # conductivity k. The end of the upper bar is crowned by up to a thousandth.
 
 B, L, CROWN = 1.0, 1.5, 1e-3
@@ -94,8 +93,8 @@ class Pressed:
         return p, (p > 0) & (gap < 1e-9 * CROWN)
 
 
-# Heat: the same facets, tied with a conductance that is read anew for each solve. It is 0 where
-# nothing touches.
+# Heat: the same facets, tied with a conductance that is read at each solve. It is 0 where nothing
+# touches.
 
 
 class Heat:
@@ -124,8 +123,8 @@ class Heat:
         return abs(q.integrate(q.evaluate(self.tie.traction(self.problem))[..., 0]))
 
 
-# Even ends: pressure, conductance and heat are the same everywhere, and exact. The conductance is
-# β p, as of rough surfaces.
+# Flat ends: pressure, conductance and heat flux are constant and exact. The conductance is β p, a
+# model of rough surfaces.
 
 strain_modulus = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 pressed, even = Pressed(0.0), []
@@ -137,11 +136,12 @@ for down in (1e-3, 4e-3):
         error = abs(heat.solve(beta * p) / exact - 1)
         even.append({"down": down, "beta": beta, "heat": exact, "error": float(error)})
 
-# A crowned end: heat of a contact without resistance, beside what is known of strips that touch on
-# a part a of their width B and let no heat through the rest, from a symmetry plane on: each has a
-# resistance of 2 / (π k) ln(1 / sin(π a / 2B)) more. A conductance that is huge where a vertex
-# touches is linear from there to the next one, and still huge all but up to that: this is the a, at
-# most a cell too large. (One that is proportional to the pressure fades by itself.)
+# A crowned end: the heat flow through a contact without resistance, beside the closed form for
+# strips of width B (from the symmetry plane on) that touch on the width a and are insulated
+# elsewhere. The constriction adds a resistance of 2 / (π k) ln(1 / sin(π a / 2B)) to each strip. A
+# conductance that is huge at a touching vertex decreases linearly to 0 at the next vertex, and is
+# still huge nearly up to it. So a reaches up to that vertex, and is at most one cell too large. (A
+# conductance proportional to the pressure fades by itself.)
 
 
 def squeezed(a):

@@ -4,10 +4,10 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A narrow block stands on a wider one. Both are compressed between walls that they slide along, and
-# what is left free of the wider one is loaded with the same pressure. So stress is the
-# same everywhere, and contact passes it on to round-off, whatever the meshes: at small strain, and
-# at 20 % with large deformation.
+# A narrow block stands on a wider one. Both are compressed between walls without friction. The free
+# part of the wider block's face is loaded with the same pressure. So the stress is constant, and
+# contact transmits it to round-off for any meshes: at small strain, and at 20 % with large
+# deformation.
 
 # +
 import argparse

@@ -16,8 +16,8 @@
 # pressure's error over seconds, for small and finite sliding, Newton steps, where the time goes;
 # with `--peers` NGSolve and scikit-fem on the same meshes.
 #
-# Both are solved through `TiedProblem`, with the solver it chooses; the fused mesh is a problem
-# without ties. Runs of a level alternate between the two, so that a busy machine slows both.
+# Both are solved by `TiedProblem` with its default solver; the fused mesh is a problem without
+# ties. Runs alternate between the two, so that a busy machine slows both.
 
 # +
 import argparse
@@ -234,9 +234,9 @@ def solve(bodies, degree, solver=None):
 
 # ## Errors
 #
-# of displacement and stress, relative to the exact ones; of the traction λ on Σ, or of the fused
-# mesh's mean of σn from both sides of the facets where the interface would be. And the residual of
-# the linear system, relative to its right-hand side.
+# Relative errors of displacement and stress; of the traction λ on Σ, or for the fused mesh of the
+# mean of σn from both sides of the facets at the radius of the interface. And the residual of the
+# linear system over its right-hand side.
 
 
 def relative_errors(us, degree):
@@ -291,7 +291,7 @@ def residual(problem):
 
 # ## A level
 #
-# Errors once, times several times.
+# Errors are measured once, times several times.
 
 
 def measure(scene, degree, h, repeats, solver):

@@ -7,22 +7,22 @@
 # Scenes whose solution is known (`--scene`):
 #
 # - `block`: a column is cut by a plane of slope m, and the upper part rests on the lower one. It
-#   sticks as long as the coefficient of friction is more than m. Then stress is that of the column
-#   without a cut; below m nothing holds the upper part, which is told.
-# - `wedge`: a block on a slope is pushed up it. By NAFEMS' benchmark CGS-4 that takes a horizontal
-#   force F of the weight G times (m + μ) / (1 - m μ).
+#   sticks if the coefficient of friction is larger than m; the stress is then that of the uncut
+#   column. If it is smaller, nothing holds the upper part, and an error says so.
+# - `wedge`: a block is pushed up a slope. By NAFEMS' benchmark CGS-4 the horizontal force F is the
+#   weight G times (m + μ) / (1 - m μ).
 # - `cattaneo`: a cylinder is pressed on a half-plane of the same material, by P, then sheared by Q.
 #   It sticks where |x| < c only (Cattaneo, 1938; Mindlin, 1949):
 #
 # $$c = a \sqrt{1 - Q / (\mu P)}, \quad
 #   q = \mu p_0 \Bigl(\sqrt{1 - x^2/a^2} - \frac ca \sqrt{1 - x^2/c^2}\Bigr).$$
 #
-# - `sphere`: the same of a sphere on a half-space, sheared, then slid. It sticks where r < c only,
-#   with the root above one of the third order (Mindlin, 1949).
-# - `roll`: the sphere rolls by one facet a load step. Of the block's material, it neither slips nor
-#   takes any force.
-# - `twist`: a cylinder stands on another one and is turned around its axis. When all of it slips it
-#   takes a torque of 2/3 μ P R.
+# - `sphere`: a sphere on a half-space, sheared in the same way, then slid. It sticks where r < c
+#   only; the formula of c has a cube root in place of the square root (Mindlin, 1949).
+# - `roll`: the sphere rolls by one facet in each load step. Both bodies have the same material, so
+#   it neither slips nor needs a force.
+# - `twist`: a cylinder stands on another one and is turned around its axis. When the whole face
+#   slips, the torque is 2/3 μ P R.
 
 # +
 import argparse

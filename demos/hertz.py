@@ -13,8 +13,8 @@
 #
 # $$a = \sqrt[3]{3PR / (4 E^*)}, \quad p = p_0 \sqrt{1 - r^2/a^2}, \quad p_0 = 3P / (2\pi a^2).$$
 #
-# The upper body is held by nothing but symmetry and contact; the force is the load. The meshes
-# don't match; `h` is the size of the cells of the coarser side where the bodies touch.
+# Only symmetry and contact hold the upper body, and the force is the load. The meshes don't match;
+# `h` is the cell size of the coarser side in the contact.
 
 # +
 import argparse
@@ -54,9 +54,9 @@ def exact(x, dim=2):
 
 # ## Meshes
 #
-# In the plane cells of one size up to 1.5 a, from there on each is a seventh longer than the one
-# before. In space unstructured tetrahedra, which grow from a ball of radius 1.2 a on; for degree 2,
-# which has the stress below the surface on longer cells too, from a disc.
+# In the plane cells have one size up to 1.5 a, and grow by a seventh from cell to cell beyond. In
+# space, tetrahedra are unstructured and grow outside a ball of radius 1.2 a. With degree 2 they
+# grow outside a disc, since longer cells suffice below the surface.
 
 
 def grading(h, a=a, end=L[2]):
@@ -243,16 +243,17 @@ def errors(problem, contact):
 
 # ## Published scenes
 #
-# Bodies of real sizes, with strains of 2 to 7 %, where Hertz's are infinitesimal. Two things decide
-# whether they agree within 1 %:
+# These bodies have finite sizes and strains of 2 to 7 %, while Hertz's are infinitesimal. For an
+# agreement within 1 %, two things matter:
 #
-# - Linear elastic bodies are in balance on their undeformed surfaces, and those shrink where they
-#   are pressed, by (1 + ν)(1 - 2ν) p0 / E. So what is compared is a force per undeformed area; per
-#   deformed area it is 1.6 to 2.9 % more in the plane.
-# - Half bodies whose middle planes are moved aren't half-spaces that are moved far away: spheres
-#   moved by 2 mm each transmit 13 % more than Hertz's force. So the load is his force.
+# - Linear elastic bodies are in equilibrium on their undeformed surfaces. These shrink under
+#   pressure, by (1 + ν)(1 - 2ν) p0 / E. So forces per undeformed area are compared; per deformed
+#   area they are 1.6 to 2.9 % larger in the plane.
+# - Prescribing the displacement of a half body's middle plane isn't the same as moving a half-space
+#   far away: spheres moved by 2 mm each transmit 13 % more than Hertz's force. So the load is his
+#   force.
 #
-# Spheres are discs around an axis: the bodies' forms have 2πr in their measures, and contact too.
+# Spheres are axisymmetric: forms have 2πr in their measures, and so has the contact.
 
 
 @dataclass

@@ -4,13 +4,13 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Bodies that keep their volume want a pressure besides the displacement, in Taylor–Hood elements.
-# A tie takes a component of such a space: `Tie((W.sub(0), facets), …)` ties the displacements. The
-# pressures may jump, as they do between different materials, and need no tie. This demo shows
+# Incompressible bodies need a pressure besides the displacement, as in Taylor–Hood elements. A tie
+# takes one component of such a space: `Tie((W.sub(0), facets), …)` ties the displacements. The
+# pressures may jump, as between different materials, and need no tie. This demo shows
 #
 # - a thick pipe under inner pressure: two rubber rings ($\nu = 0.5$), tied to each other and to a
 #   ring with $\nu = 0.3$ that has no pressure; errors and rates against Lamé's exact solution,
-# - flow through a channel of two meshes, whose parabola is in the space of the velocities.
+# - flow through a channel of two meshes. Its parabolic profile is in the space of the velocities.
 
 # +
 import argparse

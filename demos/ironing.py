@@ -4,20 +4,21 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Large deformation, finite sliding, no friction unless it is asked for. The die is ten times as
-# stiff as the foundation, both are neo-Hookean. First it goes down in a few load steps, then along.
-# Without friction its
-# reaction should be vertical but for the foundation's far ends; what comes and goes as the nodes
-# pass each other is the ripple of the method. All is conservative: the reaction is the derivative
-# of the energy that is stored. Each step is followed by one of a ten-thousandth of a cell to see
-# that: over a third of a cell the mean of two forces isn't their work to more than two or three
-# digits, and the reaction has kinks where a corner's pressure passes from facet to facet.
+# Large deformation and finite sliding, without friction by default. The die is ten times as stiff
+# as the foundation; both are neo-Hookean. It is pressed down in a few load steps, then drawn along.
+# Without friction its reaction should be vertical, except near the ends of the foundation. Its
+# oscillation as nodes pass each other is the *ripple* of the method.
 #
-# With friction (`--friction 0.3`) work is also dissipated, and at the end the die is drawn back
-# (`--back`). Once all of it slips, shear over pressure along the surfaces is the coefficient, to
-# round-off. Horizontal over vertical force isn't: where the foundation dents its surface tilts.
-# For the curved die and a coefficient of .5 that ratio is .4973, .4967, .4965 with cells of one,
-# half and a quarter of the size (degree 2: .4965, .4965).
+# Without friction the scene is conservative: the reaction is the derivative of the stored energy.
+# To check this, each load step is followed by one of a ten-thousandth of a cell. (Over a whole load
+# step, a third of a cell, the mean of two forces gives the work to two or three digits only, and
+# the reaction has kinks where a corner's pressure passes from facet to facet.)
+#
+# With friction (`--friction 0.3`) work is dissipated. `--back` draws the die back at the end. When
+# the whole surface slips, shear over pressure is the coefficient of friction to round-off.
+# Horizontal over vertical force is not, since the dented surface is tilted. For the curved die and
+# a coefficient of 0.5 this ratio is 0.4973, 0.4967, 0.4965 with cells of one, a half and a quarter
+# of the size (degree 2: 0.4965, 0.4965).
 
 # +
 import argparse

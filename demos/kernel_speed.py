@@ -4,10 +4,10 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# What a tie costs before anything is solved, on one core: gap element matrices a second; the strip
-# between two chains of 100 000 edges; tetrahedra between two spheres; and the whole way from facets
-# to the blocks $B_0$ and $B_1$, over the number of facets. That should grow in proportion: the
-# exponent of a fit is printed.
+# The cost of a tie before anything is solved, on one core: gap element matrices a second; the strip
+# between two chains of 100 000 edges; tetrahedra between two spheres; and everything from facets to
+# the blocks $B_0$ and $B_1$, over the number of facets. This should grow linearly: the exponent of
+# a fit is printed.
 
 # +
 import argparse

@@ -4,16 +4,15 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# `TiedProblem` isn't the only way: `tie.blocks()` gives the matrices of the constraint
-# $B_0 u_0 + B_1 u_1 = 0$, to put into whatever system you have. Here, Poisson's equation on two
-# plates becomes
+# `tie.blocks()` gives the matrices of the constraint $B_0 u_0 + B_1 u_1 = 0$ for a system of your
+# own, without `TiedProblem`. Here, Poisson's equation on two plates becomes
 #
 # $$\begin{bmatrix} K_0 & & B_0^T \\ & K_1 & B_1^T \\ B_0 & B_1 & \end{bmatrix}
 # \begin{bmatrix} u_0 \\ u_1 \\ \lambda \end{bmatrix}
 # = \begin{bmatrix} f_0 \\ f_1 \\ 0 \end{bmatrix}$$
 #
-# and is solved without a factorisation of the whole: by MINRES with algebraic multigrid for each
-# body, in parallel.
+# It is solved by MINRES with algebraic multigrid for each body, in parallel, without a
+# factorisation of the whole.
 
 # +
 import argparse

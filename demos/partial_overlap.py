@@ -4,18 +4,18 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A plate and a block on it whose outlines don't match: the block stands inside of the plate's face,
-# over its edge or corner, or is a bar that crosses it; or only patches of the plate can be tied.
-# What lies opposite to the other side is tied, what doesn't is free.
+# A block stands on a plate: inside its face, over its edge or its corner, or across it as a bar. Or
+# only patches of the plate can be tied. The parts that lie opposite each other are tied, the rest
+# is free.
 #
-# - flat: both are stretched in the plane of the interface, alike. There is no traction on it, so
-#   the free part is exact too, and a method passes when the error is round-off.
-# - curved: a pad on a cylinder and a patch on a sphere, turned against the other's mesh, with a
-#   smooth field, which is prescribed in the plate's facets that the pad doesn't cover as a whole.
-#   Errors fall as they do without an interface.
-# - loaded: a block glued on a plate that is bent, and a bush in a bracket, out of which it sticks,
-#   that is pushed aside; each beside one mesh of both: the load's work and the mean stress in the
-#   smaller part, degree 2.
+# - flat: both are stretched equally in the plane of the interface. The interface has no traction,
+#   so the exact solution has none on the free part either, and the error should be round-off.
+# - curved: a pad on a cylinder and a patch on a sphere, turned against the other mesh. The exact
+#   solution is a smooth field. It is prescribed on the facets of the plate that the pad doesn't
+#   cover completely. Errors converge as without an interface.
+# - loaded: a block glued on a bent plate, and a bush that sticks out of a bracket and is pushed
+#   sideways. Each is compared with one mesh of both parts: the work of the load and the mean stress
+#   in the smaller part, degree 2.
 
 # +
 import argparse
@@ -156,7 +156,7 @@ def errors(us, exact):
 
 # ## Curved ones
 #
-# Both surfaces are images of the plane; the pad is a turned rectangle there.
+# Both surfaces are images of a plane, in which the pad is a rotated rectangle.
 
 PAD = 17, (0.62, 0.55), (0.0, 0.0)
 
@@ -232,8 +232,8 @@ def curved_patch(comm, scene, cell, degree, level):
 
 # ## Real loads
 #
-# Beside two parts one mesh of both, whose cells are those of a box that lie in either part. A load
-# pulls at one face, another is held; stress is that of the part of which `inside` is true.
+# The one mesh consists of those cells of a box that lie in either part. A load acts on one face,
+# another face is held. The stress is that of the part where `inside` is true.
 
 
 @dataclass

@@ -4,13 +4,13 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A double cantilever beam whose arms, meshed apart, are held together by an adhesive that softens
-# and lets go. The ends of the arms are turned away from each other, and the bond opens from there
-# on. The law has no memory; here it needs none, since nothing closes. This demo shows
+# The arms of a double cantilever beam are meshed separately and held together by an adhesive that
+# softens and fails. The ends of the arms are turned away from each other, and the bond opens from
+# there. The law has no memory, and needs none here, since nothing closes. This demo shows
 #
 # - `Tie(..., law=...)`: λ as a UFL expression of the jump, here the derivative of a potential,
-# - that the moment with which the bond goes on opening is the exact one: by the J-integral the
-#   adhesive's energy $G$ is $M^2/(E'I)$ for each crack length.
+# - that the moment at which the bond keeps opening is exact: by the J-integral, the energy $G$ of
+#   the adhesive is $M^2/(E'I)$ for each crack length.
 
 # +
 import argparse
@@ -104,7 +104,7 @@ tie = Tie(*sides, law=adhesive)
 problem = NonlinearTiedProblem(F, us, bcs=bcs, ties=[tie])
 exact = np.sqrt(G * stiffness * H**3 / 12)
 
-# Where the jump is δ, the adhesive is at its strongest: behind is what has opened.
+# Where the jump is δ, the traction of the adhesive is largest. The part behind that has opened.
 
 q = tie.quadrature(2)
 rows = []

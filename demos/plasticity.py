@@ -4,27 +4,27 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A rigid sphere of radius R is pressed into a half-space that yields at σ_y (J2, without hardening)
-# and drawn back: Brinell's test. A body with a history needs three things of a `ContactProblem`:
+# Brinell's test: a rigid sphere of radius R is pressed into a half-space and drawn back. The
+# half-space yields at σ_y (J2, without hardening). A body with a history needs three things:
 #
 # - stresses in UFL, of the displacement and of the internal variables (here the plastic strain, a
 #   function at quadrature points), so that their derivative is the consistent tangent;
-# - a function that moves the history on when a load step is solved, `accepted=`;
-# - the internal variables' names, `internal_variables=`: where a load step is halved, loads are set
-#   to values between, history isn't; where one fails, history is what it was.
+# - `accepted=`, a function that updates the history when a load step is solved;
+# - `internal_variables=`, the functions of the history. When a load step is halved, loads are
+#   interpolated, history is not. When one fails, history goes back.
 #
 # What is known (Johnson, Contact Mechanics, ch. 6): it yields first where Hertz's pressure is
 # 1.60 σ_y, below the surface; the mean pressure, 2/3 of that then, grows up to 2.8 to 3 σ_y, with
 # E* a / (σ_y R) of 40 or more; and what springs back, from a dent whose curvature differs from the
 # sphere's, is a motion of (9 π P p_m / 16 E*²)^½.
 #
-# A trap: after a load step the trial stress of what yields lies on the yield surface to round-off.
-# A condition `gt(f, 0)` is true there at random in the next step's first tangent, which is that of
-# loading then, though the body is unloaded: the first step back takes 33 Newton steps and is halved
-# (`--threshold 0`), with `gt(f, 1e-8 * sigma_y)` 4.
+# A trap: after a load step the trial stress of yielding points lies on the yield surface to
+# round-off. There, a condition `gt(f, 0)` is true at random in the first tangent of the next step,
+# which is then the tangent of loading, although the body is unloaded. The first step back takes 33
+# Newton steps and is halved (`--threshold 0`). With `gt(f, 1e-8 * sigma_y)` it takes 4.
 #
-# The scene is axisymmetric: residuals have 2πr in them, and so has contact: its forces are those of
-# the whole circle, its pressures per area.
+# The scene is axisymmetric: residuals have 2πr in their measures, and so has the contact. Forces
+# are those of the whole circle, pressures are per area.
 
 # +
 import argparse
@@ -50,9 +50,9 @@ E_star = E / (1 - nu**2)
 DEGREE = 2  # of quadrature: 2 × 2 points
 # ## Meshes
 #
-# The half-space: cells of one size up to 1.2 times the contact's radius, growing by 15 % from there
-# on. The sphere: an arc, rigid, with smaller facets (no matter: the half-space carries the
-# pressures).
+# Cells of the half-space have one size up to 1.2 times the radius of the contact, and grow by 15 %
+# from cell to cell beyond. The sphere is a rigid arc with smaller facets, since the half-space is
+# Γ1.
 
 
 def graded(fine, h, size):

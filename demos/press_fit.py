@@ -4,13 +4,13 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Large deformation, friction, finite sliding. The shaft is a little thicker than the ring's hole;
-# its end is a cone, the lead, that becomes a little thinner. Both are solids of revolution: their
-# forms are integrated with r dr dz in the plane of r and z, and so is contact, `axisymmetric`. In
-# the middle of the ring the pressure is Lamé's of two long cylinders, but for what the ends do
-# there, for strain that isn't small, and for friction, which shortens the ring and the shaft. As
-# all of it slips, the force that pushes is friction's coefficient times that of the pressures, but
-# for the slope of what bulges.
+# Large deformation, friction and finite sliding. The shaft is slightly thicker than the hole of the
+# ring. Its end is a cone, the lead, which is slightly thinner than the hole. Both are bodies of
+# revolution: forms are integrated with r dr dz in the plane (r, z), and the contact is
+# `axisymmetric`. In the middle of the ring the pressure is nearly Lamé's for two long cylinders. It
+# differs by the effect of the ends, by finite strain, and by friction, which shortens the ring and
+# the shaft. When the whole surface slips, the pushing force is the coefficient of friction times
+# the force of the pressures, apart from the slope of the bulged surface.
 
 # +
 import argparse

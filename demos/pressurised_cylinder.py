@@ -10,7 +10,8 @@
 #
 # - how a tie is added to a DOLFINx script,
 # - that displacements and stresses converge as fast as on a single mesh,
-# - how the traction that the tie transmits is read, and that it is an order better on surfaces.
+# - how to get the traction that the tie transmits, and that it is one order more accurate on the
+#   surfaces.
 
 # +
 import argparse
@@ -119,9 +120,9 @@ def solve(rings, degree, swap, seconds):
 
 # ## Errors
 #
-# of the displacement and the stress, relative to the exact ones, over both rings; of the traction
-# on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$, and on both rings' surfaces; and of
-# the gap and the slip on Σ, which should be zero, relative to the displacement $u(c)$.
+# Relative errors of the displacement and the stress over both rings; of the traction on the gap
+# domain Σ, where $\lambda = \sigma_{rr}(c)\, n$, and on the surfaces of both rings; and the gap and
+# the slip on Σ, which should be zero, over the displacement $u(c)$.
 
 
 def relative_errors(us, degree):
@@ -234,8 +235,8 @@ def print_table(rows):
 
 # ## Pictures
 #
-# as the paper's Figures 3 and 4: the gap domain Σ between the rings, pulled apart to be seen; the
-# rings before and after deformation; errors over the cell size.
+# As the paper's Figures 3 and 4: the gap domain Σ between the rings, drawn pulled apart; the rings
+# before and after deformation; errors over the cell size.
 
 
 def draw(comm, degree, cell, swap, folder):

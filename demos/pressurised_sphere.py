@@ -10,7 +10,7 @@
 # (Lamé) is known, so this demo shows
 #
 # - that a tie in three dimensions is written like one in the plane,
-# - that displacements, stresses and the traction that the tie transmits converge as they should,
+# - that displacements, stresses and the traction of the tie converge with the expected rates,
 # - with `--fused`, what the tie costs in accuracy: nothing visible.
 
 # +
@@ -122,8 +122,8 @@ def solve(shells, degree, swap, adjust, seconds):
 
 # ## Errors
 #
-# of the displacement and the stress, relative to the exact ones, over both shells; and of the
-# traction λ on the gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$.
+# Relative errors of the displacement and the stress over both shells, and of the traction λ on the
+# gap domain Σ, where $\lambda = \sigma_{rr}(c)\, n$.
 
 
 def relative_errors(us, degree):
@@ -204,7 +204,7 @@ def num_dofs(us):
 
 # ## One fused mesh
 #
-# What a tie is measured by: both shells in one mesh with the same cell sizes, and no tie.
+# For comparison: both shells in one mesh with the same cell sizes, and no tie.
 
 
 def run_fused(comm, h, degree, cell="tetrahedron"):

@@ -4,10 +4,10 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A quarter of a plate comes from Gmsh, as a `.msh` file with tags. Around its hole, where stresses
-# change fast, it has a ring of finer cells, and that comes from XDMF. The tie makes one plate of
-# them. Under tension the stress at the hole's edge is three times that far away; Kirsch's solution
-# for an infinite plate gives the loads on the outer edges, so that it's exact here.
+# A quarter of a plate comes from Gmsh, as a `.msh` file with tags. Around its hole stresses change
+# fast: a ring of finer cells there comes from XDMF. A tie joins the two. Under tension the stress
+# at the edge of the hole is three times the stress far away. Kirsch's solution for an infinite
+# plate gives the loads on the outer edges, so it is exact here.
 
 # +
 import argparse

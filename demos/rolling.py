@@ -5,10 +5,10 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # The ball of the demo `bouncing` lies on the floor and is thrown along it, without spin. Friction
-# brakes it and makes it turn, until it rolls: by the angular momentum about the floor its speed is
-# then v₀ / (1 + k²), k² its moment of inertia over m R², whatever the coefficient of friction.
-# What friction took is what the energies lack. As long as it rolls the floor holds it, and the ball
-# swings on that.
+# brakes it and makes it turn, until it rolls. By conservation of the angular momentum about the
+# floor its speed is then v₀ / (1 + k²) for any coefficient of friction, with k² its moment of
+# inertia over m R². The energy that friction dissipated is missing in the energies of the ball.
+# While the ball rolls, it sticks to the floor, and oscillates elastically about the sticking part.
 
 # +
 import argparse

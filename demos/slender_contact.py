@@ -4,12 +4,12 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# Fourteen scenes in the plane, without friction. In a slender or soft body a vertex that closes
-# opens others, far away; a clip that snaps has no equilibrium near to the last one; a block in a
-# slot touches with corners and sides. The table says what each scene takes: load steps, Newton
-# steps in all and in the worst load step, halved load steps, the largest depth of a vertex in the
-# other body at the end of a load step, in facets, and where it fails, if it does. All bodies are
-# neo-Hookean, what presses them mostly a hundred times as stiff.
+# Fourteen scenes in the plane, without friction. In a slender or soft body, closing one vertex
+# opens others far away. A clip that snaps has no equilibrium near the last one. A block in a slot
+# touches with corners and sides. The table has, for each scene, the load steps, the Newton steps in
+# total and in the worst load step, the halved load steps, the largest depth of a vertex in the
+# other body at the end of a load step (in facets), and the place where it fails, if it does. All
+# bodies are neo-Hookean; the pressing bodies are mostly a hundred times as stiff.
 #
 # `--scene clip hairpin` runs some of them, `--steps 2` the first load steps only.
 

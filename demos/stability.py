@@ -4,12 +4,12 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# How does a tie bear steel on rubber, microns beside metres, one cell beside a thousand? Patch
-# tests and the pressurised cylinder are repeated along one axis after the other, in 2D and 3D, with
-# elements of degree 1 and 2 and both sides as Γ1. The same problem on one fused mesh tells what the
-# bodies' own conditioning costs: a row is met when its error is below its bound, or when the fused
-# mesh shows a tenth of it or more. Contact has rows of its own: a block that nothing else holds,
-# and a die that irons.
+# How accurate is a tie of steel and rubber, of microns and metres, of one cell and a thousand?
+# Patch tests and the pressurised cylinder are repeated while one parameter after the other is
+# varied, in 2D and 3D, with degrees 1 and 2, and with either side as Γ1. The same problem on one
+# fused mesh shows the loss of digits by the conditioning of the bodies. A row is met if its error
+# is below its bound, or if the fused mesh has a tenth of the error or more. Contact has its own
+# rows: a block that only contact holds, and ironing.
 
 # +
 import argparse
@@ -46,9 +46,8 @@ def stress(u, E, nu):
 
 # ## Patch tests
 #
-# Two blocks, the second one on top of the first. Where they have one material, any constant
-# gradient is exact; where they have two, the one of oedometric compression is. A scene says what is
-# unusual.
+# Two blocks, the second one on top of the first. With one material any constant gradient is exact,
+# with two materials that of oedometric compression. Each scene names what is unusual.
 
 SCENE = {
     "dim": 2,
@@ -240,8 +239,8 @@ def cylinder(n, degree, E, nu, swap=False, fused=False):
 
 # ## Rigid motions
 #
-# Two closed rings, moved to fit each other, of which the outer one is turned by 1e-3: what stress
-# is left?
+# Two closed rings that are adjusted to each other; the outer one is turned by 1e-3. The stress
+# should be zero.
 
 
 def turned(n, degree, swap):
@@ -271,10 +270,10 @@ def turned(n, degree, swap):
 
 # ## Contact
 #
-# A block between walls is pressed on another one, and held by nothing but contact; the pressure is
-# the load. A column that is cut by a plane sticks as long as friction is more than its slope (see
-# `friction.py`). And a die irons, in load steps of any length: its reaction is the derivative of
-# the energy, but for what friction takes.
+# A block between walls is pressed on another one by a pressure, and only contact holds it. A column
+# that is cut by a plane sticks if the coefficient of friction is larger than its slope (see
+# `friction.py`). And a die is drawn along a foundation in load steps of different lengths: its
+# reaction is the derivative of the energy, apart from dissipation.
 
 PRESSED = {
     "dim": 2,

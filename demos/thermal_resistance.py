@@ -7,7 +7,8 @@
 # Heat flows through a pipe and its coat, whose meshes don't match. Between them is a thermal
 # contact resistance c: the temperature jumps by c times the heat flux λ. This demo shows
 #
-# - `Tie(..., compliance=c)`, with c from 0 (tied) on, changed from solve to solve,
+# - `Tie(..., compliance=c)` with c ≥ 0, changed from solve to solve; with c = 0 the bodies are
+#   tied,
 # - rates of convergence against the exact temperature and flux.
 
 # +
@@ -42,8 +43,8 @@ a, m, b = 1.0, 1.5, 2.0
 k = 1.0, 0.2
 inside, outside = 1.0, 0.0
 
-# A quarter of the pipe has 3n quadrilaterals around, of its coat 2n: the coarser, less conducting
-# side is Γ1. The tie reads the resistance anew when the matrix is assembled.
+# A quarter of the pipe has 3n quadrilaterals around, its coat 2n. The coat is coarser and conducts
+# less: it is Γ1. The tie reads the resistance each time the matrix is assembled.
 
 
 def bodies(n):
@@ -64,7 +65,7 @@ def bodies(n):
     return V, forms, bcs, sides, resistance
 
 
-# Through each radius flows the same heat, $2\pi Q$:
+# The heat flow is the same through each radius, $2\pi Q$:
 
 
 def heat(c):

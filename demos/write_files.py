@@ -4,9 +4,9 @@
 #
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
-# A block is pressed on another one whose mesh doesn't match. Displacements, stresses, and what
-# there is on the gap domain Σ (α, the traction λ, gap and slip) are written with DOLFINx's own
-# writers, in parallel, for ParaView to open.
+# A block is pressed on another one whose mesh doesn't match. DOLFINx's writers write displacements,
+# stresses, and the functions on the gap domain Σ (α, the traction λ, gap and slip) for ParaView, in
+# parallel.
 
 # +
 import argparse
@@ -34,7 +34,7 @@ args = parser.parse_args()
 comm = MPI.COMM_WORLD
 # -
 
-# Two blocks of quadratic cells; a pressure on the middle of the upper one, the lower one held.
+# Two blocks of degree 2. A pressure acts on the middle of the upper one; the lower one is held.
 
 lower = meshes.block(comm, (10, 5), lambda x: x * (2, 1), degree=2)
 upper = meshes.block(comm, (7, 3), lambda x: x * (1, 0.5) + (0.5, 1), cell="triangle", degree=2)
@@ -84,7 +84,7 @@ for name, u in zip(("lower", "upper"), us, strict=True):
     write(f"{name}_stress", [stress])
 write("sigma", files.on_sigma(tie, problem))
 
-# What the tie transmits is the load:
+# The tie transmits the load:
 
 q = tie.quadrature(4)
 force = q.integrate(q.evaluate(tie.traction(problem)))
