@@ -32,6 +32,7 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
+from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
 from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
@@ -96,7 +97,8 @@ class Contact:
 
         Args:
             side0: Γ0: a Lagrange space of displacements, and local indices of exterior facets of
-                its mesh, as ``facet_tags.find(tag)`` gives them.
+                its mesh, as ``facet_tags.find(tag)`` gives them. ``(W.sub(0), facets)`` for the
+                displacements of a mixed space, as Taylor–Hood's.
             side1: Γ1, which carries the pressures: the same.
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
                 stay what they are at the start, the constraints are linear.
@@ -127,7 +129,11 @@ class Contact:
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
         _check_sides(side0, side1)
-        self._spaces = (side0[0], side1[0])
+        self._components = Component.of(side0[0]), Component.of(side1[0])
+        self._spaces = self._components[0].space, self._components[1].space
+        side0, side1 = (
+            (V, facets) for V, (_, facets) in zip(self._spaces, (side0, side1), strict=True)
+        )
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
         self._sides_chosen = "as given"
@@ -195,7 +201,9 @@ class Contact:
             InterfaceError: As the constructor.
         """
         _check_sides(a, b)
-        size = [_size(create_surface(*side, "a side")) for side in (a, b)]
+        size = [
+            _size(create_surface(Component.of(V).space, facets, "a side")) for V, facets in (a, b)
+        ]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
             moduli = np.asarray(stiffness, dtype=float)
@@ -245,8 +253,13 @@ class Contact:
                 )
 
     @property
+    def components(self) -> tuple[Component, Component]:
+        """V₀ and V₁ among the dofs of their bodies."""
+        return self._components
+
+    @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
-        """V₀ and V₁."""
+        """V₀ and V₁; of a component, its own (collapsed) space."""
         return self._spaces
 
     @property
@@ -469,7 +482,8 @@ class Contact:
         """The distance of the bodies, negative where they overlap. Collective.
 
         Args:
-            u0: Displacement of one body, of Γ0's if both are one.
+            u0: Displacement of one body, of Γ0's if both are one; of a mixed space the body's
+                function with all components.
             u1: Displacement of the other one.
             on: ``"sigma"``: on Σ under these displacements, a constant for each of its cells.
                 ``"body"``: weighted gaps over their areas, as a function of degree 1 on Γ1's body;
@@ -481,15 +495,16 @@ class Contact:
         """
         if not all(isinstance(u, fem.Function) for u in (u0, u1)):
             raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
-        if u0.function_space != self._spaces[0]:  # `between` may have swapped them
+        if self._components[0].own_function(u0) is None:  # `between` may have swapped them
             u0, u1 = u1, u0
-        for i, (u, V) in enumerate(zip((u0, u1), self._spaces, strict=True)):
-            if u.function_space != V:
-                raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
+        own = [part.own_function(u) for part, u in zip(self._components, (u0, u1), strict=True)]
+        if own[0] is None or own[1] is None:
+            i = own.index(None)
+            raise ValueError(f"u{i} is not on the space of Γ{i} (contact.spaces[{i}]).")
         on_body = self._where(on) == "body"
         rows = self._solved_at(u0, u1)
         if rows is None:
-            rows = self._rows_at(u0, u1)
+            rows = self._rows_at(own[0], own[1])
             rows.update_geometry()
         opening = self._opening(rows)
         if on_body:
@@ -500,7 +515,8 @@ class Contact:
     def _rows_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows:
         """Rows of no problem. Collective."""
         free = [np.zeros(owned_values(u).shape, dtype=bool) for u in (u0, u1)]
-        return ContactRows(ContactPair(self, (u0, u1), (0, 1)), free)
+        parts = Component.of(u0.function_space), Component.of(u1.function_space)
+        return ContactRows(ContactPair(self, (u0, u1), (0, 1), parts), free)
 
     def status(self) -> str:
         """A table to print before a solve: what faces what, and how far apart. Collective.

@@ -23,11 +23,11 @@ from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRow
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all, spot
-from hypergap_dolfinx.core.sparse import mean_diagonal
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
+from hypergap_dolfinx.surface.component import Component, lagrange_components
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
@@ -132,17 +132,11 @@ class ContactProblem(ContactSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         if len(F) != len(u):
             raise ValueError(f"{len(F)} residual forms and {len(u)} functions: give one of each.")
-        mixed = next((i for i, f in enumerate(u) if is_mixed(f.function_space)), None)
-        if mixed is not None:
-            raise ValueError(
-                f"body {mixed} is on a mixed space; in contact problems bodies have displacements "
-                "and nothing else."
-            )
         for i, V in enumerate(f.function_space for f in u):
-            if V.value_shape != (V.mesh.geometry.dim,):
+            if not is_mixed(V) and V.value_shape != (V.mesh.geometry.dim,):
                 raise ValueError(
                     f"body {i} has values of shape {V.value_shape}; in contact problems bodies "
-                    "have displacements and nothing else."
+                    "have displacements."
                 )
         contacts = [contacts] if isinstance(contacts, Contact) else list(contacts or ())
         if not contacts:
@@ -172,7 +166,7 @@ class ContactProblem(ContactSystem):
         self._every = list(u)
         pairs, told_sizes = [], list[str]()
         for c, contact in enumerate(contacts):
-            bodies = [self._body(c, i, V) for i, V in enumerate(contact.spaces)]
+            bodies = [self._body(c, i, part) for i, part in enumerate(contact.components)]
             numbers = [elastic.index(b) if b in elastic else None for b in bodies]
             if numbers == [None, None]:
                 raise ValueError(f"contact {c} is between two rigid bodies.")
@@ -184,13 +178,15 @@ class ContactProblem(ContactSystem):
             if contact.is_wall and contact.doubt_of_sizes and numbers[0] is not None:
                 told_sizes.append(contact.doubt_of_sizes)
             fields = u[bodies[0]], u[bodies[1]]
-            pairs.append(ContactPair(contact, fields, (numbers[0], numbers[1])))
+            of_bodies = numbers[0], numbers[1]
+            pairs.append(ContactPair(contact, fields, of_bodies, contact.components))
         super().__init__(
             forms,
             [u[i] for i in elastic],
             bcs,
             Joined(ties),
             pairs,
+            parts=[_displacements(i, u[i].function_space, contacts) for i in elastic],
             names=[name_of_body(i, u[i].function_space) for i in elastic],
             rtol=rtol,
             solver=solver,
@@ -214,9 +210,9 @@ class ContactProblem(ContactSystem):
         revolution.tell(F, contacts, "contact")
         revolution.tell(F, ties, "tie")
 
-    def _body(self, c: int, side: int, V: fem.FunctionSpace) -> int:
+    def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""
-        body = next((i for i, f in enumerate(self._every) if f.function_space == V), None)
+        body = part.among([f.function_space for f in self._every])
         if body is None:
             raise ValueError(
                 f"Γ{side} of contact {c} is on a space of no body; make the contact and the forms "
@@ -449,7 +445,7 @@ class ContactProblem(ContactSystem):
 
     def _warn_of_stiffness(self, comm):
         """Say which Γ1 is far stiffer than Γ0, and about as fine or finer. Collective."""
-        size = [mean_diagonal(K) for K in self._K]
+        size = [field.stiffness(K) for field, K in zip(self._fields, self._K, strict=True)]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = rows.bodies
             if i is None or contact.finer * ALIKE < 1 or comm.rank > 0:
@@ -483,6 +479,22 @@ class ContactProblem(ContactSystem):
                     f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
                     "are these the right facets?"
                 )
+
+
+def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) -> Component:
+    """The displacements of a body among its fields. Collective.
+
+    Those in contact; of a mixed space that is in none, its first vector.
+    """
+    given = [part for one in contacts for part in one.components if V.contains(part.given)]
+    if any(not given[0].same(other) for other in given):
+        raise ValueError(f"contacts are on different components of body {i}; take one of them.")
+    if given or not is_mixed(V):
+        return given[0] if given else Component.of(V)
+    vectors = [p for p in lagrange_components(V) if p.space.value_shape == (V.mesh.geometry.dim,)]
+    if not vectors:
+        raise ValueError(f"body {i} has no displacements among the components of its space.")
+    return vectors[0]
 
 
 def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):

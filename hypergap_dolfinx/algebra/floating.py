@@ -11,11 +11,9 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import (
     Hindrance,
-    fields_of,
     mean,
     motions,
     places,
@@ -24,6 +22,7 @@ from hypergap_dolfinx.algebra.rigid_motions import (
 from hypergap_dolfinx.algebra.tolerances import ASTRAY, DEPENDENT, MOVES, ROTATES
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import parts
+from hypergap_dolfinx.surface.component import Component
 
 
 class FreeMotions:
@@ -31,7 +30,7 @@ class FreeMotions:
 
     def __init__(
         self,
-        spaces: Sequence[fem.FunctionSpace],
+        parts_of: Sequence[Component],
         K: Sequence[PETSc.Mat],
         ties: ConstraintBlocks,
         without: Sequence[int] = (),
@@ -39,11 +38,12 @@ class FreeMotions:
         """Find them. Collective.
 
         Args:
-            spaces: Space of each body.
+            parts_of: Displacements of each body among its fields.
             K: Stiffness of each body without stress, assembled.
             ties: The ties.
             without: Numbers of interfaces that hinder nothing.
         """
+        self._fields, spaces = list(parts_of), [part.space for part in parts_of]
         self._spaces, self._parts = spaces, [parts(V) for V in spaces]
         self.places = [places(V) for V in spaces]
         """Initial positions of this rank's owned nodes of each body, ``(num_nodes, n)`` each."""
@@ -54,7 +54,7 @@ class FreeMotions:
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         for g in without:
             rows[g][:] = False
-        fields = fields_of(spaces)
+        fields = list(enumerate(self._fields))
         hindrance = Hindrance(fields, K, ties, modes)
         alone = hindrance.unhindered(rows)
         # Tied bodies move as one, even if that strains a tie by an error of its mesh
@@ -88,15 +88,17 @@ class FreeMotions:
 
         Args:
             i: Number of the body.
-            u: This rank's owned displacements, ``(num_dofs,)``.
+            u: This rank's owned dofs of the body, ``(num_dofs,)``.
 
         Returns:
             This rank's owned rows, ``(num_dofs, num)``.
         """
         x = self.places[i]
         if not self._combinations[i].any():  # it is held
-            return np.zeros((x.size, self.num))
-        return self._modes(i, x + u.reshape(x.shape)) @ self._combinations[i]
+            return np.zeros((len(u), self.num))
+        u = self._fields[i].of_body(u)
+        modes = self._modes(i, x + u.reshape(x.shape)) @ self._combinations[i]
+        return self._fields[i].into_body(modes)
 
     def _modes(self, i: int, x) -> npt.NDArray[np.float64]:
         """Rigid motions of a body's parts, of length 1 in its initial position. Collective."""
@@ -114,19 +116,18 @@ class FreeMotions:
 class RigidBodyDiagnostics:
     """Messages about bodies that only contact holds: which ones move, and how."""
 
-    def __init__(
-        self, spaces: Sequence[fem.FunctionSpace], free: FreeMotions, names: Sequence[str]
-    ):
+    def __init__(self, parts_of: Sequence[Component], free: FreeMotions, names: Sequence[str]):
         """Find the bodies that can move.
 
         Args:
-            spaces: Space of each body.
+            parts_of: Displacements of each body among its fields.
             free: The motions that nothing but contact holds.
             names: Names of the bodies in messages.
         """
-        self._spaces, self._free, self._names = spaces, free, names
-        self._comm = spaces[0].mesh.comm
-        sizes = [(free.at(i, 0 * places(V).ravel()) ** 2).sum() for i, V in enumerate(spaces)]
+        self._fields, self._free, self._names = parts_of, free, names
+        self._comm = parts_of[0].space.mesh.comm
+        none = [part.into_body(0 * places(part.space).ravel()) for part in parts_of]
+        sizes = [(free.at(i, u) ** 2).sum() for i, u in enumerate(none)]
         sizes = np.sqrt(self._comm.allreduce(np.array(sizes)))
         self._moves = sizes > MOVES * sizes.max()
 
@@ -175,12 +176,12 @@ class RigidBodyDiagnostics:
         moving = [self._free.at(i, part) @ left for i, part in enumerate(u)]
         sizes = np.sqrt(self._comm.allreduce(np.array([(v**2).sum(axis=0) for v in moving])))
         messages = []
-        for i, (V, some) in enumerate(zip(self._spaces, sizes > MOVES * sizes.max(), strict=True)):
+        for i, (f, some) in enumerate(zip(self._fields, sizes > MOVES * sizes.max(), strict=True)):
             if not some.any():
                 continue
-            x = places(V)
-            v = moving[i][:, some.argmax()].reshape(x.shape)
-            x, v = self._those_that_move(x + u[i].reshape(x.shape), v)
+            x = places(f.space)
+            v = f.of_body(moving[i][:, some.argmax()]).reshape(x.shape)
+            x, v = self._those_that_move(x + f.of_body(u[i]).reshape(x.shape), v)
             how = f", {in_words(self._comm, x, v)}" if some.sum() == 1 else ""
             messages.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
         return "; ".join(messages)
@@ -205,10 +206,10 @@ class RigidBodyDiagnostics:
             message: Message about the failure.
         """
         only, off = [], []
-        for i, (V, start, end) in enumerate(zip(self._spaces, before, now, strict=True)):
+        for i, (f, start, end) in enumerate(zip(self._fields, before, now, strict=True)):
             if not self._moves[i]:
                 continue
-            x = places(V)
+            x, start, end = places(f.space), f.of_body(start), f.of_body(end)
             x, way = x + start.reshape(x.shape), (end - start).reshape(x.shape)
             middle, shift = mean(self._comm, [x]), mean(self._comm, [way])
             extent = 2 * np.sqrt(mean(self._comm, [(x - middle) ** 2]).sum())

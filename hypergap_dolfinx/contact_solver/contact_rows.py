@@ -30,6 +30,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
+from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
@@ -42,6 +43,8 @@ class ContactPair:
     u: tuple[fem.Function, fem.Function]
     bodies: tuple[int | None, int | None]
     """Numbers of the bodies; None for a rigid one."""
+    components: tuple[Component, Component]
+    """The sides' displacements among the fields of u."""
 
 
 @dataclass
@@ -103,6 +106,7 @@ class ContactRows:
         """
         self._contact, self.fields, self.bodies = pair.contact, pair.u, pair.bodies
         self.sides, self.spaces = self._contact.sides, self._contact.spaces
+        self.components = pair.components
         self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
         self.number = -1
         """Number among the contact's rows of all problems, the same on every rank."""
@@ -122,11 +126,11 @@ class ContactRows:
             if body is None
             else look_up(
                 self._comm,
-                held[body].reshape(-1, self._n).astype(np.int8),
-                V.dofmap.index_map.local_range[0],
+                part.of_body(held[body]).reshape(-1, self._n).astype(np.int8),
+                part.space.dofmap.index_map.local_range[0],
                 side.dofs,
             ).astype(bool)
-            for V, side, body in zip(self.spaces, self.sides, self.bodies, strict=True)
+            for part, side, body in zip(self.components, self.sides, self.bodies, strict=True)
         ]
         self._is_free = ~np.concatenate([part.ravel() for part in self._held])
         self._compliance = np.zeros(num)
@@ -150,7 +154,7 @@ class ContactRows:
         """Displacements at both sides' dofs. Collective.
 
         Args:
-            u: This rank's values on Γ0's and Γ1's space, the owned ones first; None for zero.
+            u: This rank's values of Γ0's and Γ1's body, the owned ones first; None for zero.
         """
         u0, u1 = (np.zeros((len(side.dofs), self._n)) for side in self.sides)
         for values, part, (mine, dofs) in zip((u0, u1), u, self._owned_dofs, strict=True):
@@ -497,13 +501,14 @@ class ContactRows:
 
     @cached_property
     def _owned_dofs(self) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """Mask of this rank's dofs on each side, and those dofs, unrolled and local."""
+        """Mask of this rank's dofs on each side, and those dofs in the body, unrolled and local."""
         found = []
-        for side, V in zip(self.sides, self.spaces, strict=True):
-            start, end = V.dofmap.index_map.local_range
+        for side, part in zip(self.sides, self.components, strict=True):
+            start, end = part.space.dofmap.index_map.local_range
             mine = (side.dofs >= start) & (side.dofs < end)
             dofs = (side.dofs[mine] - start)[:, None] * self._n + np.arange(self._n)
-            found.append((mine, dofs.ravel()))
+            dofs = dofs.ravel()
+            found.append((mine, dofs if part.dofs is None else part.dofs[dofs]))
         return found
 
     @cached_property
@@ -537,9 +542,12 @@ class ContactRows:
         own = np.empty_like(self._order)
         own[self._order] = np.arange(len(own))
         bodies, numbers = [], []
-        for side, body, held in zip(self.sides, self.bodies, self._held, strict=True):
+        each = zip(self.sides, self.components, self.bodies, self._held, strict=True)
+        for side, part, body, held in each:
             bodies.append(np.where(held.ravel(), -2, -2 if body is None else body))
-            numbers.append((side.dofs[:, None] * self._n + np.arange(self._n)).ravel())
+            of_body = part.global_dofs().reshape(-1, self._n)
+            start = part.space.dofmap.index_map.local_range[0]
+            numbers.append(look_up(self._comm, of_body, start, side.dofs).ravel())
         return np.concatenate([*bodies, np.full(len(own), -1)]), np.concatenate([*numbers, own])
 
     def pattern(self) -> Pattern:
@@ -670,15 +678,18 @@ def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface])
         contacts: The contacts of a problem; their ``condensed_to`` is set.
         interfaces: Its ties.
     """
-    spaces: list[fem.FunctionSpace] = []
+    known: list[Component] = []
 
-    def ending(V: fem.FunctionSpace, side: MovingSurface, held=None) -> EndingSide:
-        if V not in spaces:
-            spaces.append(V)
-        return EndingSide(spaces.index(V), side, held)
+    def ending(part: Component, side: MovingSurface, held=None) -> EndingSide:
+        at = next((k for k, other in enumerate(known) if other.same(part)), len(known))
+        if at == len(known):
+            known.append(part)
+        return EndingSide(at, side, held)
 
-    sides = [list(map(ending, rows.spaces, rows.sides, rows._held)) for rows in contacts]
-    tied = [list(map(ending, tie.spaces, map(MovingSurface, tie.surfaces))) for tie in interfaces]
+    sides = [list(map(ending, rows.components, rows.sides, rows._held)) for rows in contacts]
+    tied = [
+        list(map(ending, tie.components, map(MovingSurface, tie.surfaces))) for tie in interfaces
+    ]
     for rows, found in zip(contacts, condensations(sides, tied), strict=True):
         rows.condensed_to = found
 

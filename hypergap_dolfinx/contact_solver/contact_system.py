@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
+from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.floating import FreeMotions, RigidBodyDiagnostics
 from hypergap_dolfinx.contact_solver import active_set, multigrid_tangent
 from hypergap_dolfinx.contact_solver.contact_rows import (
@@ -40,13 +41,14 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     UNPRESSED,
 )
 from hypergap_dolfinx.core.collective import spot
-from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
 from hypergap_dolfinx.solvers.solver import names_types
+from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements
+from hypergap_dolfinx.surface.trace import is_mixed
 
 LOG = logging.getLogger("hypergap_dolfinx")
 T = TypeVar("T")
@@ -88,6 +90,7 @@ class ContactSystem(NonlinearSystem):
         pieces: TiedInterfaces,
         pairs: Sequence[ContactPair],
         *,
+        parts: Sequence[Component],
         names: Sequence[str],
         rtol: float,
         solver: str | None = None,
@@ -103,6 +106,7 @@ class ContactSystem(NonlinearSystem):
             bcs: Dirichlet conditions of any of the bodies.
             pieces: The ties, and the interfaces that they are pieces of.
             pairs: The contacts with their bodies.
+            parts: Displacements of each body among its fields.
             names: Names of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, treated as zero.
             solver: ``"direct"``, ``"iterative"``, or None: chosen by the size.
@@ -111,9 +115,12 @@ class ContactSystem(NonlinearSystem):
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
         self._pairs, self._stresses = list(pairs), list[PredictedStress]()
+        self._fields = list(map(DisplacementField, parts))
         super().__init__(F, u, bcs, pieces, **compiling)
         pieces = self._pieces  # ties may have exchanged their sides
-        self._rtol, self._names = rtol, names
+        self._rtol, self._names, self._moving = rtol, names, list(parts)
+        others = [field.others for field in self._fields]
+        self._fixed = [held | part for held, part in zip(self._held, others, strict=True)]
         self._comm = self._u[0].function_space.mesh.comm
         self._rows = [
             (ContactRows if pair.contact.friction is None else FrictionRows)(pair, self._held)
@@ -129,11 +136,13 @@ class ContactSystem(NonlinearSystem):
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
-        self._row_lengths, self._told_loose = list[float](), list[int]()
+        self._row_lengths, self._told_loose = list[tuple[float, float, float]](), list[int]()
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
         found = super()._derivative(F, u)
+        if is_mixed(u.function_space):
+            return found
         if is_slender(u) and u in ufl.algorithms.expand_derivatives(found).coefficients():
             self._stresses.append(PredictedStress(u))
             found += self._stresses[-1].stiffness(F)
@@ -219,9 +228,9 @@ class ContactSystem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True
             self._tangent.remember_stiffness()
-            self._free = FreeMotions(self._system.spaces, self._K, self._constraints)
+            self._free = FreeMotions(self._moving, self._K, self._constraints)
             self._num_free = self._free.num
-            self._strays = RigidBodyDiagnostics(self._system.spaces, self._free, self._names)
+            self._strays = RigidBodyDiagnostics(self._moving, self._free, self._names)
         if self._constraints.conducts:
             self._warn_of_loose()
 
@@ -229,10 +238,9 @@ class ContactSystem(NonlinearSystem):
         """Say which bodies are held by ties only that conduct nothing now. Collective."""
         loose = self._constraints.loose()
         if loose and loose != self._told_loose:
-            spaces = self._system.spaces
-            free = FreeMotions(spaces, self._K, self._constraints, loose)
+            free = FreeMotions(self._moving, self._K, self._constraints, loose)
             if free.num > self._num_free:
-                strays = RigidBodyDiagnostics(spaces, free, self._names)
+                strays = RigidBodyDiagnostics(self._moving, free, self._names)
                 moving = strays.moving(self._owned(), np.zeros((0, free.num)))
                 if self._comm.rank == 0:
                     LOG.warning(
@@ -328,6 +336,7 @@ class ContactSystem(NonlinearSystem):
             way, work = self._step(jump, stiffness)
             share = 1.0
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
+            moves = self._of_displacements(moves)
             if continuation.goes_back(moves, work):
                 self._go(*way, -1.0)
 
@@ -367,13 +376,14 @@ class ContactSystem(NonlinearSystem):
         moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
+        num_tied += sum(field.num_others for field in self._fields)  # pressures, as a rule
         nearness, guesses = self._nearness if self._num_free else None, self._tangent.guesses()
 
         def solve() -> Solution:
             equations = [rows.equations(jump if moves else None) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
             return problem.solve(
-                self._right(), num_tied, self._held, nearness, guesses, self._reach
+                self._right(), num_tied, self._fixed, nearness, guesses, self._reach
             )
 
         floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
@@ -395,8 +405,9 @@ class ContactSystem(NonlinearSystem):
         for x, dx in zip(parts, found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
-        self._reach = LONGER * largest_change(self._comm, found.changes, self._held)
-        work = self._comm.allreduce(sum(map(np.dot, found.changes, self._left)))
+        self._reach = LONGER * largest_change(self._comm, found.changes, self._fixed)
+        changes = self._of_displacements(found.changes)
+        work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
         return (start, self._state()), work
@@ -415,8 +426,9 @@ class ContactSystem(NonlinearSystem):
         """Message about cells that are turned over. Collective."""
         at = []
         assert self._free is not None
-        for name, x, b in zip(self._names, self._free.places, self._b.getNestSubVecs()):
-            wrong = ~np.isfinite(b.array_r).reshape(x.shape).all(axis=1)
+        left = self._of_displacements([b.array_r for b in self._b.getNestSubVecs()])
+        for name, x, b in zip(self._names, self._free.places, left, strict=True):
+            wrong = ~np.isfinite(b).reshape(x.shape).all(axis=1)
             if wrong.any():
                 at.append(f" of {name} around {spot(x[wrong][:1])} (before displacements)")
         where = next((part for parts in self._comm.allgather(at) for part in parts), None)
@@ -518,6 +530,10 @@ class ContactSystem(NonlinearSystem):
             raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(frictional)))
         self._holding = self._acting()
 
+    def _of_displacements(self, values: Sequence[npt.NDArray]) -> list[npt.NDArray]:
+        """This rank's displacements among values of each body."""
+        return [part.of_body(of) for part, of in zip(self._moving, values, strict=False)]
+
     def _acting(self) -> npt.NDArray[np.bool_]:
         """Mask of the multipliers that are active, and of those that stick."""
         sets = [rows.state.active for rows in self._rows]
@@ -557,25 +573,35 @@ class ContactSystem(NonlinearSystem):
         Args:
             at_kink: True if steps go to and fro over a kink, where forces needn't be zero.
         """
-        num = len(self._b.getNestSubVecs()) - self._num_ties  # forces at jumps too
-        owned = self._owned()
+        num, bodies = len(self._b.getNestSubVecs()) - self._num_ties, len(self._u)
         left, contact = self._forces_left()
-        parts = [*left[:num], *owned]
-        self._left = parts[: len(self._u)]
+        pairs = [
+            field.split(values)
+            for of in (left[:bodies], self._owned())
+            for field, values in zip(self._fields, of, strict=True)
+        ]
+        self._left = [force for force, _ in pairs[:bodies]]
+        parts = [part for pair in pairs for part in pair] + left[bodies:num]  # at jumps too
         squares = np.array([np.vdot(part, part).real for part in parts])
         self._comm.Allreduce(MPI.IN_PLACE, squares)
-        self._unbalanced = worst = np.sqrt(squares[:num].sum())
-        least = 0.0
+        # Of each body forces, what is left of other fields' equations, displacements, other fields
+        of_bodies = squares[: 4 * bodies].reshape(2, bodies, 2).swapaxes(0, 1).reshape(bodies, 4)
+        self._unbalanced = worst = np.sqrt(of_bodies[:, 0].sum() + squares[4 * bodies :].sum())
+        least, are_satisfied = 0.0, True
         self._stiffness()
-        for length, square in zip(self._row_lengths, squares[num:], strict=True):
-            least += length**2 * square
+        for (own, by_others, of_others), (_, error, u, others) in zip(
+            self._row_lengths, of_bodies, strict=True
+        ):
+            least += own**2 * u + by_others**2 * others
+            share = max(self._rtol, ROUND_OFF_FORCES)
+            are_satisfied &= bool(np.sqrt(error) <= share * of_others * np.sqrt(u))
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
         nothing = ROUND_OFF_FORCES * self._largest
         size = sum([force**2 for force in self._forces])
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])
         self._in_bodies = size = float(np.sqrt(size))
-        if not all([rows.is_closed(nothing) for rows in self._rows]):
+        if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
             return False
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
@@ -593,7 +619,8 @@ class ContactSystem(NonlinearSystem):
 
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""
-        largest = max(float(abs(part).max(initial=0)) for part in jump)
+        parts = self._of_displacements(jump)
+        largest = max(float(abs(part).max(initial=0)) for part in parts)
         far = self._comm.allreduce(largest, MPI.MAX)
         return not self._num_free and any(
             rows.state.p.any() and far > rows.sides[1].reference.size.max() for rows in self._rows
@@ -611,7 +638,8 @@ class ContactSystem(NonlinearSystem):
         pushes = any(rows.state.p.any() for rows in self._rows)
         if self._tied or self._num_free or not (moves and pushes):
             return
-        motions = prescribed_motions(self._comm, self._free.places, self._owned(), jump, self._held)
+        now, ways, held = map(self._of_displacements, (self._owned(), jump, self._held))
+        motions = prescribed_motions(self._comm, self._free.places, now, ways, held)
         if None in motions:
             return
         far, together = self._slides(jump), True
@@ -629,8 +657,8 @@ class ContactSystem(NonlinearSystem):
         if not (far or together):
             return
         parts = self._x.getNestSubVecs()
-        for part, x, u, motion in zip(parts, self._free.places, self._owned(), motions):
-            part.array[:] += motion.shift(x + u.reshape(x.shape)).ravel()
+        for part, field, x, u, motion in zip(parts, self._moving, self._free.places, now, motions):
+            part.array[:] += field.into_body(motion.shift(x + u.reshape(x.shape)).ravel())
         self._assign(self._x)
 
     def _carry(self):
@@ -651,6 +679,7 @@ class ContactSystem(NonlinearSystem):
         """Mean diagonal of the softest body; lengths of matrix rows with it. Collective."""
         if self._stiffness_of != self._known:
             self._stiffness_of = list(self._known)
-            self._softest = min([mean_diagonal(K) for K in self._K])
-            self._row_lengths = [row_length(K) for K in self._K]
+            pairs = list(zip(self._fields, self._K, strict=True))
+            self._softest = min([field.stiffness(K) for field, K in pairs])
+            self._row_lengths = [field.lengths(K) for field, K in pairs]
         return self._softest

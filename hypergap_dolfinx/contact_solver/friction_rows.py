@@ -88,7 +88,7 @@ class FrictionRows(ContactRows):
     def turn(self, motion: RigidMotion):
         """Let a rigid motion of both bodies carry the origin of slip along. Collective."""
         assert self._since is not None
-        x = self.displacements([places(V).ravel() for V in self.spaces])
+        x = self.displacements([f.into_body(places(f.space).ravel()) for f in self.components])
         u0, u1 = (u + motion.shift(at + u) for at, u in zip(x, self._since, strict=True))
         self._since = u0, u1
 

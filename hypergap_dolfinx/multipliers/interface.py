@@ -158,6 +158,10 @@ class ContactInterface(Protocol):
     """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
 
     @property
+    def components(self) -> tuple[Component, Component]:
+        """V₀ and V₁ among the dofs of their bodies."""
+
+    @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
         """V₀ and V₁."""
 
