@@ -168,7 +168,7 @@ class ContactSystem(NonlinearSystem):
                 raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')
             return MultigridTangent(self._system, self._rows, *options, symmetric=symmetric)
         found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
-        return Tangent(self._A, len(self._K), self._rows, self._prefix, found)
+        return Tangent(self._A, self._fields, self._rows, self._prefix, found)
 
     @property
     def _dim(self) -> int:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
+from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.pattern import Pattern
 from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
@@ -222,7 +223,7 @@ class Tangent:
     def __init__(
         self,
         A: PETSc.Mat,
-        num_bodies: int,
+        fields: Sequence[DisplacementField],
         rows: Sequence[ContactRows],
         prefix: str,
         ways: Sequence[Way],
@@ -231,12 +232,13 @@ class Tangent:
 
         Args:
             A: The nested matrix of bodies and ties.
-            num_bodies: Number of its block rows that belong to bodies.
+            fields: Displacements of the bodies, whose block rows are the first ones.
             rows: The contacts.
             prefix: Prefix of the KSP's options.
             ways: Ways to solve; where one fails, the next one replaces it for good.
         """
-        self._nest, self._num_bodies, self._rows = A, num_bodies, list(rows)
+        self._nest, self._num_bodies, self._rows = A, len(fields), list(rows)
+        self._fields = list(fields)
         self._mine = [part.mine for part in rows]
         self._prefix, self._ways = prefix, list(ways)
         self._retained: _Retained | None = None
@@ -261,6 +263,11 @@ class Tangent:
         for i, j, block in self._blocks():
             indptr, columns, values = block.getValuesCSR()
             own = values * (i == j < self._num_bodies)
+            if i == j < self._num_bodies and self._fields[i].num_others:
+                # Of displacements alone: equations of other fields are satisfied as they are
+                moves = np.concatenate(block.comm.tompi4py().allgather(~self._fields[i].others))
+                mine = np.repeat(~self._fields[i].others, np.diff(indptr))
+                own = own * (mine & moves[columns])
             start, end = block.getOwnershipRange()
             self._elastic.append(own)
             self._diagonals.append(
