@@ -35,7 +35,7 @@ from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
-from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs
+from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs, is_mixed
 from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -145,9 +145,10 @@ class Contact:
             )
         for i, V in enumerate(self._spaces):
             if V.value_shape != (V.mesh.geometry.dim,):
+                advice = ": give its displacements, W.sub(0) for example" if is_mixed(V) else ""
                 raise InterfaceError(
                     f"contact is between displacements; the space of Γ{i} has the value shape "
-                    f"{V.value_shape} in {V.mesh.geometry.dim} dimensions."
+                    f"{V.value_shape} in {V.mesh.geometry.dim} dimensions{advice}."
                 )
         if side0[0].mesh.geometry.dim != side1[0].mesh.geometry.dim:
             raise InterfaceError(

@@ -1,0 +1,232 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Contact of displacements of mixed spaces: Taylor–Hood elements, of incompressible bodies too."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from helpers import close, raises
+
+import basix.ufl
+import meshes
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx import mesh as meshing
+from hypergap_dolfinx import Contact, ContactProblem, InterfaceError, Tie
+
+comm = MPI.COMM_WORLD
+START, END, STRAIN = 0.5, 1.5, 1e-2  # of the narrow block, on a block from 0 to 2
+EXACT = 1e-10  # times the pressure: 20 times the largest value seen
+
+
+def taylor_hood(mesh):
+    """Displacements of degree 2, pressures of degree 1."""
+    cell, dim = mesh.basix_cell(), mesh.geometry.dim
+    parts = [
+        basix.ufl.element("Lagrange", cell, 2, shape=(dim,)),
+        basix.ufl.element("Lagrange", cell, 1),
+    ]
+    return fem.functionspace(mesh, basix.ufl.mixed_element(parts))
+
+
+def held(V, axis, where, value=0.0):
+    """A condition on one displacement, at nodes or on facets."""
+    part = V.sub(axis)
+    space, _ = part.collapse()
+    g = fem.Function(space)
+    g.x.array[:] = value
+    if callable(where):
+        dofs = fem.locate_dofs_geometrical((part, space), where)
+    else:
+        dofs = fem.locate_dofs_topological((part, space), V.mesh.topology.dim - 1, where)
+    return fem.dirichletbc(g, dofs, part)
+
+
+class Blocks:
+    """A narrow block on a wider one, compressed: stress is the same everywhere."""
+
+    def __init__(self, *, nu=0.5, E=1.0, mixed=(True, True), cell="triangle", dim=2, tied=False):
+        """Blocks are mixed or of displacements alone; a third one may be tied to the wider one."""
+        mu, lame = E / (2 * (1 + nu)), np.inf if nu == 0.5 else E * nu / (1 + nu) / (1 - 2 * nu)
+        # Sides are free along x, and don't move along others
+        across = STRAIN if nu == 0.5 else lame / (2 * mu + lame) * STRAIN
+        self.p, self.across = 2 * mu * (STRAIN + across), across
+        self.u, self.F, self.bcs, self.sides, self.ties = [], [], [], [], []
+        n, last = ((8, 6, 5), (4, 2))[dim - 2], dim - 1
+        for i in range(2 + tied):
+            start, end, low = ((0, 2, -1), (START, END, 0), (0, 2, -2))[i]
+            cells = (n[i], *[2] * (dim - 1))
+
+            def place(x, start=start, end=end, low=low):
+                x = x.copy()
+                x[:, 0], x[:, last] = start + (end - start) * x[:, 0], x[:, last] + low
+                return x
+
+            mesh, ft = meshes.block(comm, cells, place, cell=cell)
+            k, soft = (
+                fem.Constant(mesh, default_scalar_type(value)) for value in (2 * mu, 1 / lame)
+            )
+            if mixed[i % 2]:
+                W = taylor_hood(mesh)
+                w, V = fem.Function(W), W.sub(0)
+                (u, p), (v, q) = ufl.split(w), ufl.TestFunctions(W)
+                F = -p * ufl.div(v) - q * ufl.div(u) - soft * p * q
+            else:
+                V = fem.functionspace(mesh, ("Lagrange", 2, (dim,)))
+                w, v = fem.Function(V), ufl.TestFunction(V)
+                u, F = w, ufl.div(w) * ufl.div(v) / soft
+            F += k * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v)))
+            F *= ufl.dx
+            low, high = (ft.find(2 * last + 1), ft.find(2 * last + 2))
+            if i == 0:
+                middle = meshing.compute_midpoints(mesh, last, high)[:, 0]
+                free = np.sort(high[(middle < START) | (middle > END)])
+                tags = meshing.meshtags(mesh, last, free, np.ones(len(free), dtype=np.int32))
+                ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+                F += default_scalar_type(self.p) * v[last] * ds(1)
+            self.bcs.append(held(V, 0, lambda x: np.isclose(x[0], 1)))
+            for axis in range(1, last):
+                self.bcs += [held(V, axis, ft.find(2 * axis + k)) for k in (1, 2)]
+            if i == 1:
+                self.bcs.append(held(V, last, high, -STRAIN))
+            elif i == 2 * tied:
+                self.bcs.append(held(V, last, low, STRAIN * (1 + tied)))
+            self.u.append(w)
+            self.F.append(F)
+            self.sides.append((V, low if i == 1 else high))
+            if tied and i == 0:
+                self.lower = (V, low)
+            if i == 2:
+                self.ties.append(Tie((V, high), self.lower))
+
+    def solve(self, swap=False, **options):
+        """Contact and problem, solved."""
+        solver = {"solver": options.pop("solver")} if "solver" in options else {}
+        contact = Contact(*self.sides[:2][:: -1 if swap else 1], **options)
+        problem = ContactProblem(
+            self.F,
+            self.u,
+            bcs=self.bcs,
+            contacts=[contact],
+            ties=self.ties,
+            rtol=1e-12,
+            **solver,
+        )
+        problem.solve()
+        return contact, problem
+
+
+PATCHES = (
+    {},
+    {"swap": True, "cell": "quadrilateral", "E": 1e9},
+    {"nu": 0.4, "mixed": (True, False)},
+    {"nu": 0.4, "mixed": (False, True), "swap": True, "E": 1e-6},
+    {"tied": True},
+    {"friction": 0.3},
+    {"dim": 3, "cell": "tetrahedron"},
+)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("options", PATCHES)
+def test_patch(options):
+    """One pressure, of incompressible bodies, beside bodies of displacements alone, in any unit."""
+    of_contact = {k: options[k] for k in ("swap", "friction") if k in options}
+    scene = Blocks(**{k: v for k, v in options.items() if k not in of_contact})
+    contact, problem = scene.solve(sliding="small", **of_contact)
+    p = contact.pressures(problem)[contact.active]
+    close(p, np.full(len(p), scene.p), EXACT)
+    assert problem.iterations <= 2
+    last = len(contact.force(problem)) - 1
+    for body, sign in ((0, -1), (1, 1)):
+        force = contact.force(problem, on=problem.u[body])[last]
+        close(force, sign * scene.p, EXACT)
+    gap = contact.gap(*problem.u[:2])
+    assert np.abs(gap.x.array).max(initial=0) <= EXACT
+
+
+def test_finite():
+    """The same where pressures act on what the surface is now: wider by the strain across."""
+    scene = Blocks()
+    contact, problem = scene.solve()
+    p = contact.pressures(problem)[contact.active]
+    close(p, np.full(len(p), scene.p / (1 + scene.across)), EXACT)
+
+
+def test_messages():
+    """What isn't possible."""
+    scene = Blocks()
+    with raises(ValueError, r'solver="iterative" is not possible: a space is mixed'):
+        scene.solve(solver="iterative")
+    (V, facets), other = scene.sides
+    for W, what in ((V.sub(0), r"value shape \(\)"), (scene.u[0].function_space, r"W.sub\(0\)")):
+        with raises(InterfaceError, what):
+            Contact((W, facets), other)
+    contact = Contact(*scene.sides[:2])
+    with raises(ValueError, r"u0 is not on the space of Γ0"):
+        contact.gap(scene.u[1], scene.u[1])
+
+
+# Rubber: a rigid sphere is pressed into a disc, by 30 % of its height
+
+
+def rubber(w):
+    """Residual of incompressible neo-Hookean rubber, axisymmetric; its volume over the first."""
+    mesh = w.function_space.mesh
+    (u, p), r = ufl.split(w), ufl.SpatialCoordinate(mesh)[0]
+    G, hoop = ufl.Identity(2) + ufl.grad(u), 1 + u[0] / r
+    J = ufl.det(G) * hoop
+    W = (ufl.inner(G, G) + hoop**2 - 3 - 2 * ufl.ln(J)) / 2 - p * (J - 1)
+    dx, arc = ufl.dx(metadata={"quadrature_degree": 6}), 2 * np.pi * r
+    return ufl.derivative(arc * W * dx, w), fem.form(arc * (J - 1) * dx)
+
+
+class Pressed:
+    """The scene."""
+
+    def __init__(self, n=6):
+        def disc(x):
+            return np.column_stack((1.5 * x[:, 0], x[:, 1] - 1))
+
+        def ball(x):
+            angle, radius = np.pi / 2 * x[:, 0], 1 - 0.2 * x[:, 1]
+            return np.column_stack((radius * np.sin(angle), 1 - radius * np.cos(angle)))
+
+        mesh, ft = meshes.block(comm, (3 * n // 2, n), disc)
+        self.w = fem.Function(taylor_hood(mesh))
+        V = self.w.function_space.sub(0)
+        F, self.volume = rubber(self.w)
+        sphere, st = meshes.block(comm, (2 * n, 1), ball, degree=2)
+        self.ball = fem.Function(fem.functionspace(sphere, ("Lagrange", 2, (2,))))
+        bcs = [held(V, 0, ft.find(tag)) for tag in (meshes.LEFT, meshes.BOTTOM)]
+        bcs.append(held(V, 1, ft.find(meshes.BOTTOM)))
+        sides = (self.ball.function_space, st.find(meshes.BOTTOM)), (V, ft.find(meshes.TOP))
+        self.contact = Contact(*sides, axisymmetric=True)
+        self.problem = ContactProblem(
+            [None, F], [self.ball, self.w], bcs=bcs, contacts=[self.contact]
+        )
+
+    def go(self, depth):
+        """Press; the force."""
+        self.ball.x.array[1::2] = -depth
+        self.problem.solve()
+        assert self.problem.halvings == 0
+        return -self.contact.force(self.problem)[1]
+
+
+@pytest.mark.ranks
+def test_rubber():
+    """By 30 % of its height, without a halved load step; the volume stays, a state goes on."""
+    scene = Pressed()
+    forces = [scene.go(depth) for depth in np.linspace(0, 0.3, 7)[1:]]
+    assert abs(comm.allreduce(fem.assemble_scalar(scene.volume))) <= 1e-12
+    assert forces[-1] == pytest.approx(1.64713, rel=1e-3)  # finer meshes: 1.6477, 1.6484
+    before = scene.w.x.array.copy()
+    state = scene.problem.state()
+    scene.go(0.31)
+    scene.problem.restore(state)
+    close(scene.w.x.array, before, 1e-15)
+    again = Pressed()
+    again.problem.restore(state)
+    close(again.go(0.31), scene.go(0.31), 1e-10)
