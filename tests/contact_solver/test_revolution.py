@@ -105,7 +105,7 @@ PATCHES = (
 )
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(options=PATCHES[1:3])
 @pytest.mark.parametrize("swap", (False, True))
 @pytest.mark.parametrize("options", PATCHES)
 def test_contact_patch(options, swap):
