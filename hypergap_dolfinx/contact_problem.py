@@ -493,7 +493,10 @@ def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) ->
         return given[0] if given else Component.of(V)
     vectors = [p for p in lagrange_components(V) if p.space.value_shape == (V.mesh.geometry.dim,)]
     if not vectors:
-        raise ValueError(f"body {i} has no displacements among the components of its space.")
+        raise ValueError(
+            f"body {i} has no displacements among the components of its space; make a vector in "
+            f"{V.mesh.geometry.dim} dimensions one of them."
+        )
     return vectors[0]
 
 
