@@ -51,7 +51,8 @@ class Contact:
     of it: in the plane by the weights w_a = ∂ψ_a/∂α of Σ's cells, in space what stands on its part
     of Γ1's facets, along their normals. Its volume is the weighted gap g_a, and there is a pressure
     p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance. In the plane,
-    between bodies of degree 2, the edges of Γ1 are halved, and its nodes are all vertices.
+    between bodies of degree 2, the edges of Γ1 are halved, and its nodes are all vertices; edges
+    with geometry of degree 2 are arcs of circles.
 
     With friction there are tractions q_a too, against the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
@@ -164,7 +165,7 @@ class Contact:
         )
         self._finer = _size(below) / _size(above)
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
-        self._surfaces = below, above.split if self._split else above
+        self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])

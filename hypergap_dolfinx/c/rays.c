@@ -183,6 +183,18 @@ static void add_part(Cast *cast, int g, double from, double to)
     cast->facing[cast->num_facing++] = (Facing){g, from, to, last, first};
 }
 
+// Reference coordinate where an edge turns, which goes opposite ways at its ends.
+static double turning(const Frame *frame, const Side *side, int edge, const double *slopes)
+{
+  double lo = 0, hi = 1, r = slopes[0] / (slopes[0] - slopes[1]), slope; // a parabola's
+  for (int it = 0; side->num_nodes > 3 && it < STEPS; ++it, r = 0.5 * (lo + hi))
+  {
+    place(frame, side, edge, r, &slope);
+    *((slope > 0) == (slopes[0] > 0) ? &lo : &hi) = r;
+  }
+  return r;
+}
+
 // Add the parts of an edge of Γ0.
 static void add_parts(Cast *cast, int g)
 {
@@ -199,9 +211,9 @@ static void add_parts(Cast *cast, int g)
     return;
   for (int k = 0; k < 2; ++k)
     place(frame, side, g, k, slopes + k);
-  if (side->num_nodes == 3 && slopes[0] * slopes[1] < 0)
-  { // it turns
-    double turn = slopes[0] / (slopes[0] - slopes[1]);
+  if (side->num_nodes > 2 && slopes[0] * slopes[1] < 0)
+  {
+    double turn = turning(frame, side, g, slopes);
     add_part(cast, g, 0, turn);
     add_part(cast, g, turn, 1);
   }

@@ -184,7 +184,11 @@ def _dofs_on_parts(surface: Surface) -> npt.NDArray[np.float64]:
 
 @cache
 def _rule(num_nodes: int) -> dict[str, Any]:
-    """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here."""
+    """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here.
+
+    Args:
+        num_nodes: Of an edge, but no more than it has dofs: arcs are hardly off parabolas.
+    """
     degree = FADING_DEGREE if num_nodes == 2 else 3 * num_nodes - 1
     points, weights = basix.make_quadrature(basix.CellType.interval, degree)
     return {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
@@ -203,7 +207,7 @@ def _placed(
         {**side, "nodes": doubles(surface.nodes)}
         for side, surface in zip(sides, surfaces, strict=True)
     ]
-    rule = _rule(max(side["num_nodes"] for side in sides))
+    rule = _rule(max(min(side["num_nodes"], side["num_dofs"]) for side in sides))
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
     given["angle"] = surfaces[1].angle

@@ -165,6 +165,37 @@ class Surface:
         return origins[:, None] + factors[:, None, None] * X
 
     @property
+    def arcs(self) -> "Surface":
+        r"""In the plane: edges of degree 2 as arcs of the circles through their three nodes.
+
+        A parabola through nodes of a circle is off it by h⁴/R³ between them, and by far more where
+        the middle one isn't half-way. The arc has degree 4,
+
+        .. math:: x(t) = x_2(t) + d_0\,t (1 - t)^2 (1 - 2t) + d_1\,t^2 (1 - t) (1 - 2t),
+
+        with the parabola x₂, and d that turn its tangents at both ends to the circle's. Straight
+        edges stay as they are.
+        """
+        if self.gdim != 2 or len(self.geometry.points) != 3 or not self.curved.any():
+            return self
+        ends = self.geometry.tabulate(1, basix.geometry(self.geometry.cell_type))[1, :, :, 0]
+        start, end, middle = self.nodes.swapaxes(0, 1)
+        chords = (middle - start, end - start, end - middle)
+        first, whole, last = (chord @ (1, 1j) / lengths(chord) for chord in chords)
+        circle = np.stack((first * whole / last, last * whole / first), axis=1)
+        tangents = np.einsum("em,fmi->fei", ends, self.nodes) @ (1, 1j)  # (facet, end)
+        ratio = circle * tangents.conj()
+        d = 1j * tangents * np.divide(ratio.imag, ratio.real)
+        d = np.where(self.curved[:, None, None], np.stack((d.real, d.imag), axis=-1), 0)
+        kind = self.geometry.family, self.geometry.cell_type, 4, self.geometry.lagrange_variant
+        finer = basix.create_element(*kind)
+        t, every = finer.points, np.arange(len(self.facets))
+        bumps = np.hstack((t * (1 - t) ** 2, t**2 * (1 - t))) * (1 - 2 * t)
+        nodes = self.points(np.repeat(every, len(t)), np.tile(t, (len(every), 1)))
+        nodes = nodes.reshape(len(every), -1, 2) + np.einsum("fei,me->fmi", d, bumps)
+        return replace(self, nodes=nodes, geometry=finer)
+
+    @property
     def split(self) -> "Surface":
         """The surface with facets cut at the nodes of degree 2: edges in two, others in four.
 

@@ -15,6 +15,7 @@ import basix
 import meshes
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
+from hypergap_dolfinx import Contact
 from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_solver import active_set
@@ -176,6 +177,28 @@ def test_volume_between_loops(k):
             volume -= 0.5 * (weights * (x[..., 0] * dx[..., 1] - x[..., 1] * dx[..., 0])).sum()
         errors.append(abs(g.sum() / volume - 1))
     assert errors[1] <= 0.53 * errors[0] and errors[0] <= 0.053
+
+
+@pytest.mark.parametrize("num", (5, 7))
+def test_arcs_that_turn(num):
+    """A circle of few arcs seen from above: what runs back below is a sheet behind."""
+
+    def volume(num):
+        sides = []
+        for i in range(2):
+            if i == 0:
+                given = (num, 1, 0.2, 1), {"angle": 2 * np.pi, "degree": 2}
+                mesh, ft = meshes.ring_sector(MPI.COMM_SELF, *given[0], **given[1])
+            else:
+                low, wide = (-1.6, 1.1), (3.3, 1)
+                mesh, ft = meshes.block(MPI.COMM_SELF, (2, 1), lambda x: low + wide * x, degree=2)
+            V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+            sides.append((V, ft.find((meshes.OUTER, meshes.BOTTOM)[i])))
+        contact = Contact(*sides)
+        u = [np.zeros((len(side.dofs), 2)) for side in contact.sides]
+        return contact.gaps((u[0], u[1]), ()).gap((u[0], u[1]))[0].sum()
+
+    assert abs(volume(num) / volume(48) - 1) <= 0.06
 
 
 def test_room(monkeypatch):

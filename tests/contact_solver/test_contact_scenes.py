@@ -44,7 +44,7 @@ def test_shrink_fit(angle, swap):
     around = round(2 * angle / np.pi)
     for i, (r0, r1) in enumerate(((inner, fit + over), (fit, outer))):
         n = (24, 32)[i] * around
-        mesh, ft = meshes.ring_sector(comm, n, 4, r0, r1, angle=angle, degree=4)
+        mesh, ft = meshes.ring_sector(comm, n, 4, r0, r1, angle=angle, degree=2)
         V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
         body = Elastic.on(V)
         u.append(body.u)
@@ -57,8 +57,8 @@ def test_shrink_fit(angle, swap):
     E, nu, a, b = 1 / 0.91, 0.3 / 0.7, inner, outer
     stiff = (b**2 + fit**2) / (b**2 - fit**2) + nu, (fit**2 + a**2) / (fit**2 - a**2) - nu
     p = contact.pressures(problem) / (over * E / (fit * sum(stiff))) - 1
-    # Curved edges of degree 2 are off circles by 1e-7, of an overlap of 1e-4: pressures by 4 %
-    assert np.abs(p).max() <= 3e-3 and abs(p.mean()) <= 5e-4 and problem.iterations <= 2
+    # Parabolas are off circles by 1e-7, of an overlap of 1e-4, and pressures by 4 %: arcs aren't
+    assert np.abs(p).max() <= 1e-3 and abs(p.mean()) <= 5e-4 and problem.iterations <= 2
 
 
 @pytest.mark.parametrize("swap", (False, True))

@@ -171,6 +171,28 @@ def test_facets_on_some_ranks_only():
     close(surface.x, [(i / 4, 1) for i in range(5)])
 
 
+@pytest.mark.parametrize("off", (0.0, 0.1))
+def test_arcs(off):
+    """Edges of a circle lie on it, with nodes off the middle too; straight ones stay."""
+    mesh, ft = meshes.ring_sector(comm, 16, 2, 0.5, 1, angle=2 * np.pi, degree=2)
+    x = mesh.geometry.x
+    turn = np.exp(1j * off * np.sin(np.angle(x[:, 0] + 1j * x[:, 1])))
+    x[:, :2] = np.stack(
+        (x[:, 0] * turn.real - x[:, 1] * turn.imag, x[:, 0] * turn.imag + x[:, 1] * turn.real),
+        axis=1,
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    outer = create_surface(V, ft.find(meshes.OUTER), "Γ1")
+    t = np.linspace(0, 1, 9)[:, None]
+    for surface, bound in ((outer, 0.02), (outer.arcs, 5e-6), (outer.arcs.split, 5e-6)):
+        at = np.repeat(np.arange(len(surface.facets)), len(t))
+        distance = np.linalg.norm(surface.points(at, np.tile(t, (len(surface.facets), 1))), axis=1)
+        assert np.abs(distance - 1).max() <= bound
+    mesh, ft = meshes.block(comm, (5, 2), degree=2)
+    flat = create_surface(fem.functionspace(mesh, ("Lagrange", 2, (2,))), ft.indices, "Γ1")
+    assert flat.arcs is flat
+
+
 @pytest.mark.parametrize("shift", (0, 1e6))
 def test_curved_facets(shift):
     """Told from straight ones by their nodes, also far from the origin."""
