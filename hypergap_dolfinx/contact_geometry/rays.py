@@ -187,7 +187,7 @@ def _rule(num_nodes: int) -> dict[str, Any]:
     """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here.
 
     Args:
-        num_nodes: Of an edge, but no more than it has dofs: arcs are hardly off parabolas.
+        num_nodes: Of an edge, an arc's as a parabola's.
     """
     degree = FADING_DEGREE if num_nodes == 2 else 3 * num_nodes - 1
     points, weights = basix.make_quadrature(basix.CellType.interval, degree)
@@ -207,7 +207,7 @@ def _placed(
         {**side, "nodes": doubles(surface.nodes)}
         for side, surface in zip(sides, surfaces, strict=True)
     ]
-    rule = _rule(max(min(side["num_nodes"], side["num_dofs"]) for side in sides))
+    rule = _rule(max(min(side["num_nodes"], max(side["num_dofs"], 3)) for side in sides))
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
     given["angle"] = surfaces[1].angle

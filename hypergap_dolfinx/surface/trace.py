@@ -185,8 +185,10 @@ class Surface:
         circle = np.stack((first * whole / last, last * whole / first), axis=1)
         tangents = np.einsum("em,fmi->fei", ends, self.nodes) @ (1, 1j)  # (facet, end)
         ratio = circle * tangents.conj()
-        d = 1j * tangents * np.divide(ratio.imag, ratio.real)
-        d = np.where(self.curved[:, None, None], np.stack((d.real, d.imag), axis=-1), 0)
+        known = self.curved[:, None] & (ratio.real > np.abs(ratio.imag))  # not by 45° and more
+        tilt = np.divide(ratio.imag, ratio.real, out=np.zeros(known.shape), where=known)
+        d = 1j * tangents * tilt
+        d = np.stack((d.real, d.imag), axis=-1)
         kind = self.geometry.family, self.geometry.cell_type, 4, self.geometry.lagrange_variant
         finer = basix.create_element(*kind)
         t, every = finer.points, np.arange(len(self.facets))
