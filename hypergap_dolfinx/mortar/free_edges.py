@@ -33,16 +33,13 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.mortar.tolerances import (
-    NEAR_ROOT,
+    PARTS_ROOT,
     RINGS_ROOT,
     SMOOTH_ROOT,
     STEPS_ROOT,
 )
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
-
-PARTS_ROOT = 32, 8
-"""Parts of edges for integrals of roots, and to draw them, in the plane and in space."""
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -261,9 +258,7 @@ class _RootFit:
         number[self.dofs] = np.arange(len(self.dofs))
         at = number[self.at]
         np.add.at(error, at, np.einsum("fqd,fq->fd", self.moments, p))
-        slope = np.where(
-            values > 0, 0.5 / np.maximum(p, NEAR_ROOT * self.mean[corners].max(axis=1)[:, None]), 0
-        )
+        slope = np.divide(0.5, p, out=np.zeros_like(p), where=p > 0)
         by = np.einsum("fqd,fq,qv->fdv", self.moments, slope, self.hats)
         i = np.broadcast_to(at[:, :, None], by.shape).ravel()
         j = np.broadcast_to(corners[:, None], by.shape).ravel()

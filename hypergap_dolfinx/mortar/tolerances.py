@@ -63,12 +63,14 @@ shear, degree 2, a/10, from .1 on: 6.2e-2, 5.8e-2, 5.5e-2."""
 
 RINGS_ROOT = 2
 """Facets of multipliers beside those with a free edge on which pressure has a root.
-Measured: before jumps at unknown s were left out: x⁴, degree 2, a/3: 4.2e-2 with 1, 3.9e-2 with 2;
-Hertz's line: the same with 2 and 3."""
+Measured: Hertz's line, L², a/3.6 and a/5.4, degree 1, then 2: with 0 2.4e-2, 4.0e-2, 4.1e-2,
+3.5e-3, with 1 3.5e-2, 3.0e-2, 1.5e-2, 3.2e-3, with 2 2.0e-2, 3.5e-2, 1.9e-2, 2.8e-3, with 3 and 4
+2.4e-2, 3.6e-2, 1.9e-2, 2.6e-3."""
 
-NEAR_ROOT = 0.05
-"""Pressure, over the largest beside it, below which slopes of its root are those there.
-Measured: the same with .02 to .2; without it steps end where s = 0 at a vertex, in one of 28."""
+PARTS_ROOT = 32, 8
+"""Parts of edges for integrals of roots, and to draw them, in the plane and in space.
+Measured: the same, in the plane: with 2 5.5e-2, 2.4e-2, 1.9e-2, 1.3e-2, with 8 2.4e-2, 3.0e-2,
+1.4e-2, 5.3e-3, with 16 2.1e-2, 3.2e-2, 1.9e-2, 4.3e-3, with 64 2.2e-2, 3.5e-2, 1.8e-2, 2.6e-3."""
 
 STEPS_ROOT = 30
 """Most steps of Levenberg and Marquardt's method for roots.
