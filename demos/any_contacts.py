@@ -639,10 +639,9 @@ def balance(scene, problem, x):
     total = np.linalg.norm(sum(f for f, _ in totals))
     moment = np.linalg.norm(sum(m for _, m in totals)) / extent
     for contact, pair in zip(problem.contacts, scene.pairs, strict=True):
-        force = contact.force(problem)
-        one = next(k for k in (0, 1) if scene.parts[pair[k]].V == contact.spaces[1])
-        forces[pair[one]] = forces[pair[one]] - force
-        forces[pair[1 - one]] = forces[pair[1 - one]] + force
+        force = contact.force(problem, on=scene.parts[pair[1]].u)
+        forces[pair[1]] = forces[pair[1]] - force
+        forces[pair[0]] = forces[pair[0]] + force
     against = max(np.linalg.norm(f) for f in forces)
     return [float(value / scale) for value in (left, total, moment, against)]
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
+from hypergap_dolfinx.algebra.checks import label
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma, on_surface
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -35,7 +36,13 @@ from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
-from hypergap_dolfinx.surface.trace import Surface, create_surface, facet_pairs, is_mixed
+from hypergap_dolfinx.surface.trace import (
+    Surface,
+    check_sides,
+    create_surface,
+    facet_pairs,
+    is_mixed,
+)
 from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -129,7 +136,7 @@ class Contact:
             raise ValueError(f'sliding is "finite" or "small", not {sliding!r}.')
         if np.issubdtype(PETSc.ScalarType, np.complexfloating):
             raise ValueError("contact is an inequality: it needs a PETSc with real scalars.")
-        _check_sides(side0, side1)
+        check_sides("contact", side0, side1)
         self._components = Component.of(side0[0]), Component.of(side1[0])
         self._spaces = self._components[0].space, self._components[1].space
         side0, side1 = (
@@ -165,6 +172,7 @@ class Contact:
         )
         self._finer = _size(below) / _size(above)
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
+        self._bare = below, above
         self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
         shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
         raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
@@ -202,7 +210,7 @@ class Contact:
             ValueError: A side that is no pair of a space and facets; moduli that are none.
             InterfaceError: As the constructor.
         """
-        _check_sides(a, b)
+        check_sides("contact", a, b)
         size = [
             _size(create_surface(Component.of(V).space, facets, "a side")) for V, facets in (a, b)
         ]
@@ -220,7 +228,8 @@ class Contact:
             swapped, why = contrast > 1, "softer" if contrast != 1 else ""
         contact = cls(*((b, a) if swapped else (a, b)), **options)
         contact._swapped = swapped
-        contact._sides_chosen = f"the {'first' if swapped else 'second'} side"
+        name = label((a if swapped else b)[0].mesh)
+        contact._sides_chosen = f"the {'first' if swapped else 'second'} side{name}"
         contact._sides_chosen += why and f", the {why} one"
         if a[0].mesh.comm.rank == 0:
             LOG.info("Γ1 is %s", contact._sides_chosen)
@@ -531,7 +540,7 @@ class Contact:
 
     def status_of(self, rows: ContactRows) -> ContactStatus:
         """The same of rows of this contact, as arrays; finds their gaps. Collective."""
-        return ContactStatus.of(rows, self._surfaces, self._sides_chosen)
+        return ContactStatus.of(rows, self._bare, self._sides_chosen)
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
         """The rows of a problem with these displacements, unchanged since a solve. Collective."""
@@ -589,7 +598,8 @@ class Contact:
 
         Args:
             problem: A solved problem with this contact.
-            on: Displacement of the body, one of the problem's; of Γ1's body if not given.
+            on: Displacement of the body, one of the problem's; if not given, the body of the second
+                side as given to the constructor or :meth:`between`, whichever became Γ1.
 
         Returns:
             ``(n,)``, the same on every rank. Of axisymmetric bodies the second is the force along
@@ -600,13 +610,15 @@ class Contact:
             ValueError: Not one of the problem's contacts, or not solved yet; another function, or
                 that of both sides.
         """
-        rows, side = self._solved_rows(problem), 1
+        rows, side = self._solved_rows(problem), 0 if self._swapped else 1
         if on is not None:
             sides = [i for i, u in enumerate(rows.fields) if u is on]
             if not sides:
                 raise ValueError("force takes on=u, the displacement of one of its bodies.")
             if len(sides) == 2:
-                raise ValueError("both sides are on this body; force(problem) is that on Γ1.")
+                raise ValueError(
+                    "both sides are on this body; force(problem) is that on the second side."
+                )
             side = sides[0]
         return rows.contact_forces()[side].sum(axis=0)
 
@@ -624,17 +636,6 @@ class Contact:
         f.x.array.reshape(-1, *shape)[at[mine] - start] = values[mine]
         f.x.scatter_forward()
         return f
-
-
-def _check_sides(*sides):
-    """Raise if they are no pairs of a space and facets."""
-    for side in sides:
-        if not isinstance(side, Sequence) or len(side) != 2:
-            raise ValueError("each side of a contact is a pair: a function space and facets.")
-        if not isinstance(side[0], fem.FunctionSpace):
-            raise ValueError(
-                f"a contact's side is (function space, facets), not ({type(side[0]).__name__}, …)."
-            )
 
 
 def _size(surface: Surface) -> float:

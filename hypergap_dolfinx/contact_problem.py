@@ -27,6 +27,7 @@ from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveErro
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
+from hypergap_dolfinx.solvers.records import times
 from hypergap_dolfinx.surface.component import Component, lagrange_components
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
@@ -330,9 +331,10 @@ class ContactProblem(ContactSystem):
                 if size < 0.5**HALVINGS:
                     self._stop_at(done)
                     raise SolveError(
-                        f"contact: no solution beyond {done:.3g} of the load step; {error}{lost}"
+                        f"contact: no solution beyond {100 * done:.3g} % of the load step; "
+                        f"{error}{lost}"
                     ) from error
-                self._records.tell(f"halved at {s:.3g} of it: {error}")
+                self._records.tell(f"halved at {100 * s:.3g} %: {error}")
             except BaseException:
                 self._hooks.restore(internal)
                 self._interrupted(before, values, done)
@@ -342,7 +344,7 @@ class ContactProblem(ContactSystem):
                     rows.commit()
                 done, size = s, min(2 * size, 1.0)
                 if done < 1:
-                    self._records.tell(f"solved up to {done:.3g} of it")
+                    self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()
 
     def _stop_at(self, done: float):
@@ -380,7 +382,7 @@ class ContactProblem(ContactSystem):
             return []
         owned = self._owned()
         only = self._strays.moving(owned, np.zeros((0, self._num_free)))
-        found = [f"only contact can hold {only}; hold it by boundary conditions else."]
+        found = [f"only contact can hold {only}; otherwise hold it by boundary conditions."]
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(owned)]
         every = [np.zeros((0, self._num_free))]
@@ -393,7 +395,7 @@ class ContactProblem(ContactSystem):
         if self._strays.num_left(holds):
             what = self._strays.moving(owned, holds)
             found.append(
-                f"nothing holds, even where all that faces something touched, {what}; hold it by "
+                f"nothing holds {what}, even if all that faces something touches; hold it by "
                 "boundary conditions."
             )
         return found
@@ -431,7 +433,7 @@ class ContactProblem(ContactSystem):
 
     def _summary(self) -> str:
         """Summary of a load step, in one line."""
-        halved = f", halved {self._halvings} times" if self._halvings else ""
+        halved = f", halved {times(self._halvings, 'time')}" if self._halvings else ""
         num, every = (
             sum(int(part.sum()) for part in parts)
             for parts in ([rows.state.active for rows in self._rows], [r.valid for r in self._rows])
@@ -439,8 +441,8 @@ class ContactProblem(ContactSystem):
         frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
         sticking = f", {sum(rows.stuck.sum() for rows in frictional)} of them stick"
         return (
-            f"{self._iterations} Newton steps{halved}, {num} of {every} vertices in contact"
-            f"{sticking if frictional else ''}"
+            f"{times(self._iterations, 'Newton step')}{halved}, "
+            f"{num} of {every} vertices in contact{sticking if frictional else ''}"
         )
 
     def _warn_of_stiffness(self, comm):

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.algebra import revolution
+from hypergap_dolfinx.algebra.checks import label
 from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
@@ -32,7 +33,7 @@ from hypergap_dolfinx.mortar.recovery import Recovery
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.trace import Surface, create_surface, thinness
+from hypergap_dolfinx.surface.trace import Surface, check_sides, create_surface, thinness
 from hypergap_dolfinx.tolerances import ALIKE, THIN_LAYER
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -161,13 +162,7 @@ class Tie(collective.Owner):
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
-        for side in (side0, side1):
-            if isinstance(side, fem.FunctionSpace) or len(side) != 2:
-                raise ValueError("each side of a tie is a pair: a function space and facets.")
-            if not isinstance(side[0], fem.FunctionSpace):
-                raise ValueError(
-                    f"a tie's side is (function space, facets), not ({type(side[0]).__name__}, …)."
-                )
+        check_sides("tie", side0, side1)
         (V0, facets0), (V1, facets1) = side0, side1
         comm = V0.mesh.comm
         self._ticket = collective.enter(comm)
@@ -232,7 +227,8 @@ class Tie(collective.Owner):
         self._domain = known or create_gap_domain(comm, *surfaces)
         self.adjusts = adjust
         """True if Γ1's nodes were moved."""
-        for doubt in doubts(self._domain, (side0, side1)) if self._tells else ():
+        moments = V1.value_shape == (V1.mesh.geometry.dim,) and motion is None and not close_gap
+        for doubt in doubts(self._domain, (side0, side1), moments) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
         if adjust:
@@ -275,6 +271,7 @@ class Tie(collective.Owner):
         Returns:
             The tie.
         """
+        check_sides("tie", a, b)
         size, thin = [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
             surface = create_surface(Component.of(side[0]).space, side[1], name)
@@ -298,7 +295,8 @@ class Tie(collective.Owner):
             tie = cls(*((b, a) if swapped else (a, b)), **given)
             tie._swapped = swapped
             if tie.domain.comm.rank == 0:
-                LOG.info("Γ1 is the %s side%s", "first" if swapped else "second", reason)
+                which = f"{'first' if swapped else 'second'} side{label(tie.spaces[1].mesh)}"
+                LOG.info("Γ1 is the %s%s", which, reason)
             return tie
 
         tie = create(swapped, "" if why == "second" else f", the {why} one")
@@ -602,13 +600,14 @@ class Tie(collective.Owner):
                 Lagrange function on a mesh of its own, the tied part of Γᵢ, so
                 ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
                 ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files take it. At kinks it
-                has a value on each side. The two sides' tractions are opposite to each other; where
-                fields change within a few facets, λ is as accurate.
+                has a value on each side. The two sides' tractions are opposite to each other, and
+                their integrals the force, up to the error of the recovery; :meth:`force` is exact.
+                Where fields change within a few facets, λ is as accurate.
 
         Returns:
             Force per area (in the plane, not axisymmetric: per length and unit depth), of the
             side's own area: the areas of sides that lie apart differ, and the integral of λ is the
-            force.
+            force. Its moment is that of the forces up to λ's error; :meth:`moment` is exact.
 
         Raises:
             ValueError: Not one of the problem's ties, not solved yet, or an unknown ``on``.
@@ -620,6 +619,85 @@ class Tie(collective.Owner):
         if on == "sigma":
             return fields.traction(self._domain, self.constraint, shape, multipliers)
         return self._recovery.traction(int(on[-1]), shape, multipliers)
+
+    def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray:
+        """The force on a body, exact: that of −Bᵀλ at its nodes. Collective.
+
+        Args:
+            problem: A solved problem with this tie.
+            on: Displacement of the body, one that the problem's ``solve()`` returns; if not given,
+                the body of the second side as given to the constructor or :meth:`between`,
+                whichever became Γ1. The other body feels the opposite.
+
+        Returns:
+            ``(block_size,)``, the same on every rank: a force (2D: per unit depth), of a
+            temperature the heat that flows into the body. Of bodies of revolution that of the
+            circle (of a radian), and its radial component isn't one force.
+
+        Raises:
+            ValueError: Not one of the problem's ties, or not solved yet; another function, or that
+                of both sides.
+        """
+        comm = self._domain.comm
+        return comm.allreduce(self._nodal_forces(problem, self._side(on)).sum(axis=0))
+
+    def moment(
+        self, problem, about: npt.ArrayLike, *, on: fem.Function | None = None
+    ) -> npt.NDArray:
+        """The moment of the forces of :meth:`force` about a point, Σ (x − x₀) × f. Collective.
+
+        It is that of the places of the mesh, undeformed. Across surfaces that lie apart the two
+        bodies' moments differ by the force times the distance (see ``adjust``).
+
+        Args:
+            problem: A solved problem with this tie.
+            about: The point x₀, ``(n,)``.
+            on: As in :meth:`force`.
+
+        Returns:
+            In space ``(3,)``, in the plane ``(1,)``, the same on every rank.
+
+        Raises:
+            ValueError: As :meth:`force`; a tie of something else than displacements; no point.
+        """
+        side = self._side(on)
+        V, n = self._spaces[side], self.surfaces[0].gdim
+        if V.value_shape != (n,):
+            raise ValueError(f"a moment needs displacements; the value shape is {V.value_shape}.")
+        if self.axisymmetric:
+            raise ValueError("a body of revolution has no moment; take force().")
+        point = np.asarray(about, dtype=float)
+        if point.shape != (n,):
+            raise ValueError(f"about is a point, ({n},), not of shape {point.shape}.")
+        forces = self._nodal_forces(problem, side)
+        arm = V.tabulate_dof_coordinates()[: len(forces), :n] - point
+        if n == 3:
+            moment = np.cross(arm, forces).sum(axis=0)
+        else:
+            moment = (arm[:, :1] * forces[:, 1:] - arm[:, 1:] * forces[:, :1]).sum(axis=0)
+        return self._domain.comm.allreduce(moment)
+
+    def _side(self, on: fem.Function | None) -> int:
+        """The side of a body, by its displacement; the second one as given. Collective."""
+        if on is None:
+            return 0 if self._swapped else 1
+        found = [i for i, part in enumerate(self.components) if part.own_function(on) is not None]
+        if not found:
+            raise ValueError("on= takes the displacement of one of the tie's bodies.")
+        if len(found) == 2:
+            raise ValueError("both sides are on this body; without on= it is the second side's.")
+        return found[0]
+
+    def _nodal_forces(self, problem, side: int) -> npt.NDArray:
+        """Forces at this rank's dofs of a side's space, ``(num_dofs, block_size)``. Collective."""
+        forces = fields.nodal_forces(self.constraint, side, problem.multipliers(self))
+        return forces @ self.turn if side == 0 and self.turn is not None else forces
+
+    @cached_property
+    def area(self) -> float:
+        """Area that is tied (2D: length), the mean of both sides'. Collective."""
+        q = self.quadrature(2 * self.domain.geometry.degree)
+        return float(q.integrate(np.ones_like(q.weights)))
 
     def quadrature(self, degree: int) -> fields.GapQuadrature:
         """Gauss points on Σ with the measure dΓ_α dα, to integrate there. Collective.

@@ -33,10 +33,14 @@ UNNAMED = "", "mesh"
 _chunk = 100_000  # cells that are checked at a time, to bound the memory
 
 
+def label(mesh: Mesh) -> str:
+    """A mesh's name in messages, in brackets after a space; nothing if it has none."""
+    return "" if mesh.name in UNNAMED else f" ({mesh.name})"
+
+
 def name_of_body(i: int, V: fem.FunctionSpace) -> str:
     """A body's name in messages: its number, and its mesh's name if this has one."""
-    name = V.mesh.name
-    return f"body {i}" if name in UNNAMED else f"body {i} ({name})"
+    return f"body {i}{label(V.mesh)}"
 
 
 def name_of_tie(number: str, tie: Interface) -> str:

@@ -69,7 +69,7 @@ class ContactStatus:
             surfaces: Γ0 and Γ1 before any displacement.
             sides: Which side is Γ1, and why.
         """
-        error, num = "", len(surfaces[1].x)
+        error, num = "", len(rows.sides[1].reference.x)
         facing, gaps = np.zeros(num, dtype=bool), np.zeros(num)
         try:
             rows.update_geometry()

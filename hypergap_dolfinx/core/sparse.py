@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Sparse matrices of PETSc: norms, nonzero columns, products, assembly from triplets."""
 
+from collections.abc import Callable
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -78,25 +80,35 @@ def absolute(B: PETSc.Mat) -> PETSc.Mat:
     return result
 
 
-def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
-    """Product of a matrix and several vectors. Collective.
+def of_columns(
+    act: Callable[[PETSc.Vec, PETSc.Vec], None],
+    vectors: tuple[PETSc.Vec, PETSc.Vec],
+    columns: npt.NDArray,
+) -> npt.NDArray:
+    """A linear operator of PETSc applied to each column of an array. Collective.
 
     Args:
-        A: The matrix.
-        columns: This rank's rows of the vectors, ``(num_columns_of_A, num_vectors)``.
+        act: The operator: takes a vector, and writes into another.
+        vectors: Work vectors for both; they are destroyed.
+        columns: This rank's rows.
 
     Returns:
-        This rank's rows of the products, ``(num_rows, num_vectors)``, of PETSc's scalar type.
+        The images of the columns, with the rows of the second vector, of PETSc's scalar type.
     """
-    x, y = A.createVecs()
-    result = np.empty((A.getLocalSize()[0], columns.shape[1]), dtype=PETSc.ScalarType)
+    x, y = vectors
+    found = np.empty((y.getLocalSize(), columns.shape[1]), dtype=PETSc.ScalarType)
     for k, column in enumerate(columns.T):
         x.array[:] = column
-        A.mult(x, y)
-        result[:, k] = y.array_r
-    x.destroy()
-    y.destroy()
-    return result
+        act(x, y)
+        found[:, k] = y.array_r
+    for vector in vectors:
+        vector.destroy()
+    return found
+
+
+def product(A: PETSc.Mat, columns: npt.NDArray) -> npt.NDArray:
+    """Product of a matrix and several vectors, as :func:`of_columns`. Collective."""
+    return of_columns(A.mult, A.createVecs(), columns)
 
 
 def coo_matrix(comm: MPI.Comm, sizes, i, j, values) -> PETSc.Mat:

@@ -24,10 +24,10 @@ from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.tolerances import NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
+from hypergap_dolfinx.mortar.tolerances import ACROSS, NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
 from hypergap_dolfinx.surface.quadrilaterals import on_triangles
-from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
-from hypergap_dolfinx.surface.trace import Surface, tabulate, thinness
+from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, NOISE, SAME_NODE, STRAIGHT
+from hypergap_dolfinx.surface.trace import Surface, facet_pairs, tabulate, thinness
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -430,30 +430,52 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     return point, surface.dofs[facet[point], local], values[point, local]
 
 
-def doubts(domain: GapDomain, sides: Sequence[Side]) -> list[str]:
+def doubts(domain: GapDomain, sides: Sequence[Side], moments: bool) -> list[str]:
     """Doubts about an interface, to be settled before results are trusted. Collective.
 
     Args:
         domain: Σ.
         sides: Spaces and this rank's facets of Γ0 and Γ1.
+        moments: True for displacements that are tied where the surfaces are.
 
     Returns:
         A line for each doubt, the same on every rank.
     """
-    found = _far_apart(domain), _straight_facets(domain.surfaces), _uneven_facets(domain, sides)
+    found = (
+        _far_apart(domain, moments),
+        _straight_facets(domain.surfaces),
+        _uneven_facets(domain, sides),
+    )
     return [line for line in found if line]
 
 
-def _far_apart(domain: GapDomain) -> str | None:
-    """Surfaces far apart: sometimes intended, mostly a wrong tag or a mesh in other units."""
+def _far_apart(domain: GapDomain, moments: bool) -> str | None:
+    """Surfaces farther apart than chords of a curved one: moments don't balance, or a wrong tag."""
     apart = domain.distance()
     length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
-    if apart <= length:
+    if apart > length:
+        return (
+            f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: "
+            "are tags and units right? They are tied across the gap."
+        )
+    explained = sum(_sag(surface) for surface in domain.surfaces)
+    if not moments or apart <= ACROSS * length + explained:
         return None
     return (
-        f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: are "
-        "tags and units right? They are tied across the gap."
+        f"Γ0 and Γ1 are {apart:.3g} apart on average: forces through the tie balance, moments "
+        "don't, by the force times that distance. adjust=True moves Γ1's nodes to Γ0; or mend the "
+        "meshes."
     )
+
+
+def _sag(surface: Surface) -> float:
+    """Largest distance of an arc from its chord, by the turns between facets: h/2 tan θ/4."""
+    one, other = facet_pairs(surface).T
+    cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
+    turn = np.arccos(np.clip(cosine, -1, 1))
+    bends = turn < CORNER_ASSEMBLY
+    size = np.maximum(surface.size[one], surface.size[other])[bends]
+    return float((size / 2 * np.tan(turn[bends] / 4)).max(initial=0.0))
 
 
 def _straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:

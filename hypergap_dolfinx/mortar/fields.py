@@ -12,7 +12,7 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from hypergap_dolfinx.core.sparse import product
+from hypergap_dolfinx.core.sparse import of_columns, product
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain
@@ -84,6 +84,22 @@ def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[
     moments = np.zeros((len(domain.x), basis.dim))
     np.add.at(moments, beyond.cells, beyond.weights[:, None] * tabulate(basis, beyond.X))
     return moments @ np.linalg.pinv(tabulate(basis, points))
+
+
+def nodal_forces(constraint: Constraint, side: int, multipliers: npt.NDArray) -> npt.NDArray:
+    """Forces −B_iᵀ λ on a body at its nodes. Collective.
+
+    Args:
+        constraint: The constraint.
+        side: 0 or 1.
+        multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
+
+    Returns:
+        Of this rank's owned dofs of V_i, ``(num_dofs, block_size)``.
+    """
+    B = constraint.B[side]
+    dofs, rows = B.createVecs()
+    return -of_columns(B.multTranspose, (rows, dofs), multipliers)
 
 
 def nodal_values(domain: GapDomain, R: PETSc.Mat, values: npt.NDArray) -> npt.NDArray:

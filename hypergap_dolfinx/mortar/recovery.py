@@ -28,7 +28,7 @@ fewer it changes by its scatter, less each time, until the change grows, which i
 field. So t is not linear in λ, but within its own error.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,7 +42,7 @@ import basix.ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import collective, compat
-from hypergap_dolfinx.core.sparse import coo_matrix, triplets
+from hypergap_dolfinx.core.sparse import coo_matrix, of_columns, product, triplets
 from hypergap_dolfinx.mortar.constraint import Constraint
 from hypergap_dolfinx.mortar.domain import GapDomain, distributed, subtract_squares
 from hypergap_dolfinx.mortar.fields import nodal_values
@@ -238,8 +238,8 @@ class Recovery(collective.Owner):
         found: list[npt.NDArray] = []
         for n in range(1, PASSES[-1] + 1):
             y = t + (n - 2) / (n + 1) * (t - before)
-            missing = forces - _of_columns(self._mass.mult, self._mass.createVecs(), y)
-            given = _of_columns(self._solver.solve, self._mass.createVecs(), missing)
+            missing = forces - product(self._mass, y)
+            given = of_columns(self._solver.solve, self._mass.createVecs(), missing)
             before, t = t, y + given
             if n in PASSES:
                 found.append(t)
@@ -247,8 +247,8 @@ class Recovery(collective.Owner):
 
     def _size(self, t: npt.NDArray) -> float:
         """‖t‖ on both sides. Collective."""
-        product = _of_columns(self._mass.mult, self._mass.createVecs(), t)
-        squares = self._domain.comm.allreduce(np.vdot(t, product))
+        weighted = product(self._mass, t)
+        squares = self._domain.comm.allreduce(np.vdot(t, weighted))
         return float(np.sqrt(abs(squares)))
 
     def _recovered(self, forces: npt.NDArray) -> npt.NDArray:
@@ -278,36 +278,10 @@ class Recovery(collective.Owner):
             σ_i n_i with the outward normal n_i, on a mesh of the part of Γ_i that is tied.
         """
         t, force = self._forces.createVecs()
-        forces = _of_columns(self._forces.multTranspose, (force, t), multipliers)
+        forces = of_columns(self._forces.multTranspose, (force, t), multipliers)
         values = self._recovered(forces)
         nodal = nodal_values(self._domain, self._R, values)
         return self._faces[side].function((1 - 2 * side) * nodal, shape, "traction")
-
-
-def _of_columns(
-    act: Callable[[PETSc.Vec, PETSc.Vec], None],
-    vectors: tuple[PETSc.Vec, PETSc.Vec],
-    columns: npt.NDArray,
-) -> npt.NDArray:
-    """A linear operator of PETSc applied to each column of an array. Collective.
-
-    Args:
-        act: The operator: takes a vector, and writes into another.
-        vectors: Work vectors for both; they are destroyed.
-        columns: This rank's rows.
-
-    Returns:
-        The images of the columns, with the rows of the second vector.
-    """
-    x, y = vectors
-    found = np.empty((y.getLocalSize(), columns.shape[1]), dtype=PETSc.ScalarType)
-    for k, column in enumerate(columns.T):
-        x.array[:] = column
-        act(x, y)
-        found[:, k] = y.array_r
-    for vector in vectors:
-        vector.destroy()
-    return found
 
 
 class Unknowns:

@@ -292,15 +292,15 @@ def _difference(given: dict[str, npt.NDArray], now: dict[str, npt.NDArray]) -> s
     if str(given["problem"]) != str(now["problem"]):
         return f"the state is one of a {given['problem']}, not of a {now['problem']}."
     for name in sorted(given.keys() ^ now.keys()):
-        which = "state" if name in given else "problem"
-        return f"the {which} alone has {name}: it is a state of another problem."
+        has, lacks = ("state", "problem") if name in given else ("problem", "state")
+        return f"the {has} has {name} and the {lacks} hasn't: it is a state of another problem."
     for name, array in given.items():
         if name.endswith(("/rows", "/start")) or name == "problem":
             continue
         other = now[name]
         if array.shape != other.shape or not np.can_cast(array.dtype, other.dtype, "same_kind"):
             return (
-                f"{name} of the state is {array.shape} {array.dtype}, of the problem "
-                f"{other.shape} {other.dtype}: it is a state of another problem."
+                f"{name} has shape {array.shape} ({array.dtype}) in the state and {other.shape} "
+                f"({other.dtype}) in the problem: it is a state of another problem."
             )
     return None

@@ -14,6 +14,11 @@ from hypergap_dolfinx.core import progress
 LOG = logging.getLogger("hypergap_dolfinx")
 
 
+def times(number: int, what: str) -> str:
+    """A number of things: "1 step", "2 steps"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class NewtonRecord:
     """State after a Newton step; the first one of a load step is its start."""
@@ -29,14 +34,14 @@ class NewtonRecord:
     iterations: int
     """Iterations of linear solvers since the last record; 1 for a direct solve."""
     seconds: float
-    """Processor seconds of this rank since the last record."""
+    """Wall-clock seconds since the last record."""
 
     def __str__(self) -> str:
         """The record in one line."""
         moves = f", {self.came} came, {self.went} went" if self.came or self.went else ""
         gap = f", gap {self.gap:.1e}" if self.gap else ""
         return (
-            f"residual {self.residual:.1e}{gap}{moves}, {self.iterations} iterations, "
+            f"residual {self.residual:.1e}{gap}{moves}, {times(self.iterations, 'iteration')}, "
             f"{self.seconds:.2f} s"
         )
 
@@ -52,11 +57,16 @@ class StepRecord:
     halvings: int
     """Times that the load step was halved."""
     seconds: float
-    """Processor seconds of this rank."""
+    """Wall-clock seconds."""
     message: str
     """Summary, or the reason why it failed."""
     solved: bool
     """True if it was solved."""
+
+    def __str__(self) -> str:
+        """The record in a line, and one for each Newton step."""
+        lines = [f"load step {self.number}: {self.message}, {self.seconds:.2f} s"]
+        return "\n".join([*lines, *(f"  {k}: {step}" for k, step in enumerate(self.steps))])
 
 
 class Recorder:
@@ -82,7 +92,7 @@ class Recorder:
             iterations: Linear iterations so far.
         """
         self._number, self._steps = number, list[NewtonRecord]()
-        self._began = self._last = time.process_time()
+        self._began = self._last = time.perf_counter()
         self._iterations = iterations
 
     def note(self, residual: float, iterations: int, *, gap=0.0, came=0, went=0, step=0):
@@ -96,7 +106,7 @@ class Recorder:
             went: Number of vertices that went.
             step: Number of Newton steps so far.
         """
-        now, last = time.process_time(), self._last
+        now, last = time.perf_counter(), self._last
         spent = max(iterations - self._iterations, 0)
         record = NewtonRecord(float(residual), float(gap), came, went, spent, now - last)
         self._last, self._iterations = now, iterations
@@ -125,7 +135,7 @@ class Recorder:
             halvings: Times that it was halved.
             solved: True if it was solved.
         """
-        seconds = time.process_time() - self._began
+        seconds = time.perf_counter() - self._began
         steps = tuple(self._steps)
         self.done.append(StepRecord(self._number, steps, halvings, seconds, message, solved))
         self.tell(f"{message}, {seconds:.2f} s", keep=True)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Trace of a function space on the facets of an interface, gathered over the ranks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -359,6 +360,25 @@ def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteE
     ):
         return None, f"({V.ufl_element()!r}) is not a continuous Lagrange space of degree ≥ 1"
     return element, None
+
+
+def check_sides(kind: str, *sides):
+    """Raise if they are no pairs of a space and facets.
+
+    Args:
+        kind: ``"tie"`` or ``"contact"``.
+        sides: What a user gave.
+
+    Raises:
+        ValueError: Something else.
+    """
+    for side in sides:
+        if not isinstance(side, Sequence) or len(side) != 2:
+            raise ValueError(f"each side of a {kind} is a pair: a function space and facets.")
+        if not isinstance(side[0], fem.FunctionSpace):
+            raise ValueError(
+                f"a {kind}'s side is (function space, facets), not ({type(side[0]).__name__}, …)."
+            )
 
 
 def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Surface:

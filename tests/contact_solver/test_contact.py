@@ -238,7 +238,9 @@ def test_nothing_holds():
     """A motion that contact can't hold is told, not solved; so is one that it is pulled from."""
     scene = Blocks(held=False)
     scene.load.value = -0.05
-    with raises(SolveError, "no solution beyond 0 of the .*would have to pull at .*: body 1, that"):
+    with raises(
+        SolveError, "no solution beyond 0 % of the .*would have to pull at .*: body 1, that"
+    ):
         scene.problem.solve()
 
 

@@ -72,9 +72,9 @@ def test_what_nothing_holds(friction):
     scene = two()
     scene.bcs = scene.bcs[:2]
     text = scene.problem(Contact(*faces(scene), friction=friction)).status().split("\n")
-    assert text[2].startswith("only contact can hold body 1, at (0, 0.5); hold it by")
-    left = ["nothing holds, even where all that faces something touched, body 1, at (0, 0.5), "]
-    end = "along (1, 0); hold it by boundary conditions."
+    assert text[2].startswith("only contact can hold body 1, at (0, 0.5); otherwise hold it by")
+    left = ["nothing holds body 1, at (0, 0.5), "]
+    end = "along (1, 0), even if all that faces something touches; hold it by boundary conditions."
     assert text[3:] == ([] if friction else [left[0] + end])
 
 

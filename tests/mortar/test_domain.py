@@ -227,7 +227,7 @@ def test_hosts_lie_where_the_nodes_are(k):
 @pytest.mark.parametrize("k", ((1, 1), (2, 2)))
 @pytest.mark.parametrize("gap", (0.0, 0.3, 0.7, -0.2))
 def test_distance(gap, k, caplog):
-    """Surfaces farther apart than their facets are long are told of, once, and tied."""
+    """Surfaces that lie apart are told of, once, and tied."""
     below, above = two_blocks((4, 5), k)
     above[0].mesh.geometry.x[:, 1] += gap
     caplog.clear()
@@ -235,9 +235,24 @@ def test_distance(gap, k, caplog):
         tie = Tie(below, above)
     assert tie.domain.distance() == pytest.approx(abs(gap), abs=1e-14)
     warned = comm.allreduce(len(caplog.records))
-    assert warned == (gap > 0.5)  # the facets' length
+    assert warned == (gap != 0)
     if caplog.records:
-        assert "Γ0 and Γ1 are 0.7 apart on average" in caplog.text
+        assert f"Γ0 and Γ1 are {abs(gap):g} apart on average" in caplog.text
+        assert ("adjust=True" in caplog.text) is (abs(gap) < 0.5)  # the facets' length
+
+
+@pytest.mark.parametrize("shape", ((), (2,)))
+@pytest.mark.parametrize("n", ((7, 5), (60, 40)))
+def test_chords_of_an_arc_are_not_apart(n, shape, caplog):
+    """Two polygons around one circle."""
+    sides = []
+    for i, radii in enumerate(((0.5, 1), (1, 1.5))):
+        mesh, ft = meshes.ring_sector(comm, n[i], 2, *radii)
+        V = fem.functionspace(mesh, ("Lagrange", 1, shape) if shape else ("Lagrange", 1))
+        sides.append((V, ft.find(meshes.INNER if i else meshes.OUTER)))
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        assert Tie(*sides).domain.distance() > 1e-5
+    assert not caplog.records
 
 
 @pytest.mark.ranks

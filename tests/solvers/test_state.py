@@ -284,7 +284,7 @@ def test_wrong_states(tmp_path):
         problem.state().save(file.parent / "nowhere" / "state.npz")
     others = (
         (tied(comm), "is one of a NonlinearTiedProblem, not of a ContactProblem"),
-        (contact(comm, friction=None), "the problem alone has contact 0/dissipated"),
+        (contact(comm, friction=None), "the problem has contact 0/dissipated"),
         (contact(comm, scene=Scene(comm, n=((5, 3), (5, 3)))), "of another problem"),
     )
     for other, message in others:
