@@ -13,6 +13,8 @@
 #include "front.h"
 #include "gap_mesh.h"
 
+#define PI 3.14159265358979323846
+
 static int sort_edges(Edges *edges, int n, int num, const int *triangles)
 {
   edges->offset = calloc(n + 2, sizeof(int));
@@ -109,6 +111,41 @@ static int locate(Front *f, const Edges *start)
   }
   free(queue), free(near);
   return 1;
+}
+
+// The triangle behind the edge from a to b of t, −1 at the boundary. Where rooms touch, several go
+// over one edge between twins: the room is on the left of its walls, seen from the end.
+static int beyond(const Front *f, const Edges *start, int t, int a, int b)
+{
+  int best = -1, num = 0;
+  double least = INFINITY;
+  for (int i = start->offset[b]; i < start->offset[b + 1]; ++i)
+    if (start->to[i] == a)
+    {
+      best = start->triangle[i];
+      ++num;
+    }
+  if (num < 2)
+    return best;
+  const Vertex *v = f->points.vertex;
+  double e[3], g[3];
+  const int *own = f->triangle[t].v;
+  int from = a < b ? a : b, side = a < b ? 1 : -1; // the start's vertex
+  minus(v[own[0] + own[1] + own[2] - a - b].x, v[from].x, e);
+  for (int i = start->offset[b]; i < start->offset[b + 1]; ++i)
+    if (start->to[i] == a)
+    {
+      minus(v[start->opposite[i]].x, v[from].x, g);
+      double angle = side * atan2(triple(e, g, v[from].n), dot(e, g));
+      if (angle <= 0)
+        angle += 2 * PI;
+      if (angle < least)
+      {
+        least = angle;
+        best = start->triangle[i];
+      }
+    }
+  return best;
 }
 
 static int num_left(const Front *f)
@@ -208,12 +245,7 @@ int front_fill(int n0, int n1, const double *vertices, double flat, int num_star
   f.num_triangles = num_start;
   for (int t = 0; t < num_start; ++t)
     for (int k = 0; k < 3; ++k)
-    {
-      int a = start[3 * t + k], b = start[3 * t + (k + 1) % 3];
-      for (int i = first.offset[b]; i < first.offset[b + 1]; ++i)
-        if (first.to[i] == a)
-          f.triangle[t].behind[k] = first.triangle[i];
-    }
+      f.triangle[t].behind[k] = beyond(&f, &first, t, start[3 * t + k], start[3 * t + (k + 1) % 3]);
   if (!locate(&f, &first))
     goto finish;
   advance(&f);

@@ -27,7 +27,7 @@ import basix
 import basix.ufl
 from hypergap_dolfinx.gap_mesh.tetrahedra import straightened
 from hypergap_dolfinx.gap_mesh.tolerances import WHOLE_COVERED
-from hypergap_dolfinx.surface.trace import Surface, tabulate
+from hypergap_dolfinx.surface.trace import Surface, geometry_nodes, tabulate
 
 
 @dataclass(frozen=True)
@@ -154,23 +154,15 @@ def interpolate_geometry(surfaces: Sequence[Surface], hosts: Hosts) -> npt.NDArr
 
 
 def geometry_element(surfaces: Sequence[Surface], degree: int):
-    """Basix' UFL element of Σ's coordinates: linear unless a surface is curved.
-
-    On triangles the bilinear map of a quadrilateral is of degree 2. Geometry is then taken at the
-    nodes of the φ_a, as displacements are, so that linear ones are exact; with φ_a of degree 1
-    these are the vertices.
+    """Basix' UFL element of Σ's coordinates.
 
     Args:
         surfaces: Γ0 and Γ1.
         degree: Degree of the φ_a.
     """
     n = surfaces[0].gdim
-    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
-    variant = basix.LagrangeVariant.equispaced
-    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
-        g, variant = max(g, degree), basix.LagrangeVariant.gll_warped
     cell = {2: "triangle", 3: "tetrahedron"}[n]
-    return _lagrange(cell, g, variant, n)
+    return _lagrange(cell, *geometry_nodes(surfaces, degree), n)
 
 
 @cache

@@ -9,14 +9,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.compiled import call, ints
-from hypergap_dolfinx.gap_mesh import cavity, prisms
+from hypergap_dolfinx.gap_mesh import cavity
 from hypergap_dolfinx.gap_mesh.cavity import Place
+from hypergap_dolfinx.gap_mesh.prisms import Prisms, between_quarters, outer_faces, twins
 from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, MeshRepair
+from hypergap_dolfinx.gap_mesh.tetrahedra import areas
 from hypergap_dolfinx.gap_mesh.tolerances import (
     CELLS,
     EXTRAPOLATE,
@@ -116,8 +119,7 @@ class Problem:
         if not self.rims:
             return SHIFT * self.size * shift
         x, normal = self.x[self.n0 :], self.normals[self.n0 :]
-        outwards = x - x.mean(axis=0)
-        reach = np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max())
+        outwards, reach = self._outwards
         shift = outwards / reach + 0.1 * GENERIC
         for rim in self.rims:
             nodes = rim.nodes[1]
@@ -128,6 +130,29 @@ class Problem:
             leans = np.einsum("vi,vi->v", shift[nodes], conormal)
             shift[nodes] += np.maximum(LEAN - leans, 0)[:, None] * conormal
         return SHIFT * self.size * shift
+
+    @cached_property
+    def _outwards(self) -> tuple[npt.NDArray[np.float64], float]:
+        """Vectors to Γ1's vertices from their middle, and the length of the longest."""
+        outwards = self.x[self.n0 :] - self.x[self.n0 :].mean(axis=0)
+        return outwards, float(np.sqrt(np.einsum("vi,vi->v", outwards, outwards).max()))
+
+    @cached_property
+    def prisms(self) -> Prisms:
+        """Cells between facets and their twins, as valid as those of a front."""
+        x0, x1, (facets0, facets1) = self.x[: self.n0], self.x[self.n0 :], self.facets
+        pairs = twins(x0, facets0, x1, facets1 - self.n0, self.size)
+        height = self.x[self.n0 :] @ GENERIC
+        if self.rims:  # what the shift is the gradient of, so that both agree about edges
+            outwards, reach = self._outwards
+            height = np.einsum("vi,vi->v", outwards, outwards) / (2 * reach) + 0.1 * height
+        alpha = (np.arange(len(self.x)) >= self.n0).astype(float)
+
+        def are_valid(cells):
+            D, scale = areas(self.x[cells], alpha[cells], self.normals[cells].sum(axis=1))
+            return D > FLAT_GAP_CELL * scale
+
+        return Prisms.between(pairs, self.n0, height, are_valid)
 
     def walls(self, shift, weights) -> npt.NDArray[np.intp]:
         """Side walls, counterclockwise seen from inside, with Γ1 displaced."""
@@ -150,9 +175,9 @@ def _spread(a: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 class Front:
     """Cells that a front has made."""
 
-    cells: npt.NDArray[np.intp]
+    cells: npt.NDArray[np.integer]
     """``(num_cells, 4)``."""
-    walls: npt.NDArray[np.intp]
+    walls: npt.NDArray[np.integer]
     """Side walls, counterclockwise seen from inside, ``(num_walls, 3)``."""
     left: int
     """Number of its last triangles that are no facets of the surface where it ends, but lie at
@@ -173,7 +198,12 @@ class Front:
 
 
 def advance(
-    problem: Problem, weighted: bool, reverse: bool, share: float = 1.0, flat: float = FLAT_GAP_CELL
+    problem: Problem,
+    weighted: bool,
+    reverse: bool,
+    share: float = 1.0,
+    flat: float = FLAT_GAP_CELL,
+    prisms: Prisms | None = None,
 ) -> Front:
     """Let a front run from one surface to the other.
 
@@ -183,6 +213,7 @@ def advance(
         reverse: True if it goes from Γ1 to Γ0.
         share: Displacement of Γ1 over the problem's shift.
         flat: D over its scale up to which a cell is avoided.
+        prisms: Cells between some of the facets; the front runs in the room that they leave.
     """
     x, n, n0, shift = problem.x, len(problem.x), problem.n0, share * problem.shift
     n1, sign = n - n0, -1 if reverse else 1
@@ -199,9 +230,13 @@ def advance(
     vertices[:, :6] /= problem.size
     vertices[:, 6:9] = sign * problem.normals[order]
     turned = slice(None) if not reverse else [1, 0, 2]
-    start, end = (number[f][:, turned] for f in problem.facets[::sign])
-    lowest = np.minimum(np.minimum(start[:, 0], start[:, 1]), start[:, 2])
-    start = start[np.argsort(lowest, kind="stable")]
+    facets = prisms.left(problem.facets) if prisms else problem.facets
+    if prisms and not any(len(part) for part in facets):
+        walls = outer_faces(prisms.cells)
+        walls = walls[_are_walls(walls, n0)]
+        outer = np.vstack((problem.facets[0], walls, problem.facets[1][:, ::-1]))
+        whole = cavity.is_whole(prisms.cells, outer)
+        return Front(prisms.cells, walls, 0, (0, int(not whole)))
     if weighted:
         edges = np.append(number, np.int32(-1))[problem.edges]  # −1 stays −1
         if reverse:
@@ -214,8 +249,12 @@ def advance(
     if not problem.rims or n > SWEPT:
         vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
-    walls = problem.walls(sign * shift, weights)
-    start, end = ints(np.vstack((start, number[walls]))), ints(end)
+    inner = walls = problem.walls(sign * shift, weights)
+    if prisms:
+        walls, inner = prisms.walls(problem.facets, walls)
+    start, end = (number[f][:, turned] for f in facets[::sign])
+    start = start[np.argsort(start.min(axis=1), kind="stable")]
+    start, end = ints(np.vstack((start, number[inner]))), ints(end)
     max_cells = CELLS * (len(start) + len(end)) + 100
     cells = np.empty((max_cells, 4), dtype=np.int32)
     left = np.empty((len(start) + 2 * n + len(end), 3), dtype=np.int32)
@@ -238,7 +277,8 @@ def advance(
             made, wrong = front, _check(sides[0], vertices, front, outer)
     if status > 1:
         raise MemoryError("no memory for the cells of the gap domain")
-    return Front(order[made], walls, int(counts[1]), wrong)
+    cells = np.vstack((*((prisms.cells,) if prisms else ()), order[made]))
+    return Front(cells, walls, int(counts[1]), wrong)
 
 
 def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
@@ -257,13 +297,19 @@ def _check(n0: int, vertices, cells, outer) -> tuple[int, int]:
     return int(wrong[0]), int(wrong[1])
 
 
-def ready(problem: Problem, make: Callable) -> Front | None:
-    """Cells between matching triangulations, made by a function of `prisms`, or None."""
+def _are_walls(faces, n0: int):
+    """Mask of the faces of cells that have vertices of both sides, ``(num_faces,)``."""
+    return (faces < n0).any(axis=1) & (faces >= n0).any(axis=1)
+
+
+def quartered(problem: Problem) -> Front | None:
+    """Cells between facets and their quarters, or None."""
     (facets0, facets1), x, n0 = problem.facets, problem.x, problem.n0
-    cells = make(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
+    cells = between_quarters(x[:n0], facets0, x[n0:], facets1 - n0, problem.size)
     if cells is None:
         return None
-    walls = prisms.rim_walls(cells, facets0, facets1) if problem.rims else np.empty((0, 3), int)
+    walls = outer_faces(cells)
+    walls = walls[_are_walls(walls, n0)]
     vertices = np.zeros((len(x), 10))
     vertices[:, :3] = (x - x.mean(axis=0)) / problem.size
     vertices[:, 6:9] = problem.normals
@@ -294,14 +340,17 @@ def _construct(problem: Problem, place: Place, margins: Margins | None, flat: fl
     """The same by fronts that avoid cells whose D over its scale is ``flat`` or less."""
     alpha = (np.arange(len(problem.x)) >= problem.n0).astype(float)
     fronts, found = [], []
+    given = [problem.prisms, None] if len(problem.prisms.cells) else [None]
 
     def repair_of(front: Front) -> MeshRepair:
         outer = np.vstack((problem.facets[0], front.walls, problem.facets[1][:, ::-1]))
         return MeshRepair(outer, place, margins, problem.along)
 
-    tries: list[Callable[[], Front | None]] = [partial(ready, problem, prisms.between_twins)]
-    tries += [partial(advance, problem, *variant, flat) for variant in VARIANTS]
-    tries.append(partial(ready, problem, prisms.between_quarters))
+    tries: list[Callable[[], Front | None]] = [
+        partial(advance, problem, *variant, flat, prisms)
+        for prisms, variant in product(given, VARIANTS)
+    ]
+    tries.append(partial(quartered, problem))
     for attempt in tries:
         front = attempt()
         if front is None:

@@ -1,55 +1,121 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cells between surfaces that match or nearly do, or whose facets are quarters of the other's.
+"""Cells between facets that match or nearly do, or that are quarters of the other's.
 
-Each facet and its twin make three tetrahedra (:func:`between_twins`); each facet and its four
-quarters make seven (:func:`between_quarters`).
+Each facet and its twin make three tetrahedra (:class:`Prisms`), whatever their neighbours do:
+the front fills the rest. Each facet and its four quarters make seven (:func:`between_quarters`).
 
-All functions take the surfaces as ``x0, facets0, x1, facets1, size``: vertices of Γ0,
-``(num_vertices0, 3)``, its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``, the same of
-Γ1, whose facets turn like Γ0's, and the length of the finer side's edges.
+Surfaces are given as ``x0, facets0, x1, facets1, size``: vertices of Γ0, ``(num_vertices0, 3)``,
+its facets, counterclockwise seen from Γ1, ``(num_facets0, 3)``, the same of Γ1, whose facets turn
+like Γ0's, and the length of the finer side's edges.
 """
+
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
-
-SPACE_DIRECTION = np.array(
-    (0.6130, 0.5023, 0.6098)
-)  # vertices are told apart by their place along it
+from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
 
-def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
-    """The vertex of Γ1 at each vertex of Γ0, ``(num_vertices0,)``; None if surfaces don't match."""
-    if len(x0) != len(x1) or len(facets0) != len(facets1):
-        return None
-    twin = _nearest(x0, x1, NEAR_MATCHING * size)
-    if twin is None:
-        return None
-    return twin if np.array_equal(_sorted(twin[facets0]), _sorted(facets1)) else None
+def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp]:
+    """Pairs of facets whose vertices lie at the same places, up to :data:`.NEAR_MATCHING`.
+
+    Where outlines nearly match, facets cut along them are whole ones but for slivers, which have
+    two vertices at one place. They are paired with an edge of the other side: between the twins on
+    both sides of the slivers, those of Γ0 come first, seen along the edge from the left.
+
+    Returns:
+        The facets of Γ0 and their twins on Γ1, with vertices in the same order, ``(num_pairs, 2,
+        3)``; one of the edge's ends stands twice.
+    """
+    n0, reach = len(x0), NEAR_MATCHING * size
+    one, other = _nearest(x0, x1, reach), _nearest(x1, x0, reach)
+    i, j = np.flatnonzero(one >= 0), np.flatnonzero(other >= 0)
+    place = components(n0 + len(x1), np.append(i, other[j]), n0 + np.append(one[i], j))
+    places = place[:n0], place[n0:]
+    sides = [_turned(*each) for each in zip((facets0, facets1), places, strict=True)]
+    num = [(np.diff(np.sort(at[f], axis=1)) > 0).sum(axis=1) for f, at in zip(sides, places)]
+    whole = [facets[n == 2] for facets, n in zip(sides, num, strict=True)]
+    corners = np.vstack([at[facets] for facets, at in zip(whole, places, strict=True)])
+    _, key = np.unique(corners, axis=0, return_inverse=True)
+    keys = np.split(key, [len(whole[0])])
+    once = [np.bincount(k, minlength=key.max(initial=-1) + 1) == 1 for k in keys]
+    both = np.flatnonzero(once[0] & once[1])
+    at = [np.argsort(k, kind="stable") for k in keys]
+    at = [order[np.searchsorted(k[order], both)] for order, k in zip(at, keys, strict=True)]
+    pairs = np.stack([facets[k] for facets, k in zip(whole, at, strict=True)], axis=1)
+
+    v = np.stack((x0[pairs[:, 0]], x1[pairs[:, 1]]), axis=1)  # (pair, side, vertex, x_i)
+    heights = np.minimum(*(lengths(normals_by_area(v[:, i])) for i in (0, 1)))
+    heights /= np.linalg.norm(v - np.roll(v, 1, axis=2), axis=3).max(axis=(1, 2), initial=1e-300)
+    apart = np.linalg.norm(v[:, 0] - v[:, 1], axis=2).max(axis=1)
+    pairs = pairs[apart <= NEAR_MATCHING * heights]
+    slivers = [facets[n == 1] for facets, n in zip(sides, num, strict=True)]
+    return np.concatenate((pairs, *(_edges(k, slivers, sides, places) for k in (0, 1))))
 
 
-def _nearest(x0, x1, reach: float) -> npt.NDArray[np.intp] | None:
-    """The vertex of Γ1 nearest to each of Γ0, no two the same; None if one is out of reach."""
-    for x in x0[:: max(len(x0) // 8, 1)]:  # a few first: mostly the very first has none near it
-        difference = x1 - x
-        if np.einsum("vi,vi->v", difference, difference).min() > reach**2:
-            return None
-    order = np.argsort(x1 @ SPACE_DIRECTION, kind="stable")
-    place = (x1 @ SPACE_DIRECTION)[order]
-    low = np.searchsorted(place, x0 @ SPACE_DIRECTION - reach)
-    count = np.searchsorted(place, x0 @ SPACE_DIRECTION + reach) - low
-    if count.min() == 0 or count.sum() > 500 * len(x0):  # or they take too much memory
-        return None
-    i = np.repeat(np.arange(len(x0)), count)
-    j = order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - low, count)]
-    difference = x0[i] - x1[j]
-    square = np.einsum("pi,pi->p", difference, difference)
-    nearest = np.lexsort((square, i))[np.cumsum(count) - count]
-    twin = j[nearest]
-    apart = square[nearest].max() > reach**2 or len(np.unique(twin)) < len(twin)
-    return None if apart else twin
+def _turned(facets, place):
+    """Facets rotated to begin with the vertex at the place of the smallest number."""
+    first = place[facets].argmin(axis=1)[:, None]
+    return np.take_along_axis(facets, (first + np.arange(3)) % 3, axis=1)
+
+
+def _edges(k: int, slivers, sides, places) -> npt.NDArray[np.intp]:
+    """One side's slivers, paired with the other's leftmost edges, or rightmost if it is Γ1."""
+    own, at, other = places[k], places[1 - k], sides[1 - k]
+    if not len(slivers[k]):
+        return np.empty((0, 2, 3), dtype=np.intp)
+
+    def directed(facets):
+        """Edges from a place to one of a higher number: places, vertices, and what is beside."""
+        edges = np.stack((facets, np.roll(facets, -1, axis=1)), axis=2).reshape(-1, 2)
+        up = at[edges[:, 0]] < at[edges[:, 1]]
+        edges[~up] = edges[~up][:, ::-1]
+        return np.column_stack((at[edges], edges)), up == (k == 0)
+
+    ends = np.sort(own[slivers[k]], axis=1)[:, [0, 2]]
+    edges, _ = directed(other)
+    num = int(max(part.max(initial=0) for part in places)) + 1
+    edges = edges[np.isin(edges[:, :2] @ (num, 1), ends @ (num, 1))]
+    beside, there = directed(slivers[1 - k])
+    taken = set(map(tuple, beside[there].tolist()))
+    found = {e[:2]: e[2:] for e in map(tuple, edges.tolist()) if e not in taken}
+    pairs = []
+    for sliver, two in zip(slivers[k], map(tuple, ends.tolist()), strict=True):
+        if two in found:
+            edge = np.array(found[two])[(own[sliver] == two[1]).astype(int)]
+            pairs.append((sliver, edge) if k == 0 else (edge, sliver))
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2, 3)
+
+
+def _nearest(x, y, reach: float) -> npt.NDArray[np.intp]:
+    """The place in y nearest to each in x; −1 if none is within reach."""
+    cell = 8 * reach
+    low = y.min(axis=0)
+    strides = np.cumprod(np.append(1, ((np.ptp(y, axis=0) / cell).astype(np.int64) + 2)[:2]))
+    key = np.floor((y - low) / cell).astype(np.int64) @ strides
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    found, least = np.full(len(x), -1), np.full(len(x), reach**2)
+    sought: list[npt.NDArray] = []
+    for corner in product((-1, 1), repeat=3):
+        own = np.floor((x - low + reach * np.array(corner)) / cell).astype(np.int64) @ strides
+        i = np.flatnonzero(~np.any([own == other for other in sought] or [own != own], axis=0))
+        sought.append(own)
+        at, stop = (np.searchsorted(key, own[i], side=side) for side in ("left", "right"))
+        while len(i):
+            on = at < stop
+            i, at, stop = i[on], at[on], stop[on]
+            j = order[at]
+            square = ((x[i] - y[j]) ** 2).sum(axis=1)
+            nearer = square < least[i]
+            found[i[nearer]], least[i[nearer]] = j[nearer], square[nearer]
+            at = at + 1
+    return found
 
 
 def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
@@ -62,7 +128,7 @@ def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | Non
     if len(facets1) != 4 * len(facets0):
         return None
     twin = _nearest(x0, x1, NEAR_MATCHING * size)
-    if twin is None:
+    if twin.min() < 0 or len(np.unique(twin)) < len(twin):
         return None
     corner = np.full(len(x1), -1)
     corner[twin] = np.arange(len(x0))
@@ -120,31 +186,84 @@ def _sorted(facets):
     return facets[np.lexsort(facets.T[::-1])]
 
 
-def between_twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
-    """Cells between facets and their twins: prisms cut by the order of their vertices.
+@dataclass(frozen=True)
+class Prisms:
+    """Cells between facets and their twins."""
 
-    So neighbours agree.
+    pairs: npt.NDArray[np.intp]
+    """The facets, Γ1's vertices numbered behind Γ0's, ``(num_pairs, 2, 3)``."""
+    cells: npt.NDArray[np.intp]
+    """Three for each, fewer for slivers, ``(num_cells, 4)``."""
 
-    Returns:
-        ``(3 num_facets, 4)``, Γ1's vertices numbered behind Γ0's; None if the surfaces don't match.
-    """
-    twin = twins(x0, facets0, x1, facets1, size)
-    if twin is None:
-        return None
-    order = np.argsort(facets0, axis=1)
-    a, b, c = np.take_along_axis(facets0, order, axis=1).T
-    a1, b1, c1 = (len(x0) + twin[v] for v in (a, b, c))
-    cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)), axis=0)  # (cell, vertex, f)
-    cells = cells.transpose(2, 0, 1).copy()
-    odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting
-    cells[odd] = cells[odd][:, :, [1, 0, 2, 3]]
-    return cells.reshape(-1, 4)
+    @classmethod
+    def between(cls, pairs, n0: int, height, are_valid) -> "Prisms":
+        """Prisms cut by the heights of their vertices, so that neighbours agree.
+
+        Args:
+            pairs: As of :func:`twins`.
+            n0: Number of Γ0's vertices.
+            height: Of each of Γ1's vertices. Between an edge and its twin the upper vertex on Γ0
+                and the lower one on Γ1 are connected.
+            are_valid: Mask of valid cells, of some.
+        """
+        order = np.argsort(-height[pairs[:, 1]], axis=1, kind="stable")
+        pairs = pairs + np.array((0, n0))[:, None]
+        sorted_pairs = np.take_along_axis(pairs, order[:, None], axis=2)
+        (a, a1), (b, b1), (c, c1) = sorted_pairs.transpose(2, 1, 0)
+        cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)))  # (cell, vertex, pair)
+        cells = cells.transpose(2, 0, 1).copy()
+        odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting
+        cells[odd] = cells[odd][:, :, [1, 0, 2, 3]]
+        there = (np.diff(np.sort(cells, axis=2), axis=2) > 0).all(axis=2)
+        good = ~there
+        good[there] = are_valid(cells[there])
+        use = good.all(axis=1)
+        return cls(pairs[use], cells[use][there[use]])
+
+    def left(self, facets) -> list[npt.NDArray[np.integer]]:
+        """Facets of both sides, ``(num_facets, 3)`` each, that have no twins."""
+        num = _num(self, facets)
+        own = (_keys(self.pairs[:, i], num) for i in (0, 1))
+        return [part[~np.isin(_keys(part, num), ours)] for part, ours in zip(facets, own)]
+
+    def walls(self, facets, walls):
+        """Walls of a slab between two surfaces, and of the room that the prisms leave in it.
+
+        Where an edge of one outline and its twin have a wall, that of their prism replaces it.
+
+        Args:
+            facets: Facets of both sides, ``(num_facets, 3)`` each.
+            walls: Walls of the slab, counterclockwise seen from inside, ``(num_walls, 3)``.
+
+        Returns:
+            The slab's and the room's walls, counterclockwise seen from inside.
+        """
+        faces, num = outer_faces(self.cells), _num(self, facets)
+        quads = np.stack((self.pairs, np.roll(self.pairs, -1, axis=2)), axis=3)
+        quads = quads.transpose(0, 2, 1, 3).reshape(-1, 4)  # an edge of Γ0, its twin
+        four = _keys(quads[:, [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]], num)
+        four = four[np.isin(four, _keys(walls, num)).sum(axis=1) == 2]
+        others = walls[~np.isin(_keys(walls, num), four)]
+        walls = np.vstack((others, faces[np.isin(_keys(faces, num), four)]))
+        inner = ~np.isin(_keys(faces, num), _keys(np.vstack((walls, *facets)), num))
+        rest = walls[~np.isin(_keys(walls, num), _keys(faces, num))]
+        return walls, np.vstack((rest, faces[inner][:, ::-1]))
 
 
-def rim_walls(cells, facets0, facets1) -> npt.NDArray[np.intp]:
-    """The cells' faces on the walls, counterclockwise seen from inside."""
+def _num(prisms: Prisms, facets) -> int:
+    return int(max(part.max(initial=0) for part in (*facets, prisms.pairs))) + 1
+
+
+def _keys(triangles, num: int) -> npt.NDArray[np.int64]:
+    """A number for each triangle, whatever the order of its vertices."""
+    return np.sort(triangles, axis=-1).astype(np.int64) @ (num**2, num, 1)
+
+
+def outer_faces(cells) -> npt.NDArray[np.intp]:
+    """The cells' faces with no other cell behind them, counterclockwise seen from inside."""
     local = np.array([(1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)])  # seen from inside
-    faces = np.vstack((cells[:, local].reshape(-1, 3), facets0, facets1[:, ::-1]))
-    key = np.sort(faces, axis=1)
-    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+    faces = cells[:, local].reshape(-1, 3)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
     return faces[first[count == 1]]

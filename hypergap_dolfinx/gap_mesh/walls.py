@@ -25,11 +25,13 @@ from hypergap_dolfinx.gap_mesh.tolerances import (
     REACH_WALLS,
     WITHIN,
 )
+from hypergap_dolfinx.surface.nearest import nearest as place_of
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import TRIANGLE_CORNERS, Side
 from hypergap_dolfinx.surface.tolerances import CORNER, NOISE
 from hypergap_dolfinx.surface.trace import lengths
 from hypergap_dolfinx.trimming.outlines import is_along
+from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE
 
 NO_WALLS = np.empty((0, 3), dtype=np.intp)
 
@@ -149,6 +151,16 @@ def _parametrise(side0: Side, loop0, side1: Side, loop1):
     curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
     if curved:
         shared |= distance < APPROXIMATED * np.minimum(_shortest(x1), _shortest(x0)[nearest])
+    corners = [np.flatnonzero(_corners(x)) for x in (x0, x1)]
+    if all(map(len, corners)):  # meshes of one bend have them at different places
+        y0, y1 = x0[corners[0]], x1[corners[1]]
+        there, back = place_of(y1, y0), place_of(y0, y1)
+        reach = REACH_WALLS * np.minimum(
+            _shortest(x1)[corners[1]], _shortest(x0)[corners[0]][there]
+        )
+        apart = _across(y1 - y0[there], side0.vertex_normals[loop0[corners[0]]][there])
+        same = (back[there] == np.arange(len(there))) & (lengths(apart) < reach)
+        shared[corners[1][same]], nearest[corners[1][same]] = True, corners[0][there[same]]
     first = int(distance.argmin())
     start = int(nearest[first])
     loop0, x0 = np.roll(loop0, -start), np.roll(x0, -start, axis=0)
@@ -188,6 +200,13 @@ def _joined(s0, s1) -> npt.NDArray[np.float64]:
     return inner[near]
 
 
+def _corners(x) -> npt.NDArray[np.bool_]:
+    """Mask of a closed loop's nodes at which it turns by :data:`.CORNER_OUTLINE` or more."""
+    edge = np.roll(x, -1, axis=0) - x
+    edge /= np.maximum(lengths(edge), 1e-300)[:, None]
+    return np.einsum("ei,ei->e", edge, np.roll(edge, 1, axis=0)) <= np.cos(CORNER_OUTLINE)
+
+
 def _shortest(x) -> npt.NDArray[np.float64]:
     """The shorter edge at each node of a closed loop."""
     edges = _edges(x)
@@ -210,15 +229,18 @@ def _check_apart(side0: Side, loop0, side1: Side, loop1):
     x0, x1 = side0.x[loop0], side1.x[loop1]
     size = max(_edges(x0).max(), _edges(x1).max())
     there = on_loop(x1, x0)
-    n = side0.vertex_normals[loop0[there.edge]]
-    apart = there.apart - np.einsum("pi,pi->p", there.apart, n)[:, None] * n  # a gap is fine
-    distance = lengths(apart)
+    distance = lengths(_across(there.apart, side0.vertex_normals[loop0[there.edge]]))
     if distance.max() > REACH_WALLS * size:
         worst = distance.argmax()
         raise InterfaceError(
             f"the boundary of Γ1 at {spot(x1[worst])} lies {distance[worst]:.3g} off that "
             "of Γ0: do the surfaces have the same shape there?"
         )
+
+
+def _across(apart, normals) -> npt.NDArray[np.float64]:
+    """Parts of vectors across normals: a gap between outlines is fine, ``(num, 3)``."""
+    return apart - np.einsum("pi,pi->p", apart, normals)[:, None] * normals
 
 
 def along(walls: npt.NDArray[np.integer], x, n0: int, rims: Sequence[WallRim]):

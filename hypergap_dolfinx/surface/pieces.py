@@ -25,6 +25,7 @@ from hypergap_dolfinx.surface.triangulation import loops, neighbours
 Geometry = Callable[
     [npt.NDArray[np.float64]], tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 ]
+SOMEWHERE = np.array((0.6130, 0.5023, 0.6098))  # a direction that no mesh has
 TRIANGLE_CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])  # of the reference triangle
 GRADIENTS = np.array([(-1.0, -1.0), (1.0, 0.0), (0.0, 1.0)])  # of its corners' weights
 
@@ -76,16 +77,21 @@ class Side:
             side.__dict__.update(known)  # values of cached properties
             return side
         places, pieces = HALVES if halves else QUARTERS
-        if not halves:
+        if halves:  # a matching facet is cut along the same diagonal, whatever corner it begins at
+            foremost = (x[corners] @ SOMEWHERE).argmax(axis=1)
+            pieces = pieces[np.isin(foremost, (1, 2)).astype(int)]
+        else:
             middles = len(x) + np.arange(len(facets))
             x = np.vstack((x, surface.points(facets, np.tile(places[4], (len(facets), 1)))))
             corners = np.column_stack((corners, middles))
+            pieces = np.broadcast_to(pieces, (len(facets), *pieces.shape))
+        flat = pieces.reshape(len(facets), -1)  # (facet, corner of a triangle)
         return cls(
             surface,
             x,
-            corners[:, pieces].reshape(-1, 3),
-            np.repeat(facets, len(pieces)),
-            np.tile(places[pieces], (len(facets), 1, 1)),
+            np.take_along_axis(corners, flat, axis=1).reshape(-1, 3),
+            np.repeat(facets, pieces.shape[1]),
+            places[flat].reshape(-1, 3, 2),
         )
 
     def in_halves(self) -> "Side":
@@ -116,6 +122,13 @@ class Side:
         facet = self.surface.geometry.cell_type
         whole = 1 if facet == basix.CellType.triangle else 2  # twice the reference facet's area
         return np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / whole
+
+    @cached_property
+    def is_affine(self) -> bool:
+        """True if triangles are straight in space: halves of bilinear facets aren't either."""
+        if self.surface.facets.shape[1] == 3 or self.degree == self.surface.element.degree:
+            return not self.surface.curved[self.facets].any()
+        return bool(self.surface.affine[self.facets].all())
 
     @cached_property
     def is_whole(self) -> bool:
@@ -180,7 +193,7 @@ class Side:
             points: ``(num_points, 3)``.
             seed: Triangle where the search starts, ``(num_points,)``.
         """
-        curves = self._curves if self.surface.curved[self.facets].any() else None
+        curves = None if self.is_affine else self._curves
         triangle, xi = self._walks.project(points, seed, curves)
         out = np.flatnonzero(np.minimum(xi.min(axis=1), 1 - xi.sum(axis=1)) < -OUTSIDE)
         if len(out):  # the walk may have ended at a notch of the outline

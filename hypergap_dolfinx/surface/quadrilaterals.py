@@ -31,8 +31,8 @@ QUARTERS = (
     np.array([(0, 1, 4), (1, 3, 4), (3, 2, 4), (2, 0, 4)]),
 )
 """Points of the reference facet, and the four triangles of a whole facet between them."""
-HALVES = SQUARE_CORNERS, np.array([(0, 1, 3), (0, 3, 2)])
-"""The same with two triangles, for facets that are cut."""
+HALVES = SQUARE_CORNERS, np.array([[(0, 1, 3), (0, 3, 2)], [(0, 1, 2), (1, 3, 2)]])
+"""The same with two triangles, for facets that are cut: along one diagonal, along the other."""
 
 
 def on_triangles(

@@ -248,6 +248,23 @@ class Surface:
         return nodes[:, 0] + np.einsum("pa,pai->pi", tabulate(self.geometry, X)[:, 1:], steps)
 
 
+def geometry_nodes(surfaces, degree: int) -> tuple[int, basix.LagrangeVariant]:
+    """Degree and variant of Σ's coordinates: linear unless a surface is curved.
+
+    On triangles the bilinear map of a quadrilateral is of degree 2. Geometry is then taken at the
+    nodes of the φ_a, as displacements are, so that linear ones are exact; with φ_a of degree 1
+    these are the vertices.
+
+    Args:
+        surfaces: Γ0 and Γ1.
+        degree: Degree of the φ_a.
+    """
+    g = max(surface.geometry.degree if surface.curved.any() else 1 for surface in surfaces)
+    if degree > 1 and not all(s.affine.all() for s in surfaces if s.facets.shape[1] == 4):
+        return max(g, degree), basix.LagrangeVariant.gll_warped
+    return g, basix.LagrangeVariant.equispaced
+
+
 def tabulate(element: basix.finite_element.FiniteElement, X) -> npt.NDArray[np.float64]:
     """Values of a scalar element's basis at reference points, ``(num_points, num_dofs)``."""
     X = np.ascontiguousarray(X)

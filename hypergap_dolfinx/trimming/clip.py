@@ -51,7 +51,7 @@ def _kept(cut: Cut, other: Side) -> Side | None:
     kept = sorted_out(side, x, cells, behind, origin, weights)
     if cut.curves:
         f, k = np.nonzero(left[mine])
-        bends = np.zeros((len(cells), 3, cut.curves.degree - 1, 2))
+        bends = np.zeros((len(cells), 3, len(cut.curves.nodes), 2))
         ends = weights[f[:, None], np.column_stack((k, (k + 1) % 3)), 1:]
         pairs = np.column_stack((cells[f, k], cells[f, (k + 1) % 3]))
         bends[f, k] = cut.curves.bends(pairs, origin[f], ends)

@@ -15,8 +15,10 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.surface.pieces import TRIANGLE_CORNERS, Side, bent
+from hypergap_dolfinx.surface.trace import geometry_nodes
 from hypergap_dolfinx.trimming.tolerances import FOLDS, NEWTON_OUTLINES
 
+P = basix.ElementFamily.P
 SAMPLES = basix.create_lattice(basix.CellType.triangle, 4, basix.LatticeType.equispaced, True)
 
 Edge = tuple[int, int, int]
@@ -90,7 +92,11 @@ class OutlineCurves:
     def __init__(self, side: Side, other: Side):
         """A piece without any, and the other one."""
         self.side, self.other = side, other
-        self.degree = max(one.surface.geometry.degree for one in (side, other))
+        degree, variant = geometry_nodes(
+            [side.surface, other.surface], max(side.degree, other.degree)
+        )
+        edge = basix.create_element(P, basix.CellType.interval, degree, variant)
+        self.nodes = np.sort(edge.points[:, 0])[1:-1]  # of Σ's edges
         self._tracks: list[tuple[Edge, list[int], list[float]]] = []
         self._ends: dict[tuple[int, int], tuple[Edge, float, float]] = {}
 
@@ -180,7 +186,7 @@ class OutlineCurves:
         Returns:
             As of :class:`Side`, in the host facets, ``(num_edges, num_terms, 2)``.
         """
-        num = self.degree - 1
+        num = len(self.nodes)
         found = np.zeros((len(pairs), num, 2))
         parts = [self._ends.get(tuple(pair)) for pair in pairs.tolist()]
         some = np.array([i for i, part in enumerate(parts) if part], dtype=np.intp)
@@ -188,7 +194,7 @@ class OutlineCurves:
             return found
         arcs = self._arcs([part[0] for part in parts if part])
         r0, r1 = (np.array([part[i] for part in parts if part]) for i in (1, 2))
-        own, t = triangle[some], np.arange(1, num + 1) / (num + 1)
+        own, t = triangle[some], self.nodes
         off = np.empty((len(some), num, 2))
         for j in range(num):
             x = arcs.at((1 - t[j]) * r0 + t[j] * r1)[0]

@@ -57,22 +57,23 @@ class Rim:
         self._tilts = self._around()
 
     def curvature(self, corner: float) -> npt.NDArray[np.float64]:
-        """Curvature of the polygon in the surface, at its nodes.
+        """Curvature of the polygon in the surface, at its nodes; zero at corners.
 
-        A curve goes on turning, a corner or a ragged outline don't.
+        A curve goes on turning, a corner or a ragged outline don't. Coarse polygons of a closed
+        curve have no corner at all.
 
         Args:
-            corner: Turn from which a node is a corner.
+            corner: Turn from which a node is a corner; :data:`.CORNER_OUTLINE` if there is one.
         """
         turn, length = self._turn, self.length
+        if np.abs(turn).max() >= corner:
+            corner = min(corner, CORNER_OUTLINE)
         curvature = 2 * np.abs(turn) / (length + np.roll(length, 1))
         is_corner, going = np.abs(turn) >= corner, np.zeros(len(turn))
         for way in (-1, 1):
             same = np.roll(is_corner, way) | (turn * np.roll(turn, way) > 0)
             going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
-        curvature = np.where(is_corner, 0, np.minimum(curvature, going))
-        around: npt.NDArray[np.float64] = np.stack([np.roll(curvature, k) for k in (-1, 0, 1)])
-        return around.max(axis=0)
+        return np.where(is_corner, 0, np.minimum(curvature, going))
 
     def place(self, place: float) -> tuple[int, int, float]:
         """Vertices of an edge and a parameter on it, from a node's number and the one behind it."""
@@ -135,8 +136,11 @@ class Rim:
         m = np.cross(t, n)
         tilt = self.tilt(np.arange(len(self.x)), m)
         tilt += np.maximum(other.tilt(edge, m), other.tilt(after, m))
-        there_by = other.curvature(corner)
-        curvature = np.minimum(self.curvature(corner), np.maximum(there_by[edge], there_by[after]))
+        own, there_by = self.curvature(corner), other.curvature(corner)
+        own = np.stack([np.roll(own, k) for k in (-1, 0, 1)]).max(
+            axis=0
+        )  # up to a corner, not beyond
+        curvature = np.minimum(own, np.maximum(there_by[edge], there_by[after]))
         explained = SAGS / 8 * curvature * other.length[edge] ** 2
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
@@ -374,7 +378,7 @@ def locate(side: Side, points, normals) -> tuple[npt.NDArray[np.intp], npt.NDArr
     host, weights = np.full(len(points), -1), np.zeros((len(points), 3))
     p, f = side.tree.candidates(points, normals)
     at, t = _feet(side, f, points[p])
-    curved = bool(side.surface.curved[side.facets].any())
+    curved = not side.is_affine
     least = at.min(axis=1, initial=np.inf)
     near = (curved & np.isfinite(least)) | (
         least >= -INSIDE_WEIGHT

@@ -202,7 +202,7 @@ class Cut(Nodes):
             for u, v in crossing
             if nodes[u] != nodes[v]
         ]
-        if any(cut.side.surface.curved.any() for cut in (self, other)):
+        if not all(cut.side.is_affine for cut in (self, other)):
             self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
 
     def _beside(self, place) -> int:

@@ -165,6 +165,16 @@ def test_hole():
         assert filled(frame(n), frame(m)).inner.alpha.size == 0
 
 
+@pytest.mark.parametrize("n", ((12, 9), (5, 14)))
+def test_corners_of_outlines_face_each_other(n):
+    """Where outlines are apart and of different length: walls cut off none."""
+    arch = graph(lambda u, v: 0.05 + 0.5 * np.sin(np.pi * u) * (1 - v))
+    made = filled(grid(n[0], graph(lambda u, v: 0 * u)), grid(n[1], arch))
+    up = np.tile((0.0, 0.0, 1.0), (len(made.cells), 1))
+    seen, _ = areas(made.x[made.cells], made.alpha[made.cells], up)
+    assert abs(seen.sum() / 6 - 1) <= 1e-12  # from above, at each α in the mean
+
+
 @pytest.mark.parametrize("noise", (0, 1e-12, 1e-6, 1e-3))
 def test_matching(noise):
     """Three cells for each facet and its twin."""
@@ -172,8 +182,8 @@ def test_matching(noise):
     y = x + noise / 20 * np.random.default_rng(0).uniform(-1, 1, x.shape)
     made = filled((x, t), (y, t))
     assert len(made.cells) == 3 * len(t)
-    assert prisms.twins(x, t, y[:-1], t, 0.1) is None
-    assert prisms.twins(x, t, y, t[:, ::-1], 0.1) is None
+    assert len(prisms.twins(x, t, y, t, 0.1)) == len(t)
+    assert not len(prisms.twins(x, t, y, t[:, ::-1], 0.1))
 
 
 def quarters(x, t):

@@ -197,6 +197,16 @@ def test_narrow_cuts(cut):
         check(square(4), square(3, place), exact, 1e-8)
 
 
+def test_corners_of_parallelograms():
+    """They turn by 70° and 110°: no coarse polygons of one curve."""
+    shear = np.array([(1, 0, 0), (0.36, 1, 0), (0, 0, 1)])
+    one, other = (
+        square(1, lambda x, size=size: (x * size) @ shear)
+        for size in ((0.3, 0.34, 1), (0.34, 0.27, 1))
+    )
+    check(one, other, 0.3 * 0.27)
+
+
 @pytest.mark.parametrize("angle", [1e-7, 1e-5, 1e-3, 0.1])
 def test_no_blunt_angles(angle):
     """Where an outline all but follows edges, what is cut is narrow, but no triangle is flat."""
