@@ -137,10 +137,9 @@ class Rim:
         tilt = self.tilt(np.arange(len(self.x)), m)
         tilt += np.maximum(other.tilt(edge, m), other.tilt(after, m))
         own, there_by = self.curvature(corner), other.curvature(corner)
-        own = np.stack([np.roll(own, k) for k in (-1, 0, 1)]).max(
-            axis=0
-        )  # up to a corner, not beyond
-        curvature = np.minimum(own, np.maximum(there_by[edge], there_by[after]))
+        beside = np.stack([np.roll(own, k) for k in (-1, 0, 1)])
+        curvature = np.maximum(there_by[edge], there_by[after])  # of an edge: not beyond corners
+        curvature = np.minimum(beside.max(axis=0), curvature)
         explained = SAGS / 8 * curvature * other.length[edge] ** 2
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
