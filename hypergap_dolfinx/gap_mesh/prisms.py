@@ -20,6 +20,8 @@ from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
+CORNERS = np.array(tuple(product((-1, 1), repeat=3)))  # of a cube
+
 
 def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp]:
     """Pairs of facets whose vertices lie at the same places, up to :data:`.NEAR_MATCHING`.
@@ -32,12 +34,16 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp]:
         The facets of Γ0 and their twins on Γ1, with vertices in the same order, ``(num_pairs, 2,
         3)``; one of the edge's ends stands twice.
     """
-    n0, reach = len(x0), NEAR_MATCHING * size
-    one, other = _nearest(x0, x1, reach), _nearest(x1, x0, reach)
-    i, j = np.flatnonzero(one >= 0), np.flatnonzero(other >= 0)
-    place = components(n0 + len(x1), np.append(i, other[j]), n0 + np.append(one[i], j))
+    n0 = len(x0)
+    i, j, _ = _near(x0, x1, NEAR_MATCHING * size)
+    near = np.zeros(n0, dtype=bool), np.zeros(len(x1), dtype=bool)
+    near[0][i] = near[1][j] = True
+    sides = [f[at[f].all(axis=1)] for f, at in zip((facets0, facets1), near, strict=True)]
+    if not all(map(len, sides)):
+        return np.empty((0, 2, 3), dtype=np.intp)
+    place = components(n0 + len(x1), i, n0 + j)
     places = place[:n0], place[n0:]
-    sides = [_turned(*each) for each in zip((facets0, facets1), places, strict=True)]
+    sides = [_turned(*each) for each in zip(sides, places, strict=True)]
     num = [(np.diff(np.sort(at[f], axis=1)) > 0).sum(axis=1) for f, at in zip(sides, places)]
     whole = [facets[n == 2] for facets, n in zip(sides, num, strict=True)]
     corners = np.vstack([at[facets] for facets, at in zip(whole, places, strict=True)])
@@ -92,30 +98,26 @@ def _edges(k: int, slivers, sides, places) -> npt.NDArray[np.intp]:
     return np.array(pairs, dtype=np.intp).reshape(-1, 2, 3)
 
 
-def _nearest(x, y, reach: float) -> npt.NDArray[np.intp]:
-    """The place in y nearest to each in x; −1 if none is within reach."""
-    cell = 8 * reach
-    low = y.min(axis=0)
+def _near(x, y, reach: float):
+    """Pairs of places in x and y within reach: their numbers, and the squares of distances."""
+    cell, low = 8 * reach, y.min(axis=0)
     strides = np.cumprod(np.append(1, ((np.ptp(y, axis=0) / cell).astype(np.int64) + 2)[:2]))
-    key = np.floor((y - low) / cell).astype(np.int64) @ strides
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    found, least = np.full(len(x), -1), np.full(len(x), reach**2)
-    sought: list[npt.NDArray] = []
-    for corner in product((-1, 1), repeat=3):
-        own = np.floor((x - low + reach * np.array(corner)) / cell).astype(np.int64) @ strides
-        i = np.flatnonzero(~np.any([own == other for other in sought] or [own != own], axis=0))
-        sought.append(own)
-        at, stop = (np.searchsorted(key, own[i], side=side) for side in ("left", "right"))
-        while len(i):
-            on = at < stop
-            i, at, stop = i[on], at[on], stop[on]
-            j = order[at]
-            square = ((x[i] - y[j]) ** 2).sum(axis=1)
-            nearer = square < least[i]
-            found[i[nearer]], least[i[nearer]] = j[nearer], square[nearer]
-            at = at + 1
-    return found
+
+    def keys(points):
+        return np.floor((points - low) / cell).astype(np.int64) @ strides
+
+    order = np.argsort(keys(y), kind="stable")
+    known = keys(y)[order]
+    around = np.sort(keys(x[:, None] + reach * CORNERS), axis=1)  # of a cube around each
+    new = np.column_stack((np.ones(len(x), dtype=bool), np.diff(around, axis=1) != 0))
+    i, k = np.nonzero(new)
+    first, last = (np.searchsorted(known, around[i, k], side=side) for side in ("left", "right"))
+    count = last - first
+    i = np.repeat(i, count)
+    j = order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)]
+    square = ((x[i] - y[j]) ** 2).sum(axis=1)
+    use = square < reach**2
+    return i[use], j[use], square[use]
 
 
 def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
@@ -127,8 +129,11 @@ def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | Non
     """
     if len(facets1) != 4 * len(facets0):
         return None
-    twin = _nearest(x0, x1, NEAR_MATCHING * size)
-    if twin.min() < 0 or len(np.unique(twin)) < len(twin):
+    i, j, square = _near(x0, x1, NEAR_MATCHING * size)
+    order = np.lexsort((square, i))
+    found, first = np.unique(i[order], return_index=True)
+    twin = j[order][first]
+    if len(found) < len(x0) or len(np.unique(twin)) < len(twin):
         return None
     corner = np.full(len(x1), -1)
     corner[twin] = np.arange(len(x0))
