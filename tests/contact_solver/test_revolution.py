@@ -25,7 +25,7 @@ from hypergap_dolfinx import (
 
 comm = MPI.COMM_WORLD
 LARGE = 0.2
-EXACT = 1e-11  # times the pressure: 20 times the largest value seen, of round-off in its systems
+EXACT = 1e-12  # times the pressure: of round-off, up to 2e-14
 
 
 class Swept:
