@@ -329,7 +329,8 @@ class Contact:
         Raises:
             InterfaceError: There is nothing between them, or no mesh of it.
         """
-        gives = self._compliance is not None
+        limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
+        gives = self._compliance is not None or bool(limited)
         if self._surfaces[0].gdim == 3:
             return SpaceSegments.between(self._sides, u, gives=gives)
         return PlaneSegments.between(self._sides, u, held, gives=gives)

@@ -63,8 +63,8 @@ class Segments[State: Found](ABC):
 
     sides: Sides
     gives: bool = field(default=False, kw_only=True)
-    """True if surfaces give way where they are pressed: rows of what is hardly covered aren't hard
-    to satisfy then, and have nothing of their neighbours', whose springs they would double."""
+    """True if tractions depend on their rows' areas, as those of springs and of a limit of shear:
+    rows of what is hardly covered have nothing of their neighbours', which would count twice."""
     num_multipliers: int = field(init=False)
     """Number of vertices of Γ1, in reach of Γ0 or not."""
     num_dofs: int = field(init=False)

@@ -115,23 +115,37 @@ def test_block_that_bulges(below, above, degree):
     assert problem.iterations <= 50 and problem.halvings <= 1
 
 
-@pytest.mark.parametrize("cut", (0.05, 0.5))
-def test_layer_that_ends_between_vertices(cut):
-    """A stiff block on springs on a wider one: each of them has its force once."""
+def end_between_vertices(cut, stiffness, swap, across=0.0, **options):
+    """Press a block, 1 wide, on a wider one by .01, its ends somewhere between vertices."""
     u, F, bcs, sides = [], [], [], []
     for i, (low, size, n) in enumerate((((0, -1), (4, 1), (16, 2)), ((1.5, 0), (1, 1), (8, 2)))):
         low, size = np.add(low, (i * cut / 4, 0)), np.array(size)
         place = lambda x, low=low, size=size: low + x * size  # noqa: E731
         mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        body = Elastic.on(V, lame_constants(1e6))
+        body = Elastic.on(V, lame_constants(stiffness))
         u.append(body.u)
         F.append(body.F)
         sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
         away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
-        bcs += [held(V, c, away, -0.01 * i * c) for c in (0, 1)]
-    contact, problem = solve(F, u, bcs, sides, True, compliance=1.0)
-    assert abs(abs(contact.force(problem)[1]) / 0.01 - 1) <= 1e-5
+        bcs += [held(V, 0, away, across * i), held(V, 1, away, -0.01 * i)]
+    contact, problem = solve(F, u, bcs, sides, swap, **options)
+    return contact.force(problem)
+
+
+@pytest.mark.parametrize("cut", (0.05, 0.5))
+def test_layer_that_ends_between_vertices(cut):
+    """Stiff blocks on springs: each of them has its force once."""
+    force = end_between_vertices(cut, 1e6, True, compliance=1.0)
+    assert abs(abs(force[1]) / 0.01 - 1) <= 1e-5
+
+
+@pytest.mark.parametrize("cut, swap", ((0.05, True), (0.5, True), (0.5, False)))
+def test_limit_of_shear_that_ends_between_vertices(cut, swap):
+    """Shear at its limit has the area of contact."""
+    options = {"friction": 1.0, "shear_limit": 1e-4, "sliding": "small"}
+    force = end_between_vertices(cut, 1.0, swap, across=0.02, **options)
+    assert abs(abs(force[0]) / 1e-4 - 1) <= 1e-9
 
 
 def press_punch(cut, wide):
