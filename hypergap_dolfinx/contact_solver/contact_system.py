@@ -456,7 +456,13 @@ class ContactSystem(NonlinearSystem):
         c = int(np.argmin([part.min(initial=0) for part in pulls]))
         rows, k = self._rows[c], int(pulls[c].argmin())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
-        if not self._num_free or self._frictional:
+        if self._num_free and self._frictional:
+            return (
+                f"the linearised contact problem has no solution: {self._strays.of(rows.bodies)}, "
+                "that nothing else holds, slides, tips or is drawn away; its load may be more than "
+                "friction can hold."
+            )
+        if not self._num_free:
             return (
                 f"the linearised contact problem has no solution: contact {c} can neither be "
                 f"closed nor open around {at}."
