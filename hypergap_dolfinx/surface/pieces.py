@@ -77,9 +77,8 @@ class Side:
             side.__dict__.update(known)  # values of cached properties
             return side
         places, pieces = HALVES if halves else QUARTERS
-        if halves:  # a matching facet is cut along the same diagonal, whatever corner it begins at
-            foremost = (x[corners] @ SOMEWHERE).argmax(axis=1)
-            pieces = pieces[np.isin(foremost, (1, 2)).astype(int)]
+        if halves:
+            pieces = pieces[_diagonals(x[corners], pieces)]
         else:
             middles = len(x) + np.arange(len(facets))
             x = np.vstack((x, surface.points(facets, np.tile(places[4], (len(facets), 1)))))
@@ -255,6 +254,25 @@ class Side:
     def points(self, triangle, xi) -> npt.NDArray[np.float64]:
         """Coordinates of reference points of triangles on the (curved) surface."""
         return self.surface.points(self.facets[triangle], self.in_facets(triangle, xi))
+
+
+def _diagonals(x: npt.NDArray[np.float64], halves: npt.NDArray) -> npt.NDArray[np.intp]:
+    """Diagonals along which quadrilaterals are cut.
+
+    Matching ones are cut along the same diagonal, whatever corner they begin at, and none at a
+    corner of 180°, where one half would have no area.
+
+    Args:
+        x: Corners, ``(num, 4, 3)``.
+        halves: Two triangles for each diagonal, ``(2, 2, 3)``.
+
+    Returns:
+        0 or 1, ``(num,)``.
+    """
+    cut, every = np.isin((x @ SOMEWHERE).argmax(axis=1), (1, 2)).astype(int), np.arange(len(x))
+    a, b, c = np.moveaxis(x[:, halves], 3, 0)  # (facet, diagonal, half, 3)
+    least = np.linalg.norm(np.cross(b - a, c - a), axis=3).min(axis=2)
+    return np.where(2 * least[every, cut] < least[every, 1 - cut], 1 - cut, cut)
 
 
 def bent(bends, xi) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
