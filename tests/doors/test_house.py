@@ -94,3 +94,9 @@ def test_first_words():
                         docs += sentences(child.value.value)
     bad = [s for s in docs if re.match(r"(What|Which|Where|Whether|Of)\b", s.strip())]
     assert len(bad) <= 0.03 * len(docs), (len(bad), len(docs), bad[:20])
+
+
+def test_files_of_tests():
+    """Each has a name of its own: pytest imports them by it."""
+    names = [file.name for file in (FOLDER / "tests").rglob("test_*.py")]
+    assert len(set(names)) == len(names), sorted(n for n in names if names.count(n) > 1)
