@@ -17,8 +17,6 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import compute_midpoints, create_unit_cube, locate_entities_boundary
 from hypergap_dolfinx import (
-    Contact,
-    ContactProblem,
     InterfaceError,
     NonlinearTiedProblem,
     SolveError,
@@ -363,10 +361,6 @@ def test_bad_input():
         Tie((left.W, f0), (right.W, f1))
     with raises(InterfaceError, r"different value shapes, \(2,\) and \(\)"):
         Tie((left.V, f0), (right.W.sub(1), f1))
-    with raises(InterfaceError, "^the space of Γ0 is a subspace, which only ties take"):
-        Contact(left.side(RIGHT), right.side(LEFT))
-    with raises(ValueError, "^body 0 is on a mixed space; in contact problems"):
-        ContactProblem(a, [fem.Function(p.W) for p in (left, right)], contacts=[])
     for solver in ("bodies", "iterative"):
         with raises(ValueError, f'^solver="{solver}" is not possible: .* mixed'):
             TiedProblem(a, L, ties=[tie], solver=solver)
