@@ -361,7 +361,7 @@ def is_mixed(V: fem.FunctionSpace) -> bool:
 def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteElement, str | None]:
     """The scalar Lagrange element of a space and None, or None and the reason as a message."""
     if V.component():
-        return None, "is a subspace, which only ties take"
+        return None, "is a subspace, which only sides of ties and contacts may be"
     if is_mixed(V):
         return None, "is mixed; a tie takes its components one by one, W.sub(0) for example"
     try:
