@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Coefficients of a contact on Γ1, as a user gives them: friction and compliance."""
+"""Coefficients of a contact on Γ1: friction and compliance."""
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ Value = float | fem.Constant | fem.Function
 
 
 class Coefficient:
-    """Non-negative numbers: one for all of Γ1, or one for each of its vertices."""
+    """Non-negative coefficient on Γ1, constant or with a value at each vertex."""
 
     def __init__(
         self,
@@ -26,19 +26,19 @@ class Coefficient:
         facets: npt.ArrayLike,
         split: bool = False,
     ):
-        """Check what is given. Collective.
+        """Check the value. Collective.
 
         Args:
-            value: A number, a scalar constant, or a scalar Lagrange function on Γ1's mesh, of
-                which values at vertices are taken.
+            value: A number, a scalar constant, or a scalar Lagrange function on the mesh of Γ1,
+                evaluated at its vertices.
             name: Name of the argument, for messages.
-            what: Name of the number, for messages.
+            what: Name of the coefficient, for messages.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
-            split: True if values are needed at the nodes of degree 2.
+            split: True for values at the nodes of degree 2 too.
 
         Raises:
-            ValueError: Something else, or values that are negative or no numbers.
+            ValueError: A value of another type, on another mesh, negative or not finite.
         """
 
         def surface(V: fem.FunctionSpace):
@@ -68,14 +68,14 @@ class Coefficient:
 
     @property
     def given(self) -> npt.NDArray | fem.Constant | fem.Function:
-        """The object in which a user changes it."""
+        """The value as given, which a user may change."""
         return self._value
 
     def at_vertices(self) -> npt.NDArray[np.float64]:
         """Values at Γ1's vertices, ``(num_vertices,)``, the same on every rank. Collective.
 
         Raises:
-            ValueError: A value that is negative or no number.
+            ValueError: A value that is negative or not finite.
         """
         if not isinstance(self._value, fem.Function):
             now = self._value.value if isinstance(self._value, fem.Constant) else self._value
@@ -95,7 +95,7 @@ class Coefficient:
 
 
 def is_number(value) -> bool:
-    """True for a real number, or an array of no dimensions with one."""
+    """True for a real number or a 0-dimensional array of one."""
     kinds = int | float | np.number | np.ndarray
     return (
         isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
@@ -103,7 +103,7 @@ def is_number(value) -> bool:
 
 
 def _unfit(f: fem.Function, name: str, what: str, V: fem.FunctionSpace) -> str | None:
-    """Reason why a function can't be a coefficient; None if it can."""
+    """Reason why a function can't be a coefficient, or None."""
     if f.function_space.mesh is not V.mesh:
         return (
             f"{name} is a function on another mesh than Γ1's; make it on that of "
@@ -116,7 +116,7 @@ def _unfit(f: fem.Function, name: str, what: str, V: fem.FunctionSpace) -> str |
 
 
 class Friction(Coefficient):
-    """Coulomb's coefficient μ: one number, or one for each place on Γ1."""
+    """Coulomb's coefficient of friction μ with its elastic slip and shear limit."""
 
     def __init__(
         self,
@@ -127,27 +127,27 @@ class Friction(Coefficient):
         facets: npt.ArrayLike,
         split: bool = False,
     ):
-        """Check what is given. Collective.
+        """Check the values. Collective.
 
         Args:
             value: As for :class:`Coefficient`.
-            elastic_slip: Slip up to which friction grows to μ p; 0 if nothing slips before.
-            shear_limit: Traction beyond which friction doesn't grow with pressure.
+            elastic_slip: Reversible slip at which friction reaches μ p, a length; 0 for none.
+            shear_limit: Upper bound of the friction traction.
             V: The space of Γ1's body.
             facets: This rank's facets of Γ1.
             split: As for :class:`Coefficient`.
 
         Raises:
-            ValueError: Something else, or values that are negative or no numbers.
+            ValueError: As :class:`Coefficient`; a negative elastic slip or a shear limit ≤ 0.
         """
         if not (is_number(elastic_slip) and np.isfinite(elastic_slip) and elastic_slip >= 0):
             raise ValueError(f"elastic_slip is a length from 0 on, not {elastic_slip!r}.")
         self.elastic_slip = float(elastic_slip)
-        """Slip up to which friction grows to μ p."""
+        """Reversible slip at which friction reaches μ p, a length."""
         if not (is_number(shear_limit) and shear_limit > 0):
             raise ValueError(f"shear_limit is a traction above 0, not {shear_limit!r}.")
         self.shear_limit = float(shear_limit)
-        """Traction beyond which friction doesn't grow with pressure."""
+        """Upper bound of the friction traction."""
         super().__init__(value, "friction", "the coefficient of friction", V, facets, split)
 
 
@@ -159,10 +159,10 @@ def friction_of(
     facets: npt.ArrayLike,
     split: bool = False,
 ) -> Friction | None:
-    """Friction as given to a contact, or None. Collective.
+    """Friction of a contact, or None. Collective.
 
     Args:
-        value: The coefficient, or None.
+        value: The coefficient; None for no friction.
         elastic_slip: As for :class:`Friction`.
         shear_limit: As for :class:`Friction`.
         V: The space of Γ1's body.
@@ -170,7 +170,7 @@ def friction_of(
         split: As for :class:`Coefficient`.
 
     Raises:
-        ValueError: As :class:`Friction`; an elastic slip or a limit without friction.
+        ValueError: As :class:`Friction`; an elastic slip or a shear limit without friction.
     """
     if value is not None:
         return Friction(value, elastic_slip, shear_limit, V, facets, split)

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Contact between two surfaces: the user's door to gaps, pressures and forces."""
+"""Contact between two surfaces: gaps, pressures and forces."""
 
 import logging
 from collections.abc import Sequence
@@ -52,23 +52,23 @@ Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
 
 class Contact:
-    """Two surfaces that can touch, part and slide, with friction or without.
+    """Contact between two surfaces that can touch, part and slide, with or without friction.
 
-    Between Γ0 and Γ1 lies the gap domain Σ, where the bodies are now. Each vertex of Γ1 has a part
-    of it: in the plane by the weights w_a = ∂ψ_a/∂α of Σ's cells, in space what stands on its part
-    of Γ1's facets, along their normals. Its volume is the weighted gap g_a, and there is a pressure
-    p_a: p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The forces are Σ_a p_a ∂g_a/∂u: they balance. In the plane,
-    between bodies of degree 2, the edges of Γ1 are halved, and its nodes are all vertices; edges
-    with geometry of degree 2 are arcs of circles.
+    The gap domain Σ lies between Γ0 and Γ1 in their present positions. Each vertex a of Γ1 has a
+    weighted gap g_a and a pressure p_a with p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The gap is a volume of
+    Σ: in the plane that with the weight w_a = ∂ψ_a/∂α, in space that over the vertex's part of Γ1's
+    facets, along their normals. The forces Σ_a p_a ∂g_a/∂u balance. In the plane bodies of degree 2
+    have a gap and a pressure at each node of Γ1: its edges are halved, and nodes count as vertices.
+    There edges with geometry of degree 2 are arcs of circles.
 
-    With friction there are tractions q_a too, against the slip s_a since the last load step:
-    |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where it isn't zero.
+    With friction there are tractions q_a opposite to the slip s_a since the last load step:
+    |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where s_a isn't zero.
 
-    Compliant surfaces (a coat, a gasket, asperities) overlap by c p_a: g_a is − c m_a p_a then,
-    with the area m_a of the weight.
+    Compliant surfaces (a coating, a gasket, asperities) overlap by c p_a: g_a = −c m_a p_a in
+    contact, where m_a is the area of vertex a.
 
-    Γ1 is to be the coarser side, or the softer one if one is far softer: :meth:`between` chooses.
-    Bodies with a round surface of degree 2 want curved cells.
+    Γ1 should be the coarser side, or the softer one if one side is far softer: :meth:`between`
+    chooses it. Bodies of degree 2 with round surfaces need curved cells.
 
     Example:
         A block on a wider one, a little above it:
@@ -101,35 +101,35 @@ class Contact:
         compliance: Value | None = None,
         axisymmetric: revolution.Given = False,
     ):
-        """Find the two surfaces. Collective.
+        """Set up the two surfaces. Collective.
 
         Args:
-            side0: Γ0: a Lagrange space of displacements, and local indices of exterior facets of
-                its mesh, as ``facet_tags.find(tag)`` gives them. ``(W.sub(0), facets)`` for the
-                displacements of a mixed space, as Taylor–Hood's.
+            side0: Γ0: a pair ``(V, facets)`` of a Lagrange space of displacements and local indices
+                of exterior facets of its mesh, as given by ``facet_tags.find(tag)``; in a mixed
+                space (Taylor–Hood) ``(W.sub(0), facets)``.
             side1: Γ1, which carries the pressures: the same.
-            sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and its gaps' derivatives
-                stay what they are at the start, the constraints are linear.
-            friction: Coulomb's coefficient: a number, a ``fem.Constant``, or a scalar Lagrange
-                function on Γ1's mesh, of which values at vertices are taken. Its values may
-                change between load steps. None for no friction.
-            elastic_slip: Slip (a length) up to which friction grows to μ p, and which goes back
-                when it is released. With 0 nothing slips before that.
-            shear_limit: Traction τ beyond which friction doesn't grow with pressure: min(μ p, τ).
-                With a large μ it is nearly Tresca's friction, the same at any pressure.
-            compliance: c, a length over a pressure, where surfaces overlap by c p: given as
-                ``friction``. A layer of thickness t and modulus E that is thin has t / E or, if it
-                can't give way sideways, t (1 + ν) (1 − 2ν) / (E (1 − ν)). None for none.
-            axisymmetric: True if both bodies are swept about the axis, r = x[0] = 0, with 2πr in
-                their forms: gaps are volumes of revolution then, pressures are forces per area,
-                and of :meth:`force` the second component is the force on the whole circumference
-                along the axis. ``"radian"`` if the forms have r without 2π. Friction acts in the
+            sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and the derivatives of the
+                gaps are those of the start, so that the constraints are linear.
+            friction: Coulomb's coefficient μ ≥ 0: a number, a ``fem.Constant``, or a scalar
+                Lagrange function on the mesh of Γ1, evaluated at its vertices. It may change
+                between load steps. None: no friction.
+            elastic_slip: Reversible slip, a length, at which friction reaches μ p. With 0 there is
+                no slip below μ p.
+            shear_limit: Upper bound τ of the friction traction, min(μ p, τ). With a large μ it
+                approximates Tresca friction.
+            compliance: Compliance c ≥ 0 of the surfaces, a length over a pressure: they overlap by
+                c p. Given like ``friction``. For a thin layer of thickness t it is t / E or,
+                without lateral expansion, t (1 + ν) (1 − 2ν) / (E (1 − ν)). None: no compliance.
+            axisymmetric: True for bodies of revolution about the axis r = x[0] = 0 whose forms have
+                the factor 2πr. Gaps are then volumes of revolution, pressures are forces per area,
+                and the second component of :meth:`force` is the axial force on the whole
+                circumference. ``"radian"`` if the forms have the factor r. Friction acts in the
                 plane (r, z), not around the axis.
 
         Raises:
-            ValueError: A side that is no pair of a space and facets; a word for ``sliding`` that is
-                unknown; a friction or compliance that is negative, no number, or elsewhere; an
-                elastic slip or a limit of shear without friction.
+            ValueError: A side that isn't a pair of a space and facets; an unknown ``sliding``; a
+                friction or compliance that is negative, not finite or on another mesh; an elastic
+                slip or a shear limit without friction.
             InterfaceError: Facets or spaces that can't be in contact; the message says why.
         """
         if sliding not in ("finite", "small"):
@@ -196,18 +196,22 @@ class Contact:
     ) -> "Contact":
         """A contact that chooses its sides. Collective.
 
-        Γ1 is the softer side if the other is a hundred times as stiff, else the coarser one, else
-        the softer one. Look at :attr:`swapped`, or the log of ``hypergap_dolfinx``.
+        Γ1 becomes the softer side if the other is at least a hundred times as stiff; otherwise the
+        coarser side; if facet sizes differ by less than a tenth, the softer one. :attr:`swapped`
+        and the log of ``hypergap_dolfinx`` tell the outcome.
 
         Args:
-            a: A space and facets, as for the constructor.
-            b: The same of the other side.
-            stiffness: Young's moduli of a's and b's bodies; without them b is Γ1 where the sizes of
-                facets differ by less than a tenth.
+            a: One side: a space and facets, as for the constructor.
+            b: The other side.
+            stiffness: Young's moduli of the bodies of a and b. Without them b is Γ1 if facet sizes
+                are alike.
             options: Options of the constructor.
 
+        Returns:
+            The contact.
+
         Raises:
-            ValueError: A side that is no pair of a space and facets; moduli that are none.
+            ValueError: A side that isn't a pair of a space and facets; moduli that aren't positive.
             InterfaceError: As the constructor.
         """
         check_sides("contact", a, b)
@@ -247,7 +251,7 @@ class Contact:
 
     @cached_property
     def is_wall(self) -> bool:
-        """True if Γ0 is flat: facets of any size are exact, if its body is rigid."""
+        """True if Γ0 is flat. If its body is also rigid, facets of any size are exact."""
         wall = self._surfaces[0]
         off = np.abs(wall.normals - wall.normals[0]).max()
         return bool(off <= FILE_DIGITS and not wall.curved.any())
@@ -265,12 +269,12 @@ class Contact:
 
     @property
     def components(self) -> tuple[Component, Component]:
-        """V₀ and V₁ among the dofs of their bodies."""
+        """Displacements of Γ0 and Γ1 among the dofs of their bodies."""
         return self._components
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
-        """V₀ and V₁; of a component, its own (collapsed) space."""
+        """V₀ and V₁; for a component of a mixed space its collapsed space."""
         return self._spaces
 
     @property
@@ -280,12 +284,12 @@ class Contact:
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1 before any displacement, gathered on every rank."""
+        """Γ0 and Γ1 in their initial positions, gathered on every rank."""
         return self._surfaces
 
     @property
     def sides(self) -> tuple[MovingSurface, MovingSurface]:
-        """Γ0 and Γ1 as they move."""
+        """Γ0 and Γ1 as moving surfaces."""
         return self._sides
 
     @property
@@ -295,27 +299,27 @@ class Contact:
 
     @property
     def friction(self) -> Friction | None:
-        """Coulomb's friction, if there is any."""
+        """Coulomb friction; None without friction."""
         return self._friction
 
     @property
     def compliance(self) -> Coefficient | None:
-        """Compliance: overlap under a pressure of 1, if there is any."""
+        """Compliance of the surfaces; None without compliance."""
         return self._compliance
 
     @property
     def finer(self) -> float:
-        """Size of Γ0's facets over that of Γ1's."""
+        """Median facet size of Γ0 over that of Γ1."""
         return self._finer
 
     @property
     def follows(self) -> bool:
-        """True if Σ follows the bodies."""
+        """True for finite sliding."""
         return self._sliding == "finite"
 
     @property
     def depth(self) -> float:
-        """Overlap beyond which a vertex of Γ1 is not in Γ0's body, but on its other side."""
+        """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
         return self._depth
 
     def gaps(self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]) -> Segments:
@@ -324,10 +328,10 @@ class Contact:
         Args:
             u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
                 on every rank.
-            held: Mask of the prescribed ones.
+            held: Masks of prescribed displacements, of the same shapes.
 
         Raises:
-            InterfaceError: There is nothing between them, or no mesh of it.
+            InterfaceError: No part of Γ1 lies opposite Γ0, or Σ can't be meshed.
         """
         limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
         gives = self._compliance is not None or bool(limited)
@@ -342,18 +346,25 @@ class Contact:
 
     @property
     def rows(self) -> ContactRows | None:
-        """Gaps and pressures in the problem solved last; ``problem.rows(contact)`` in any one."""
+        """Gaps and pressures of the problem solved last; ``problem.rows(contact)`` for a given one.
+
+        None before the contact is in a problem.
+        """
         return self._shown
 
     def show(self, rows: ContactRows):
-        """Keep the rows of the problem solved last, which :attr:`rows` and :attr:`active` show."""
+        """Set the rows that :attr:`rows` and :attr:`active` return."""
         self._shown = rows
 
     @property
     def active(self) -> npt.NDArray[np.bool_]:
-        """Mask of the vertices of Γ1 (``surfaces[1].x``) in contact; the same on every rank.
+        """Mask of Γ1's vertices in contact, ``(num_vertices,)``, in the order of ``surfaces[1].x``.
 
-        In the problem solved last; in any one: ``problem.rows(contact).state.active``.
+        It is the same on every rank and belongs to the problem solved last; for a given problem
+        take ``problem.rows(contact).state.active``.
+
+        Raises:
+            ValueError: The contact is in no problem.
         """
         rows = self.rows
         if rows is None:
@@ -362,25 +373,26 @@ class Contact:
 
     @property
     def sticking(self) -> npt.NDArray[np.bool_]:
-        """Mask of the vertices of Γ1 in contact that stick, as :attr:`active`."""
+        """Mask of Γ1's vertices that stick, as :attr:`active`."""
         return self.active & self._friction_rows(self.rows).state.sticks
 
     @property
     def slipping(self) -> npt.NDArray[np.bool_]:
-        """Mask of the vertices of Γ1 in contact that slip, as :attr:`active`."""
+        """Mask of Γ1's vertices that slip, as :attr:`active`."""
         return self.active & ~self._friction_rows(self.rows).state.sticks
 
     def pressures(self, problem) -> npt.NDArray[np.float64]:
-        """Pressures at the vertices of Γ1, to draw and to compare; the same on every rank.
+        """Pressures at the vertices of Γ1, for plots and comparisons. Collective.
 
-        They are means of the multipliers over Σ's cells, of the same force; the multipliers where
-        these are at the nodes of degree 2.
+        They are averages of the multipliers over Σ's cells, with the same total force. In the plane
+        with degree 2 they are the multipliers at Γ1's nodes.
 
         Args:
             problem: A solved problem with this contact.
 
         Returns:
-            ``(num_vertices,)``, in the order of ``surfaces[1].x``.
+            Pressures, ``(num_vertices,)``, in the order of ``surfaces[1].x``, the same on every
+            rank.
         """
         rows = self._solved_rows(problem)
         if rows.state.opening is None:
@@ -388,25 +400,26 @@ class Contact:
         return self._opening(rows).smoothed(rows.at, rows.spread(rows.state.p))
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
-        """The pressure between the bodies. Collective.
+        """Contact pressure as a function. Collective.
 
         Args:
             problem: A solved problem with this contact.
-            on: ``"sigma"``: on Σ where the bodies are now, a constant for each of its cells.
-                ``"body"``: :meth:`pressures` as a function on Γ1's body, 0 elsewhere; of degree 1,
-                or 2 between bodies of degree 2.
-                ``"surface"``: on a mesh of Γ1 where it is now, with finer cells near free edges of
-                contact: there the pressure goes to zero as a root, within facets, where
-                :meth:`pressures` are linear from vertex to vertex. The best one to draw and to
-                compare; its force is that of :meth:`force` to about a thousandth.
+            on: ``"sigma"``: constant on each cell of the displaced Σ.
+                ``"body"``: :meth:`pressures` as a function on Γ1's body, 0 off Γ1, of degree 1 (of
+                degree 2 in the plane between bodies of degree 2).
+                ``"surface"``: on a mesh of the displaced Γ1 with finer cells near free edges of
+                contact, where the pressure goes to zero as a square root, within facets.
+                This is the most accurate one. Its force equals :meth:`force` to about 1e-3.
 
         Returns:
-            A force per area of Γ1 where it is now. (To integrate one on Σ take :meth:`force`: the
-            cells of Σ have no volume where bodies touch.)
+            Force per area of the displaced Γ1. Cells of Σ have no volume where bodies touch: take
+            :meth:`force` instead of an integral over Σ.
 
         Raises:
-            ValueError: Not one of the problem's contacts, or not solved yet.
-            InterfaceError: Nothing of Γ1 is opposite Γ0, so there is no Σ; ``"body"`` has 0 then.
+            ValueError: A contact that isn't one of the problem's, a problem that isn't solved, or
+                an unknown ``on``.
+            InterfaceError: No part of Γ1 lies opposite Γ0, so that there is no Σ; ``"body"`` is 0
+                then.
         """
         rows = self._solved_rows(problem)
         if self._where(on, "surface") == "surface":
@@ -418,13 +431,17 @@ class Contact:
         return on_sigma(self._comm, cells, "pressure")
 
     def shears(self, problem) -> npt.NDArray[np.float64]:
-        """Tractions of friction on Γ1's body at its vertices; means as :meth:`pressures`.
+        """Friction tractions on Γ1's body at its vertices, averaged as :meth:`pressures`.
 
         Args:
             problem: A solved problem with this contact.
 
         Returns:
-            ``(num_vertices, n)``, in the order of ``surfaces[1].x``, the same on every rank.
+            Tractions, ``(num_vertices, n)``, in the order of ``surfaces[1].x``, the same on every
+            rank.
+
+        Raises:
+            ValueError: A contact without friction.
         """
         rows = self._friction_rows(self._solved_rows(problem))
         if rows.state.opening is None:
@@ -433,12 +450,19 @@ class Contact:
         return np.stack([opening.smoothed(rows.at, part) for part in rows.shears.T], axis=1)
 
     def shear(self, problem, *, on: str = "sigma") -> fem.Function:
-        """The traction of friction on Γ1's body, a vector, as :meth:`pressure`. Collective.
+        """Friction traction on Γ1's body as a vector function. Collective.
 
         Args:
             problem: A solved problem with this contact.
-            on: ``"sigma"``, ``"body"`` or ``"surface"``: near free edges in proportion to the
-                pressure.
+            on: ``"sigma"``, ``"body"`` or ``"surface"`` as for :meth:`pressure`. On the surface,
+                near free edges, it is proportional to the pressure.
+
+        Returns:
+            Force per area of the displaced Γ1.
+
+        Raises:
+            ValueError: As :meth:`pressure`; a contact without friction.
+            InterfaceError: As :meth:`pressure`.
         """
         rows = self._friction_rows(self._solved_rows(problem))
         if self._where(on, "surface") == "surface":
@@ -451,18 +475,21 @@ class Contact:
         return on_sigma(self._comm, cells, "shear", cells.pressure)
 
     def slips(self, problem) -> npt.NDArray[np.float64]:
-        """By how much Γ1 slipped on Γ0 in the last :meth:`ContactProblem.solve`, at its vertices.
+        """Slip of Γ1 on Γ0 in the last :meth:`ContactProblem.solve`, at Γ1's vertices.
 
         Args:
             problem: A solved problem with this contact.
 
         Returns:
-            ``(num_vertices, n)``, the same on every rank; 0 where there is no contact.
+            Slip, ``(num_vertices, n)``, the same on every rank; 0 where there is no contact.
+
+        Raises:
+            ValueError: A contact without friction.
         """
         return self._friction_rows(self._solved_rows(problem)).slipped.copy()
 
     def slip(self, problem) -> fem.Function:
-        """The same as a function of degree 1 on Γ1's body. Collective.
+        """:meth:`slips` as a function on Γ1's body, 0 off Γ1. Collective.
 
         Args:
             problem: A solved problem with this contact.
@@ -470,7 +497,7 @@ class Contact:
         return self._at_vertices(self.slips(problem), "slip")
 
     def dissipation(self, problem) -> float:
-        """Energy that friction dissipated in the last :meth:`ContactProblem.solve`; 0 without it.
+        """Energy dissipated by friction in the last :meth:`ContactProblem.solve`; 0 without it.
 
         Args:
             problem: A solved problem with this contact.
@@ -491,19 +518,21 @@ class Contact:
         return rows
 
     def gap(self, u0: fem.Function, u1: fem.Function, *, on: str = "sigma") -> fem.Function:
-        """The distance of the bodies, negative where they overlap. Collective.
+        """Gap between the bodies at given displacements, negative in an overlap. Collective.
 
         Args:
-            u0: Displacement of one body, of Γ0's if both are one; of a mixed space the body's
-                function with all components.
-            u1: Displacement of the other one.
-            on: ``"sigma"``: on Σ under these displacements, a constant for each of its cells.
-                ``"body"``: weighted gaps over their areas, as a function of degree 1 on Γ1's body;
-                0 where Γ1 has nothing opposite.
+            u0: Displacement of one body, that of Γ0 if both sides are on one body; for a mixed
+                space the function of the body with all components.
+            u1: Displacement of the other body.
+            on: ``"sigma"``: constant on each cell of Σ at these displacements. ``"body"``: g_a over
+                the area m_a, as a function on Γ1's body; 0 where nothing lies opposite.
+
+        Returns:
+            The gap, a length.
 
         Raises:
-            ValueError: A displacement that is not on its side's space.
-            InterfaceError: Nothing of Γ1 is opposite Γ0.
+            ValueError: A function that is on the space of no side, or an unknown ``on``.
+            InterfaceError: No part of Γ1 lies opposite Γ0.
         """
         if not all(isinstance(u, fem.Function) for u in (u0, u1)):
             raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
@@ -525,26 +554,26 @@ class Contact:
         return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
 
     def _rows_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows:
-        """Rows of no problem. Collective."""
+        """Rows outside of a problem. Collective."""
         free = [np.zeros(owned_values(u).shape, dtype=bool) for u in (u0, u1)]
         parts = Component.of(u0.function_space), Component.of(u1.function_space)
         return ContactRows(ContactPair(self, (u0, u1), (0, 1), parts), free)
 
     def status(self) -> str:
-        """A table to print before a solve: what faces what, and how far apart. Collective.
+        """Table to print before a solve: surfaces, facet sizes, gaps and overlaps. Collective.
 
-        Where the bodies are without displacements; ``problem.status()`` has all contacts where the
-        bodies are now, and the bodies that nothing holds.
+        It is for undisplaced bodies. ``problem.status()`` is for present displacements and all
+        contacts, and names bodies that nothing holds.
         """
         u0, u1 = (fem.Function(V) for V in self._spaces)
         return table([self.status_of(self._rows_at(u0, u1))])
 
     def status_of(self, rows: ContactRows) -> ContactStatus:
-        """The same of rows of this contact, as arrays; finds their gaps. Collective."""
+        """Status of given rows of this contact, as arrays; updates their gaps. Collective."""
         return ContactStatus.of(rows, self._bare, self._sides_chosen)
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
-        """The rows of a problem with these displacements, unchanged since a solve. Collective."""
+        """Rows of a solved problem if these are its displacements, else None. Collective."""
         found = (rows for rows in rows_of(self) if rows.fields == (u0, u1) and rows.state.opening)
         rows = next(found, None)
         # Only if the ranks find the same one: Python forgets problems on each at its own time
@@ -562,7 +591,7 @@ class Contact:
         return on
 
     def _surface_pressure(self, problem, rows: ContactRows) -> SurfacePressure:
-        """The pressure on Γ1's facets."""
+        """Pressure on Γ1's facets with roots at free edges."""
         side, active = rows.sides[1], rows.state.active
         forces = np.zeros(sum(len(part.dofs) for part in rows.sides) * self._surfaces[1].gdim)
         np.add.at(forces, rows.C.j, rows.C.values * (rows.state.p * active)[rows.C.i])
@@ -577,7 +606,7 @@ class Contact:
         return SurfacePressure.of(state)
 
     def _drawn(self, found: SurfacePressure, rows: ContactRows, values, name: str) -> fem.Function:
-        """Values on cells of Γ1 where it is now."""
+        """Function on cells of the displaced Γ1."""
         surface = rows.sides[1].displaced(rows.u[1])
         return on_surface(self._comm, surface, found.cells(), values, name)
 
@@ -587,7 +616,7 @@ class Contact:
         return rows.state.opening
 
     def displaced(self, problem) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1 where the bodies are, gathered on every rank.
+        """Γ0 and Γ1 in their displaced positions, gathered on every rank.
 
         Args:
             problem: A solved problem with this contact.
@@ -595,21 +624,22 @@ class Contact:
         return displaced(self._sides, self._solved_rows(problem).u)
 
     def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray[np.float64]:
-        """The force on a body, friction's too; the other one feels the opposite.
+        """Force of pressure and friction on a body.
 
         Args:
             problem: A solved problem with this contact.
-            on: Displacement of the body, one of the problem's; if not given, the body of the second
-                side as given to the constructor or :meth:`between`, whichever became Γ1.
+            on: Displacement of the body, one of the problem's. By default the body of the second
+                side as given to the constructor or to :meth:`between`, whichever became Γ1. The
+                opposite force acts on the other body.
 
         Returns:
-            ``(n,)``, the same on every rank. Of axisymmetric bodies the second is the force along
-            the axis, on the whole circumference or one radian; the first is the sum of forces
-            away from the axis, which balance each other around it.
+            Force, ``(n,)``, the same on every rank, in 2D per unit depth. For bodies of revolution
+            the second component is the axial force on the whole circumference (or on a radian);
+            the first is a sum of radial forces over all directions.
 
         Raises:
-            ValueError: Not one of the problem's contacts, or not solved yet; another function, or
-                that of both sides.
+            ValueError: A contact that isn't one of the problem's, a problem that isn't solved, a
+                function of neither body, or one of both sides.
         """
         rows, side = self._solved_rows(problem), 0 if self._swapped else 1
         if on is not None:
@@ -645,9 +675,9 @@ def _size(surface: Surface) -> float:
 
 
 def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
-    """Extent of a body along the mean normal of its surface, or its smallest one. Collective.
+    """Extent of a body along the mean normal of its surface, at most its thickness. Collective.
 
-    But no more than its thickness.
+    For closed surfaces, without a mean normal, the smallest extent along the axes.
     """
     n = surface.gdim
     size = surface.size ** (n - 1)
@@ -661,7 +691,7 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
 
 
 def _is_round(surface: Surface) -> bool:
-    """True if straight facets turn by small angles, as those of a curve do."""
+    """True if normals of straight facets turn by small angles, as on a curved surface."""
     if surface.gdim == 2:
         turn, corner = turns(surface)
         return bool(((turn > 0) & ~corner).any())

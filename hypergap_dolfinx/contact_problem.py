@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies in contact: the user's door, load step by load step."""
+"""Bodies in contact, solved load step by load step."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -37,13 +37,13 @@ LOG = logging.getLogger("hypergap_dolfinx")
 
 
 class ContactProblem(ContactSystem):
-    """Nonlinear bodies F_i(u_i; v_i) = 0 in contact with each other, and tied where ties are given.
+    """Nonlinear problem F_i(u_i; v_i) = 0 on several bodies with contacts and ties.
 
     Solves F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t = 0 with p_c ≥ 0, g_c ≥ 0, p_c g_c = 0 and
-    C = ∂g/∂u, one load step a call of :meth:`solve`.
+    C = ∂g/∂u. Each call of :meth:`solve` is one load step.
 
     Example:
-        The blocks of :class:`Contact` (with λ = μ = 1), of which the upper one is moved down:
+        The blocks of :class:`Contact` (with λ = μ = 1); the upper one is moved down:
 
         >>> u = [fem.Function(V) for V in (V0, V1)]
         >>> def residual(w):
@@ -90,41 +90,42 @@ class ContactProblem(ContactSystem):
         """Compile the forms. Collective.
 
         Args:
-            F: Residual form of each body; None is a rigid obstacle, of which the user sets u.
-            u: Displacement of each body, as used in F; what it holds is where the bodies start.
-            bcs: Dirichlet conditions of any of the bodies.
-            contacts: The contacts between them.
-            ties: The ties between them.
-            J: Jacobian form of each body that has a form; F's derivative if not given, in
+            F: Residual form of each body; None for a rigid obstacle, whose u is set by the user.
+            u: Displacement of each body, as used in F; its values are the initial displacements.
+            bcs: Dirichlet conditions of all bodies, in any order.
+            contacts: The contacts.
+            ties: The ties.
+            J: Jacobian form of each body with a residual form. By default the derivative of F; in
                 slender bodies with the stress that the last Newton step predicted.
-            rtol: Residual, over the forces in the bodies, treated as zero.
-            before_step: Function that is called before the residual is evaluated at new
-                displacements, in each Newton step: to update what the forms read, as stresses at
-                quadrature points. A SolveError in it is a step that failed.
-            accepted: Function that is called when a load step, or a part of one that was halved, is
-                solved, with the share of the load step that is reached: 1.0 in the end. To move
-                history on; of rates only at 1.0. A SolveError in it rejects the step.
-            taken_back: Function that is called when a part of a load step failed, after the state
-                is what it was.
-            internal_variables: Functions and constants that these hooks change: not set to values
-                between when a load step is halved, set back with the state, part of
-                :meth:`state`.
-            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
-            solver: ``"direct"`` factorises; ``"iterative"`` takes multigrid and an iteration on
-                displacements that close the active gaps: much faster and smaller from about
-                40 000 displacements in space on, for stiffness that is symmetric and positive
-                definite. Where it fails, factors replace it, and the log says so. With friction it
-                may take more Newton steps, and halve load steps. None chooses (factors for it).
-            petsc_options: Options of the KSP of Newton's steps (for ``"direct"`` its matrix is an
-                AIJ); if they name no type MUMPS's LDLᵀ or, with friction or where that doesn't
-                solve, its LU.
+            rtol: Tolerance of the residual, relative to the forces in the bodies.
+            before_step: Callback ``f()`` before each evaluation of the residual at new
+                displacements, to update data of the forms such as stresses at quadrature points.
+                If it raises a SolveError the Newton step has failed.
+            accepted: Callback ``f(share)`` after a solved load step, or a solved part of a halved
+                one, to update the history. ``share`` is the part of the load step reached, 1.0 at
+                its end; update rates only then. If it raises a SolveError the step is rejected.
+            taken_back: Callback ``f()`` after a part of a load step has failed and the last state
+                is restored.
+            internal_variables: Functions and constants that these callbacks change. They are not
+                interpolated when a load step is halved, are restored with the state, and are part
+                of :meth:`state`.
+            solver: ``"direct"`` factorises. ``"iterative"`` is multigrid with an iteration in the
+                space of displacements that close the active gaps: much faster, with less memory,
+                from about 40 000 displacements in 3D on, for symmetric positive definite
+                stiffness. If it fails, a factorisation replaces it, with a message in the log. With
+                friction it may need more Newton steps and halved load steps. By default the problem
+                chooses; with friction ``"direct"``.
+            petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
+            petsc_options: Options of the KSP of the Newton steps (with ``"direct"`` its matrix is
+                an AIJ). Without a type they use MUMPS: LDLᵀ, or LU with friction or where LDLᵀ
+                fails.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
-                a test function; no contacts; a contact, tie or boundary condition on a space that
-                belongs to no body; a rigid Γ1 that is finer than Γ0; an rtol that is no number.
+            ValueError: Different numbers of forms and functions; a residual that isn't linear in a
+                test function; no contacts; a contact, tie or boundary condition on a space of no
+                body; a rigid Γ1 that is finer than Γ0; an rtol outside of 0 ≤ rtol < 1.
             InterfaceError: The same facets in two contacts, or in a contact and a tie.
         """
         if not all(isinstance(given, Sequence) for given in (F, u)) or not all(
@@ -228,24 +229,27 @@ class ContactProblem(ContactSystem):
 
     @property
     def every_u(self) -> list[fem.Function]:
-        """The displacement of each body, of rigid ones too."""
+        """The displacements of all bodies, also of rigid ones."""
         return list(self._every)
 
     @property
     def iterations(self) -> int:
-        """Newton steps of the last :meth:`solve`, those of failed load steps too."""
+        """Number of Newton steps in the last :meth:`solve`, including failed load steps."""
         return self._iterations
 
     @property
     def halvings(self) -> int:
-        """Times that the last :meth:`solve` halved its load step."""
+        """Number of times that the last :meth:`solve` halved its load step."""
         return self._halvings
 
     def rows(self, contact: Contact) -> ContactRows:
         """Gaps and pressures of a contact after a solve, as arrays.
 
+        Args:
+            contact: One of the problem's contacts.
+
         Raises:
-            ValueError: Not one of the problem's contacts, or not solved yet.
+            ValueError: A contact that isn't one of the problem's, or a problem that isn't solved.
         """
         c = next((c for c, other in enumerate(self._contacts) if other is contact), None)
         if c is None:
@@ -255,23 +259,23 @@ class ContactProblem(ContactSystem):
         return self._rows[c]
 
     def solve(self) -> list[fem.Function]:
-        """Go from the last state to the values that are set now, and accept that. Collective.
+        """Solve one load step, from the last state to the present values. Collective.
 
-        If Newton's iteration fails, the load step is halved: all constants and functions in the
-        forms and boundary conditions are set to values between. If that fails too, the last state
-        that was found remains. The first load step starts with the values at construction: set the
-        load after that. In a time loop what is known of the last time step is among the values:
-        states between are on the way to the new one, they are none in time.
+        If Newton's method fails, the load step is halved, up to six times: all constants and
+        functions in forms and boundary conditions are interpolated. If that fails too, the last
+        solved state remains. The first load step starts with the values at construction: set loads
+        after it. In a time loop the interpolated values include those of the last time step:
+        intermediate states then lead to the new state, but aren't states in time.
 
         Returns:
             The displacement of each body, the same functions as in ``u``.
 
         Raises:
-            SolveError: No load step, however small, was solved; says why.
-            InterfaceError: There is no Σ between the surfaces where the bodies start.
-            KeyboardInterrupt: Ctrl-C, on all ranks, at the end of the Newton step: the last state
-                that was found remains.
-            ValueError: A coefficient of friction that is negative.
+            SolveError: The load step has no solution beyond the part that the message names.
+            InterfaceError: No Σ exists between the surfaces in their initial positions.
+            KeyboardInterrupt: Ctrl-C, raised on all ranks at the end of the Newton step. The last
+                solved state remains.
+            ValueError: A negative coefficient of friction.
         """
         self._check_usable()
         with self._interrupts:
@@ -293,7 +297,7 @@ class ContactProblem(ContactSystem):
         return self._every
 
     def _solve_step(self):
-        """Solve one load step, in parts if need be. Collective."""
+        """Solve one load step, halved where necessary. Collective."""
         self._path.start_step()
         wrong = self._path.wrong
         raise_on_all(self._comm, wrong and f"{wrong} is no number.", SolveError)
@@ -348,7 +352,7 @@ class ContactProblem(ContactSystem):
         self._path.commit()
 
     def _stop_at(self, done: float):
-        """End a load step at the state that was found last. Collective.
+        """End a load step at the last solved state. Collective.
 
         Args:
             done: Part of the load step that was reached.
@@ -359,10 +363,10 @@ class ContactProblem(ContactSystem):
                 rows.update_geometry()
 
     def status(self) -> str:
-        """A table to print before a solve: what faces what, how far apart, and what is free.
+        """Table to print before a solve, for present displacements. Collective.
 
-        Collective. All contacts where the bodies are now, what faces nothing, and the bodies that
-        only contact holds, or not even that.
+        It has surfaces, facet sizes, gaps and overlaps of all contacts, facets with nothing
+        opposite, and bodies that only contact holds, or nothing at all.
         """
         self._check_usable()
         self._prepare_once()
@@ -373,10 +377,10 @@ class ContactProblem(ContactSystem):
         return table(found, self._free_in_words([r for r, s in zip(fresh, found) if not s.error]))
 
     def _free_in_words(self, found_rows: Sequence[ContactRows]) -> list[str]:
-        """Sentences about bodies that only contact can hold. Collective.
+        """Messages about bodies that only contact can hold. Collective.
 
         Args:
-            found_rows: Contacts with their gaps.
+            found_rows: Rows of contacts with known gaps.
         """
         if not self._num_free:
             return []
@@ -404,7 +408,7 @@ class ContactProblem(ContactSystem):
         return self._path.values
 
     def _parts(self, checkpoint: Checkpoint, lost: list[str]) -> list[Part]:
-        """Arrays of the state: also those at the start of a load step, and of contacts."""
+        """Arrays of the state, including values at the start of a load step and contacts."""
         parts = super()._parts(checkpoint, lost)
         for k, value in enumerate(zip(self._path.values, self._path.start, strict=True)):
             parts.append(checkpoint.start(f"start{k}", *value))
@@ -414,9 +418,9 @@ class ContactProblem(ContactSystem):
         return parts
 
     def _interrupted(self, before: SystemState, values: Sequence[npt.NDArray], done: float):
-        """Go back to the state that was found last, from wherever the load step was.
+        """Restore the last solved state after an interrupt.
 
-        Not collective unless all ranks have agreed on it: others may know nothing of it.
+        Not collective unless all ranks have agreed on the interrupt.
         """
         for u, array in zip(self._u, values, strict=True):
             u.x.array[:] = array
@@ -446,7 +450,7 @@ class ContactProblem(ContactSystem):
         )
 
     def _warn_of_stiffness(self, comm):
-        """Say which Γ1 is far stiffer than Γ0, and about as fine or finer. Collective."""
+        """Warn of a Γ1 that is far stiffer than Γ0 and not coarser. Collective."""
         size = [field.stiffness(K) for field, K in zip(self._fields, self._K, strict=True)]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = rows.bodies
@@ -460,7 +464,7 @@ class ContactProblem(ContactSystem):
                 )
 
     def _warn_of_distance(self, comm):
-        """Say once for each contact where a pressure acts on surfaces that are far apart."""
+        """Warn, once for each contact, of a pressure on surfaces that are far apart."""
         for c, rows in enumerate(self._rows):
             far, at = (0.0, None) if c in self._told_far else rows.far_pressure()
             if far > FAR_PRESSURE:
@@ -473,7 +477,7 @@ class ContactProblem(ContactSystem):
                     )
 
     def _warn_of_reach(self, comm):
-        """Say which surfaces have nothing opposite."""
+        """Warn of surfaces with nothing opposite."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             if comm.rank == 0 and not (rows.m > 0).any():
                 x0, x1 = (spot(surface.x) for surface in contact.surfaces)
@@ -484,9 +488,9 @@ class ContactProblem(ContactSystem):
 
 
 def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) -> Component:
-    """The displacements of a body among its fields. Collective.
+    """Displacements of a body among its fields. Collective.
 
-    Those in contact; of a mixed space that is in none, its first vector.
+    They are those in contact; without a contact, the first vector of a mixed space.
     """
     given = [part for one in contacts for part in one.components if V.contains(part.given)]
     if any(not given[0].same(other) for other in given):

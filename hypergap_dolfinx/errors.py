@@ -4,29 +4,34 @@
 
 
 class InterfaceError(ValueError):
-    """The given facets or spaces can't form an interface; the message is the same on every rank."""
+    """Facets or spaces that can't form an interface. The message is the same on every rank."""
 
 
 class PrescribedSideError(InterfaceError):
-    """Γ1 of an interface is prescribed where Γ0 can move: the other side would have to be Γ1."""
+    """Γ1 of an interface is prescribed where Γ0 can move: the sides have to be exchanged."""
 
     def __init__(self, message: str, interface: int):
-        """The message, and the interface's number."""
+        """Store the message and the number of the interface.
+
+        Args:
+            message: The message.
+            interface: Index of the interface.
+        """
         super().__init__(message)
         self.interface = interface
 
 
 class NotFacingError(InterfaceError):
-    """No part of one surface lies opposite the other: an error for ties, but not for contact."""
+    """No part of one surface lies opposite the other: an error for ties, not for contacts."""
 
 
 class InvertedCellError(RuntimeError):
-    """A gap element is inverted: the normal of Γ_α points back to Γ0."""
+    """An inverted cell of Σ: the normal of Γ_α points back to Γ0."""
 
 
 class SolveError(RuntimeError):
-    """A solve failed; the message says how far it came, and results beyond that are invalid."""
+    """A failed solve. The message says how far it came; later results are invalid."""
 
 
 class UnsolvableError(SolveError):
-    """An iterative solver fails, for which a smaller load step is no easier."""
+    """A failed linear solver, which a smaller load step can't help."""

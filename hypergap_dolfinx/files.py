@@ -1,13 +1,12 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions in the form that DOLFINx's writers take: one Lagrange element for all in a file.
+"""Functions for DOLFINx's file writers.
 
-``VTXWriter`` and ``VTKFile`` take functions of any degree, continuous or not, one element a file:
-those of :func:`on_sigma`, those of :func:`interpolated`, and displacements. ``XDMFFile`` takes only
-continuous functions of the mesh's own degree and constants on cells: those of :func:`interpolated`
-of degree 0, and displacements of a higher degree after ``w.interpolate(u)`` into a space of the
-mesh's degree; none of :func:`on_sigma`. No writer takes functions on mixed spaces: give them
-``w.sub(0).collapse()``.
+``VTXWriter`` and ``VTKFile`` accept functions of any degree, continuous or not, all of one element
+per file: displacements, and results of :func:`on_sigma` and :func:`interpolated`. ``XDMFFile``
+accepts continuous functions of the degree of the mesh, and functions of degree 0: results of
+:func:`interpolated` of degree 0, and displacements interpolated into a space of that degree. No
+writer accepts functions of mixed spaces: collapse them, ``w.sub(0).collapse()``.
 """
 
 import ufl
@@ -21,7 +20,7 @@ from hypergap_dolfinx.tie import Tie
 def interpolated(
     expression: ufl.core.expr.Expr, mesh: Mesh, degree: int, name: str
 ) -> fem.Function:
-    """A discontinuous function with an expression's values, a stress for example. Collective.
+    """Discontinuous Lagrange function of an expression, such as a stress. Collective.
 
     Args:
         expression: UFL expression of any shape.
@@ -30,7 +29,8 @@ def interpolated(
         name: Name of the function in files.
 
     Returns:
-        The function. Plane tensors become 3 × 3: writers scramble 2 × 2, as (xx, xy, yx; yy, …).
+        The function. Tensors of shape (2, 2) are padded to (3, 3), since writers misplace the
+        components of the former.
     """
     if expression.ufl_shape == (2, 2):
         rows = [[expression[i, j] for j in (0, 1)] + [0] for i in (0, 1)]
@@ -42,16 +42,16 @@ def interpolated(
 
 
 def on_sigma(tie: Tie, problem: TiedSystem) -> list[fem.Function]:
-    """Fields on Σ for one file: α, λ, the normal gap and, of vectors, the slip. Collective.
+    """Fields on Σ for one file: α, λ, the normal gap and, for vectors, the slip. Collective.
 
-    Σ has no thickness; in 2D ParaView's "Warp by scalar" shows it, with α as the height.
+    Σ has no thickness. In 2D ParaView's "Warp by scalar" with α as the height makes it visible.
 
     Args:
         tie: One of the problem's ties.
         problem: A solved problem.
 
     Returns:
-        Functions on ``tie.sigma`` with one element, discontinuous: for ``VTXWriter`` and
+        Discontinuous functions on ``tie.sigma`` with one element, for ``VTXWriter`` and
         ``VTKFile``.
     """
     spaces = [u.function_space for u in problem.u]

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Unions: ties that share a smooth piece of Γ1, solved as one interface.
+"""Unions: ties that share a smooth piece of Γ1 and are solved as one interface.
 
-Alone, each tie would end at the next one's start, with too few or too many multipliers there. One Σ
-over all of them has neither ends nor seams.
+With a Σ of its own each tie would end where the next one starts, with too few or too many
+multipliers there. One Σ over all of them avoids that.
 """
 
 from collections import defaultdict
@@ -25,7 +25,7 @@ from hypergap_dolfinx.tolerances import NEAR_PIECES
 
 
 class _Union(Tie):
-    """A union: a tie over the facets of several, which have issued the warnings."""
+    """Tie over the facets of several ties. These have issued the warnings already."""
 
     _tells = False
 
@@ -51,9 +51,9 @@ class Joined:
         self.interfaces: list[Tie] = []
         """Ties and unions, in the order of the first tie of each."""
         self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
-        """By a tie's number: its interface's number, and its multipliers among those of a union."""
+        """Interface number of each tie, and places of its multipliers in a union."""
         self.names: list[str] = []
-        """Name of each interface in messages: numbers of its ties, bodies, facets."""
+        """Name of each interface in messages: numbers of its ties, bodies and facets."""
         for group in _groups(self.ties):
             whole, places = _union([self.ties[t] for t in group])
             if whole is None:
@@ -75,9 +75,11 @@ class Joined:
                 tie.destroy()
 
     def turned_over(self, interface: int) -> "Joined | None":
-        """The interfaces with Γ0 and Γ1 of one exchanged, in its ties too. Collective.
+        """Interfaces with Γ0 and Γ1 of one interface and its ties exchanged. Collective.
 
-        None unless :meth:`Tie.between` chose the sides of all its ties, and no problem has them.
+        Returns:
+            The new interfaces; None unless :meth:`Tie.between` chose the sides of all its ties and
+            no problem has them yet.
         """
         group = [tie for t, tie in enumerate(self.ties) if self._of[t][0] == interface]
         if not all(tie.may_turn_over for tie in group):
@@ -88,20 +90,20 @@ class Joined:
         return Joined(self.ties)
 
     def settle(self):
-        """Keep the sides of all ties from now on."""
+        """Fix the sides of all ties."""
         for tie in self.ties:
             tie.settle()
 
     def find(self, tie) -> int:
-        """Number of the interface with a tie.
+        """Number of the interface that contains a tie.
 
         Raises:
-            ValueError: Not one of the ties.
+            ValueError: A tie that isn't one of these.
         """
         return self._of[self._number(tie)][0]
 
     def of_piece(self, tie: Tie, multipliers: npt.NDArray) -> npt.NDArray:
-        """A tie's own multipliers among those of its interface.
+        """Multipliers of a tie among those of its interface.
 
         Args:
             tie: The tie.
@@ -119,7 +121,7 @@ class Joined:
 
 
 def _groups(ties: Sequence[Tie]) -> list[list[int]]:
-    """Ties that continue each other: between the same bodies, on one smooth piece of Γ1."""
+    """Groups of ties between the same bodies on one smooth piece of Γ1."""
     alike = defaultdict(list)
     for t, tie in enumerate(ties):
         # The first tie on the same spaces: each has collapsed a component by itself
@@ -175,9 +177,9 @@ def _union(ties: Sequence[Tie]) -> tuple[Tie | None, list[npt.NDArray[np.intp]]]
     """One tie over all facets. Collective.
 
     Returns:
-        The tie and, for each given tie, rows of its multipliers in the union. None for a single
-        tie, if a common Σ can't be made, or if the meshes have moved since the ties were made:
-        these still tie the old positions.
+        The union and, for each given tie, the rows of its multipliers in the union. None for a
+        single tie, if a common Σ can't be made, or if the meshes have moved since the ties were
+        made, which still tie the old positions.
     """
     if len(ties) == 1:
         return None, []

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Nonlinear bodies, tied: the counterpart of ``dolfinx.fem.petsc.NonlinearProblem``."""
+"""Nonlinear problems on tied bodies: counterpart of ``dolfinx.fem.petsc.NonlinearProblem``."""
 
 import weakref
 from collections.abc import Callable, Sequence
@@ -22,23 +22,23 @@ from hypergap_dolfinx.tie import Tie
 
 
 class NonlinearTiedProblem(NonlinearSystem):
-    """Nonlinear problem F_i(u_i; v_i) = 0 on several bodies, tied to each other, for PETSc's SNES.
+    """Nonlinear problem F_i(u_i; v_i) = 0 on several tied bodies, for PETSc's SNES.
 
-    Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0: the ties are linear in the
-    displacements and hold whatever rotation the bodies make together.
+    Solves F_i(u_i) + Σ_t Bᵀ_ti λ_t = 0 and Σ_i B_ti u_i = 0. The ties are linear in the
+    displacements, and exact for common rotations of any size.
 
-    PETSc's own options keep costly parts of a step for later ones and later calls of :meth:`solve`.
-    With the Jacobian, and so its factors, kept, Newton's steps are cheap, but there are more of
-    them, and load steps are to be small::
+    PETSc options can reuse costly parts of a Newton step in later steps and later calls of
+    :meth:`solve`. Reuse of the Jacobian and its factors makes Newton steps cheap, but there are
+    more of them, and load steps have to be small::
 
         petsc_options = {"snes_lag_jacobian": -2, "snes_lag_jacobian_persists": True}
 
-    With only the factors kept, ``solver="bodies"`` and ``"iterative"`` take as many of Newton's
-    steps as before, with more iterations in each (``"direct"`` as many as with one Jacobian)::
+    Reuse of the factors alone keeps the number of Newton steps, with more linear iterations in
+    each, for ``solver="bodies"`` and ``"iterative"``; ``"direct"`` behaves as above::
 
         petsc_options = {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}
 
-    Here −2 means once and never again, n > 0 in each n-th step. To begin anew, make a new problem.
+    −2 means once, n > 0 means every n-th step. A new problem starts afresh.
 
     Example:
         As in :class:`TiedProblem`'s example, with a conductivity of 1 + u²:
@@ -76,28 +76,27 @@ class NonlinearTiedProblem(NonlinearSystem):
 
         Args:
             F: Residual form of each body.
-            u: Solution function of each body, as used in F; its values are the first guess.
-            bcs: Dirichlet conditions of any of the bodies.
-            ties: The ties between them.
-            J: Jacobian form of each body; F's derivative if not given.
-            solver: Solver of Newton's steps as for :class:`TiedProblem`; default ``"direct"``.
-            before_step: Function that is called before the residual is evaluated at new values of
-                u, line searches included: to update what the forms read, as stresses at quadrature
-                points. A SolveError in it ends the solve.
-            accepted: Function that is called with 1.0 when a solve has succeeded: to move history
-                on.
-            taken_back: Function that is called when one has failed.
-            internal_variables: Functions and constants that these hooks change: set back where a
-                solve fails, part of :meth:`state`.
-            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
+            u: Solution function of each body, as used in F; its values are the initial guess.
+            bcs: Dirichlet conditions of all bodies, in any order.
+            ties: The ties.
+            J: Jacobian form of each body; the derivative of F by default.
+            solver: Solver of the Newton steps as for :class:`TiedProblem`; ``"direct"`` by default.
+            before_step: Callback ``f()`` before each evaluation of the residual at new values of u,
+                also in line searches, to update data of the forms such as stresses at quadrature
+                points. If it raises a SolveError the solve ends.
+            accepted: Callback ``f(1.0)`` after a successful solve, to update the history.
+            taken_back: Callback ``f()`` after a failed solve.
+            internal_variables: Functions and constants that these callbacks change. They are
+                restored if a solve fails, and are part of :meth:`state`.
+            petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
             petsc_options: Options of the SNES, and of the solver as for :class:`TiedProblem`.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a tie or boundary condition on
-                a space that belongs to no body; a solver that isn't possible.
-            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+            ValueError: Different numbers of forms and functions; a tie or boundary condition on a
+                space of no body; a solver that can't solve this problem.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
         """
         if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
             raise ValueError("F and u are lists, with one form and one function for each body.")
@@ -139,15 +138,15 @@ class NonlinearTiedProblem(NonlinearSystem):
         return [self.__dict__.pop("_snes", None), *super()._release()]
 
     def solve(self) -> list[fem.Function]:
-        """Solve, starting from u and the multipliers of the last solve. Collective.
+        """Solve, with u and the multipliers of the last solve as the initial guess. Collective.
 
         Returns:
             The solution of each body, the same functions as in ``u``.
 
         Raises:
-            SolveError: The Newton iteration or a linear solve failed; says how.
-            KeyboardInterrupt: Ctrl-C, on all ranks, at the end of the Newton step: u and the
-                multipliers are what they were.
+            SolveError: Newton's method or a linear solver failed; the message says how.
+            KeyboardInterrupt: Ctrl-C, raised on all ranks at the end of the Newton step. u and the
+                multipliers have their values from before the call.
         """
         self._check_usable()
         with self._interrupts:
@@ -203,7 +202,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._solved = True
 
     def _evaluated(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Evaluate the residual; an exception waits for the end of PETSc's call, which locks x."""
+        """Evaluate the residual; exceptions are kept until PETSc's call, which locks x, ends."""
         if self._failed is None:
             try:
                 return self._residual(x, r)

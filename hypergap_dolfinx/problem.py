@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems of several bodies, tied: the counterpart of ``dolfinx.fem.petsc.LinearProblem``."""
+"""Linear problems on tied bodies: the counterpart of ``dolfinx.fem.petsc.LinearProblem``."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ from hypergap_dolfinx.tie import Tie
 
 
 def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
-    """The linear form of a body, zero if there is none; checks that it matches the bilinear one."""
+    """Linear form of a body, zero if None; raises if it doesn't match the bilinear form."""
     if len(a.arguments()) != 2:
         raise ValueError(
             f"a[{i}] has {len(a.arguments())} arguments, not a trial and a test function; "
@@ -39,10 +39,10 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
 
 
 class TiedProblem(TiedSystem):
-    """Linear problem a_i(u_i, v_i) = L_i(v_i) on several bodies, tied to each other.
+    """Linear problem a_i(u_i, v_i) = L_i(v_i) on several tied bodies.
 
-    Solves the saddle system [K Bᵀ; B −C] [u; λ] = [f; g] with K and f from the forms and B from
-    the ties; g is 0 without jumps and prescribed displacements, C without compliances.
+    Solves the saddle-point system [K Bᵀ; B −C] [u; λ] = [f; g]. K and f come from the forms, B from
+    the ties, g from jumps and prescribed displacements, C from compliances.
 
     Example:
         Temperatures 0 at y = 0 and 2 at y = 2, around the tie of :class:`Tie`'s example:
@@ -77,33 +77,32 @@ class TiedProblem(TiedSystem):
         form_compiler_options: dict | None = None,
         jit_options: dict | None = None,
     ):
-        """Compile the forms and set up the saddle system. Collective.
+        """Compile the forms and set up the saddle-point system. Collective.
 
         Args:
             a: Bilinear form of each body.
-            L: Linear form of each body; None where there is no load.
-            bcs: Dirichlet conditions of any of the bodies.
-            ties: The ties between them. They find their bodies by their spaces, so neither the
-                order of the bodies nor the sides of a tie matter here.
-            u: Solution functions; made if not given.
-            solver: ``"direct"`` factorises the whole system, ``"bodies"`` one body at a time and
-                iterates over the ties, ``"iterative"`` takes conjugate gradients and algebraic
-                multigrid: for symmetric, positive definite forms and large bodies, best of degree
-                1. If not given, ``"direct"`` or, for large bodies in 3D, ``"bodies"``. Mixed
-                spaces, free interior nodes and ties with a compliance or a conductance are for
-                ``"direct"``.
-            petsc_options_prefix: Prefix of the PETSc objects' options, with ``_`` at its end.
-            petsc_options: Options of the KSP, besides those of the solver above; instead of those
-                of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a MatNest:
-                MUMPS and fieldsplit take it, most preconditioners don't. PETSc's own tolerance is
-                1e-5.
+            L: Linear form of each body; None without a load.
+            bcs: Dirichlet conditions of all bodies, in any order.
+            ties: The ties. They find their bodies by the function spaces: neither the order of the
+                bodies nor the sides of a tie matter here.
+            u: Solution function of each body; created by default.
+            solver: ``"direct"`` factorises the whole system. ``"bodies"`` factorises each body and
+                iterates over the ties. ``"iterative"`` is conjugate gradients with algebraic
+                multigrid, for symmetric positive definite forms on large meshes, best of degree 1.
+                The default is ``"bodies"`` for large bodies in 3D, else ``"direct"``. Mixed spaces,
+                free interior nodes, compliances and conductances need ``"direct"``.
+            petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
+            petsc_options: Options of the KSP, in addition to those of the solver. They replace
+                those of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a
+                MatNest, which MUMPS and fieldsplit accept, but most preconditioners don't. PETSc's
+                default tolerance is 1e-5.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms that differ; a tie or boundary condition on a space that
-                belongs to no body; a solver that isn't possible.
-            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+            ValueError: Different numbers of forms; a tie or boundary condition on a space of no
+                body; a solver that can't solve this problem.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
         """
         if isinstance(a, ufl.Form) or isinstance(L, ufl.Form):
             raise ValueError("a and L are lists, with one form for each body.")
@@ -132,7 +131,7 @@ class TiedProblem(TiedSystem):
         revolution.tell(a, self._pieces.ties, "tie")
 
     def assemble_vector(self):
-        """Assemble the loads and lift the prescribed displacements into b. Collective."""
+        """Assemble loads and prescribed displacements into b. Collective."""
         prescribed = []
         bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)
         for i, (b, a, L, bcs) in enumerate(bodies):
@@ -164,7 +163,7 @@ class TiedProblem(TiedSystem):
             The solution of each body, the same functions as in ``u``.
 
         Raises:
-            SolveError: The solver failed; says how.
+            SolveError: The solver failed; the message says how.
         """
         self._check_usable()
         self.assemble_matrix()
@@ -172,15 +171,15 @@ class TiedProblem(TiedSystem):
         return self.solve_system()
 
     def solve_system(self) -> list[fem.Function]:
-        """Solve with the present A and b; an A that didn't change is not factorised again.
+        """Solve with the present A and b, with the factors of A if it hasn't changed. Collective.
 
-        For time loops: assemble A once, then assemble b and solve in each step. Collective.
+        In a time loop assemble A once; assemble b and call this in each step.
 
         Returns:
             The solution of each body, the same functions as in ``u``.
 
         Raises:
-            SolveError: The solver failed; says how.
+            SolveError: The solver failed; the message says how.
         """
         self._check_motions()
         self._solved = False
@@ -212,5 +211,5 @@ class TiedProblem(TiedSystem):
 
     @property
     def iterations(self) -> int:
-        """Number of iterations of the last solve."""
+        """Number of iterations of the linear solver in the last solve."""
         return self._solver.iterations

@@ -40,16 +40,17 @@ LOG = logging.getLogger("hypergap_dolfinx")
 
 
 class Tie(collective.Owner):
-    """A tie of two surfaces whose meshes don't match.
+    """A tie between two surfaces whose meshes don't match.
 
-    Between Γ0 and Γ1 lies the gap domain Σ, a mesh of its own with the field α, 0 on Γ0 and 1 on
-    Γ1. The tie enforces ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all λ spanned by the
-    ∂φ_a/∂α (eq. 20).
+    The gap domain Σ between Γ0 and Γ1 has a mesh of its own, with a field α that is 0 on Γ0 and 1
+    on Γ1. The tie enforces ∫∫ ∂u/∂α · λ dΓ_α dα = 0 (Giffin 2024, eq. 4) for all multipliers λ in
+    the span of the ∂φ_a/∂α (eq. 20).
 
-    Γ0's displacements are independent, Γ1 carries the multipliers: put Γ1 on the coarser (and
-    softer) side, or leave that to :meth:`between`; but a layer far thinner than its cells are long
-    should be Γ1, or have the larger cells. At a kink both surfaces need a node, and one of them two
-    edges on each side. All methods are collective.
+    The displacements of Γ0 are independent; Γ1 carries the multipliers. Γ1 should be the coarser
+    side, or the softer one if the cell sizes are alike: :meth:`between` chooses it. A layer that is
+    far thinner than its cells are long should be Γ1, or have the larger cells. At a kink both
+    surfaces need a node, and one of them needs two edges on each side of it. All methods are
+    collective.
 
     Example:
         Two squares, one on top of the other:
@@ -70,7 +71,7 @@ class Tie(collective.Owner):
         7
     """
 
-    _tells = True  # whether doubts about the interface are logged
+    _tells = True  # True if doubts about the interface are logged
 
     def __init__(
         self,
@@ -91,74 +92,71 @@ class Tie(collective.Owner):
         """Mesh Σ between two surfaces. Collective.
 
         Args:
-            side0: Γ0: a Lagrange space of degree k ≥ 1, scalar or blocked, and local indices of
-                exterior facets of its mesh, as ``facet_tags.find(tag)`` gives them. A component of
-                a mixed space may be tied: ``(W.sub(0), facets)`` ties the displacements of
-                Taylor–Hood elements; their pressures may jump, and need no tie. ``V.sub(1)`` or
-                ``W.sub(0).sub(1)`` ties one displacement of several.
-            side1: Γ1: the same; the mesh may be the same one too. Either side may be a component,
-                and any other space with the same values on the other side.
-            interior: Treatment of nodes between the surfaces (0 < α < 1; the middles of cross edges
-                for k ≥ 2). ``"interpolated"``: they take (1 − α) u₀ + α u₁, which leaves one
-                multiplier per dof of Γ1. ``"free"``: they are unknowns with multipliers of their
-                own, as in eq. (22).
-            adjust: True to move the nodes on Γ1 first, to X_A = P X₀ of eq. (22). This changes the
-                mesh of Γ1's body. Rigid motions are then exact on curved or gaping interfaces too,
-                if the space has the degree of the mesh's geometry; without, a rotation strains them
-                by the distance between the surfaces over the cell size: the constraint is on
-                displacements, and a gap does not rotate. Nodes at kinks stay. A curved surface's
-                rim may leave the plane of the face beside it (2e-3 at h = 0.2 of its radius):
-                locate that face's facets before. Make a tie that adjusts before others on the same
-                mesh: they store positions of nodes.
-            close_gap: True for a constraint on positions instead of displacements: gaps and
-                overlaps are closed, as in an interference fit. Needs displacements. Curved surfaces
-                with straight edges have the gap between two polygons too; take curved cells, or a
-                jump of the interference.
-            jump: g in u₁ − u₀ = g (of positions with ``close_gap``): a number or array, a
-                ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable of x as for
-                ``Function.interpolate``. Along Σ's normal, from Γ0 to Γ1, it opens the interface.
-                It is read anew for each right-hand side, so that it may change without a new
-                factorisation. If ties of one interface have different jumps, let both surfaces end
-                at one place; there their mean holds, weighted with the multipliers.
-            motion: Motion that carries Γ0 to Γ1, across a distance; :meth:`periodic` makes it.
-            compliance: c in u₁ − u₀ = c λ (+ g), λ being :meth:`traction`: an adhesive layer's
-                thickness over its modulus, a thermal contact's resistance. 0 ties; any c > 0, even
-                tiny, is compliant and supports a body without other supports. One value, or a pair:
-                along Σ's normal and across it (0 ties across; far more than a cell's own compliance
-                lets it slide; with curved surfaces, on curved cells only: polygons interlock). Each
-                is ≥ 0: a number, a ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's
-                body, or a callable of x. Read anew when the matrix is assembled. If both sides
-                are prescribed entirely, λ follows from c alone: a c that was 0 when the problem was
-                made must stay 0, and both of a pair are 0 or neither; an error is raised otherwise.
-            conductance: h in λ = h (u₁ − u₀ − g), instead of a compliance: heat flow between
-                touching bodies. From 0, an insulator, to any size; given as a compliance is, one
-                value or a pair, and read anew when the matrix is assembled. Prefer it to a
-                compliance 1 / h where it varies much: h is averaged over Σ's cells, so that a
-                single node with h > 0 conducts.
-            law: λ = f(u₁ − u₀) of your own, instead of a compliance: an adhesive that hardens,
-                softens and fails, a spring that pushes and doesn't pull. A function of the jump
-                (less g of ``jump``) and the unit normal from Γ0 to Γ1, both UFL expressions, that
-                returns λ in UFL: ``law=lambda jump, n: k * jump``. UFL differentiates it, also
-                through ``conditional`` and ``max_value``, so Newton's iteration has the exact
-                tangent. For a potential ψ return ``ufl.diff(psi, w)``, ``w = ufl.variable(jump)``.
-                It may contain a ``fem.Constant`` that changes between solves. It has no memory: it
-                closes on the path on which it opened. Complex scalars are compared as
-                ``ufl.real(…)``. For :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
-            discontinuous: True if λ may jump to other ties of the same surfaces. Between several
-                materials on both sides traction jumps from one to the next: give a tie for each
-                material then, with this, its two surfaces ending at one place. Without it λ is as
-                smooth as Γ1, however many ties it is given as.
-            axisymmetric: True if the bodies are swept about the axis, r = x[0] = 0, with 2πr in
-                their forms: the tie's integrals have it too, so that λ is a force per area and
-                ``quadrature`` integrates it to the force on the whole circumference. ``"radian"``
-                if the forms have r without 2π. Values of any number of components, as with a
-                twist (u_r, u_z, u_θ).
+            side0: Γ0: a pair ``(V, facets)``. V is a Lagrange space of degree ≥ 1, scalar or
+                blocked. ``facets`` are local indices of exterior facets of its mesh, as given by
+                ``facet_tags.find(tag)``. V may be a component of a mixed space: ``W.sub(0)`` ties
+                the displacements of Taylor–Hood elements (their pressures need no tie).
+                ``V.sub(1)`` and ``W.sub(0).sub(1)`` tie a single displacement.
+            side1: Γ1: the same, with values of the same shape. Both sides may be on one mesh.
+            interior: Treatment of Σ's interior nodes, 0 < α < 1 (degree ≥ 2 only).
+                ``"interpolated"``: their displacement is (1 − α) u₀ + α u₁, so that each dof of Γ1
+                has one multiplier. ``"free"``: they are unknowns with multipliers, as in eq. (22).
+            adjust: True to move the nodes of Γ1 first, to X_A = P X₀ of eq. (22). This changes the
+                mesh of Γ1's body. Rigid motions are then exact on curved interfaces and across
+                gaps, if the space has the degree of the mesh's geometry. Without it, a rotation
+                causes strains of the size of gap over cell size, since the constraint is on
+                displacements. Nodes at kinks are not moved. The rim of a curved surface may leave
+                the plane of an adjacent face (by 2e-3 at h = 0.2 of the radius): locate the facets
+                of that face before. Other ties on the mesh store positions of nodes: make the tie
+                that adjusts first.
+            close_gap: True for a constraint on positions instead of displacements. It closes gaps
+                and overlaps, as in an interference fit. Between curved surfaces with straight edges
+                these include the gaps of the two polygons: use curved cells, or prescribe the
+                interference as a ``jump``.
+            jump: Prescribed jump g in u₁ − u₀ = g (a jump of positions with ``close_gap``): a
+                number, an array, a ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable
+                of x as for ``Function.interpolate``. A jump along Σ's normal, from Γ0 to Γ1, opens
+                the interface. It is evaluated for each right-hand side: a change needs no new
+                factorisation. Where two ties with different jumps meet, both surfaces should end
+                at the same place; there the mean of the jumps holds, weighted by the multipliers.
+            motion: Motion that carries Γ0 to Γ1 in a periodic tie, from :meth:`periodic`.
+            compliance: Compliance c ≥ 0 in u₁ − u₀ = c λ (+ g), where λ is :meth:`traction`: the
+                thickness of an adhesive layer over its modulus, or a thermal contact resistance.
+                One value, or a pair (along Σ's normal, tangential to it). Each is a number, a
+                ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
+                of x. 0 is a rigid tie. Any c > 0 supports a body without other supports. A
+                tangential compliance far above that of a cell permits sliding; on curved surfaces
+                this needs curved cells, since polygons interlock. It is evaluated when the matrix
+                is assembled. If both sides are prescribed entirely, λ depends on c alone: values
+                that are 0 when the problem is made must stay 0, and of a pair both are 0 or none.
+            conductance: Conductance h ≥ 0 in λ = h (u₁ − u₀ − g), instead of a compliance: heat
+                flow between touching bodies. 0 is an insulator. It is given like ``compliance``.
+                Use it instead of a compliance 1 / h if h varies much: h is averaged over Σ's
+                cells, so that a single node with h > 0 conducts.
+            law: Interface law λ = f(u₁ − u₀), instead of a compliance: an adhesive that softens
+                and fails, or a spring that only pushes. A function of two UFL expressions, the jump
+                (minus g) and the unit normal from Γ0 to Γ1, that returns λ in UFL:
+                ``law=lambda jump, n: k * jump``. UFL differentiates it, also through
+                ``conditional`` and ``max_value``, so that Newton's method has the exact tangent.
+                With a potential ψ return ``ufl.diff(psi, w)``, ``w = ufl.variable(jump)``. It may
+                contain a ``fem.Constant`` that changes between solves. It has no memory: unloading
+                follows the loading path. Compare complex values with ``ufl.real(…)``. Accepted by
+                :class:`NonlinearTiedProblem` and :class:`ContactProblem`.
+            discontinuous: True if λ may jump to other ties of the same surfaces. Where both bodies
+                consist of several materials the traction jumps between them: make one tie for each
+                material, with this option and with both surfaces ending at the same place. Without
+                it, λ is continuous across the ties of a smooth surface.
+            axisymmetric: True for bodies of revolution about the axis r = x[0] = 0 whose forms have
+                the factor 2πr. The integrals of the tie then have it too: λ is a force per area,
+                and :meth:`quadrature` integrates it to the force on the whole circumference.
+                ``"radian"`` if the forms have the factor r. The number of components is free, as
+                with a twist (u_r, u_z, u_θ).
 
         Raises:
-            InterfaceError: Facets or spaces that form no interface; the message says which and why.
-            ValueError: A jump, a compliance, a conductance or a law that doesn't fit the spaces,
-                that isn't finite, or is negative; two of the last three.
-            InvertedCellError: The surfaces differ so much in shape that Σ folds over.
+            InterfaceError: The facets or spaces form no interface; the message says why.
+            ValueError: A jump, compliance, conductance or law doesn't fit the spaces, isn't finite
+                or is negative, or two of the last three are given.
+            InvertedCellError: The shapes of the surfaces differ so much that Σ folds.
         """
         if interior not in ("interpolated", "free"):
             raise ValueError(f'interior is "interpolated" or "free", not {interior!r}.')
@@ -252,21 +250,21 @@ class Tie(collective.Owner):
         stiffness: tuple[float, float] | None = None,
         **options,
     ) -> "Tie":
-        """A tie that chooses its sides: Γ1 is the coarser one, then the softer one. Collective.
+        """A tie that chooses its sides. Collective.
 
-        But a thin layer, its cells a hundred times longer than thick, is always Γ1: as Γ0 with
-        smaller cells it would be tied at the other side's nodes only, and lose digits. If the first
-        problem with the tie prescribes whole facets of that Γ1 while the other side can move there,
-        it exchanges the sides: λ, Σ and all else of the tie are those of the new sides then.
-        :attr:`swapped` (or the log of ``hypergap_dolfinx``) tells: λ acts on Γ0's body, that of
-        ``tie.spaces[0]``.
+        Γ1 becomes the coarser side; if node distances differ by less than a tenth, the softer one.
+        A thin layer, with cells a hundred times as long as thick, is always Γ1: as a finer Γ0 it
+        would be tied at the nodes of the other side only, and lose digits. If the first problem
+        with the tie prescribes whole facets of Γ1 where Γ0 can move, that problem exchanges the
+        sides. :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome. λ acts on the
+        body of Γ0, that of ``tie.spaces[0]``.
 
         Args:
-            a: A space and facets, as for the constructor.
-            b: The same of the other side.
-            stiffness: Young's moduli (or conductivities) of a's and b's bodies; they decide where
-                the distances between nodes differ by less than a tenth, and without them b is Γ1.
-            options: Options of the constructor; a jump, also a law's, is u_b − u_a.
+            a: One side: a space and facets, as for the constructor.
+            b: The other side.
+            stiffness: Young's moduli (or conductivities) of the bodies of a and b. Without them b
+                is Γ1 if node distances are alike.
+            options: Options of the constructor. A jump, also that of a law, is u_b − u_a.
 
         Returns:
             The tie.
@@ -306,18 +304,18 @@ class Tie(collective.Owner):
 
     @property
     def may_turn_over(self) -> bool:
-        """True if :meth:`between` chose the sides, and no problem has the tie."""
+        """True if :meth:`between` chose the sides and no problem has the tie yet."""
         return self._other is not None
 
     def settle(self):
-        """Keep the sides from now on."""
+        """Fix the choice of sides."""
         self._other = None
 
     def turn_over(self) -> bool:
         """Exchange Γ0 and Γ1, once. Collective.
 
         Returns:
-            False if there is no Σ with the sides exchanged; the tie stays as it is then.
+            False, with the tie unchanged, if no Σ exists for the exchanged sides.
         """
         assert self._other is not None
         try:
@@ -340,36 +338,37 @@ class Tie(collective.Owner):
         axis: npt.ArrayLike | None = None,
         **options,
     ) -> "Tie":
-        """A tie across a distance: opposite faces of a periodic cell or of a sector. Collective.
+        """A periodic tie: opposite faces of a unit cell, or of a cyclic sector. Collective.
 
-        A motion carries Γ0 to Γ1, and there they are tied: u₁ = u₀, or u₁ = u₀ + g with a jump g.
-        With a rotation the components of vectors turn too, u₁ = R u₀ + g. The faces may belong to
-        one mesh or to several, of any cells; but their outlines must fit. Make one tie for each
-        pair of faces. At edges and corners of faces, redundant constraints are left out.
+        A translation or rotation carries Γ0 to Γ1, where the two are tied: u₁ = u₀, or u₁ = u₀ + g
+        with a jump g. A rotation also turns the components of vectors: u₁ = R u₀ + g. The faces may
+        belong to one mesh or to several, with any cells, but their outlines must fit. Make one tie
+        for each pair of faces. Redundant constraints at edges and corners are left out.
 
-        The cell can still move as a whole: fix a node, or its mean. (A sector can only turn and
-        slide about its axis.)
+        The cell can still translate (a sector can turn about its axis and slide along it): fix a
+        node or the mean.
 
         Args:
             side0: Γ0: a space and facets, as for the constructor.
             side1: Γ1, which carries the multipliers: the side with the larger cells.
-            translation: From Γ0 to Γ1.
-            rotation: From Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R.
-            centre: A point on the rotation's axis; the origin if not given.
-            axis: In space, direction of the axis of an angle; z if not given.
+            translation: Vector from Γ0 to Γ1, ``(n,)``.
+            rotation: Rotation from Γ0 to Γ1: an angle in radians, counterclockwise, or a matrix R,
+                ``(n, n)``.
+            centre: A point on the axis of rotation, ``(n,)``; the origin by default.
+            axis: Direction of the axis of rotation in 3D, ``(3,)``; z by default.
             options: Options of the constructor, except ``adjust`` and ``close_gap``.
 
         Returns:
-            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and both sides' tractions: Rᵀλ acts on
-            Γ0's body.
+            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and the tractions of both sides: Rᵀλ
+            acts on the body of Γ0.
 
         Raises:
             ValueError: Both a translation and a rotation, neither, or the identity.
-            InterfaceError: Γ0 is not carried to Γ1; the message says how far it is off.
+            InterfaceError: Γ0 isn't carried to Γ1; the message gives the distance.
 
         Example:
             A square under a mean strain ε: opposite faces move apart by ε times their distance.
-            The strain is read at each solve, so one factorisation serves all load cases.
+            The strain is evaluated at each solve: one factorisation serves all load cases.
 
             >>> from mpi4py import MPI  # before dolfinx
             >>> import numpy as np
@@ -398,7 +397,7 @@ class Tie(collective.Owner):
         return self._swapped
 
     def destroy(self):
-        """Destroy the PETSc objects now, those of cached parts too. Collective.
+        """Destroy the PETSc objects now. Collective.
 
         Otherwise they are destroyed automatically; on several ranks, when the next tie or problem
         is made.
@@ -417,7 +416,7 @@ class Tie(collective.Owner):
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
-        """V₀ and V₁; of a component, its own (collapsed) space."""
+        """V₀ and V₁; for a component of a mixed space its collapsed space."""
         return self._spaces
 
     @property
@@ -432,19 +431,19 @@ class Tie(collective.Owner):
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
-        """Γ0 and Γ1 on the bodies, gathered on every rank."""
+        """Γ0 and Γ1, gathered on every rank."""
         return self._surfaces
 
     @property
     def domain(self) -> GapDomain:
-        """Σ with its arrays."""
+        """The gap domain Σ as arrays."""
         return self._domain
 
     @property
     def sigma(self) -> Mesh:
-        """Σ's mesh, made when it is asked for first. Collective.
+        """Mesh of Σ, made on first access. Collective.
 
-        Its cells may have no volume: never integrate over it with ``ufl.dx``.
+        Its cells may have no volume: integrate with :meth:`quadrature`, not with ``ufl.dx``.
         """
         return self._domain.mesh
 
@@ -480,27 +479,26 @@ class Tie(collective.Owner):
 
     @property
     def gives_way(self) -> Hashable:
-        """Equal for ties with the same compliance, conductance or law; None without."""
+        """Key that is equal for ties with the same compliance, conductance or law; None without."""
         what = self.compliance or self.law
         return what and what.key
 
     @cached_property
     def compliance(self) -> soft.Compliance | None:
-        """C of Σ_i B_i u_i − C λ = c, or None without a compliance.
+        """Compliance operator C of Σ_i B_i u_i − C λ = c; None without a compliance.
 
-        For a system of your own, ``tie.compliance.matrix(tie.compliance.values())`` is C, a new
-        PETSc matrix each time.
+        ``tie.compliance.matrix(tie.compliance.values())`` is C as a new PETSc matrix.
         """
         return self._weighting(soft.Compliance)
 
     @property
     def given(self) -> list[fem.Function | fem.Constant]:
-        """Objects in which a user changes its jump, compliance, conductance or law."""
+        """Functions and constants that define the jump, compliance, conductance or law."""
         return [v for one in (self.jump, self.compliance, self.law) if one for v in one.given]
 
     @cached_property
     def law(self) -> laws.Response | soft.Conductance | None:
-        """F(w), its derivative and M of Σ_i B_i u_i − M w = c and F(w) − M λ = 0, with a law.
+        """Operators F(w), ∂F/∂w and M of Σ_i B_i u_i − M w = c, F(w) − M λ = 0; None without a law.
 
         A conductance is the law F(w) = H w.
         """
@@ -526,7 +524,7 @@ class Tie(collective.Owner):
         """Current right-hand side c of Σ_i B_i u_i = c. Collective.
 
         Returns:
-            A new vector; None if it is 0, without a jump and without ``close_gap``.
+            A new vector; None, for c = 0, without a jump and ``close_gap``.
         """
         jump = self.nodal_jump()
         if jump is None and not self.closes_gap:
@@ -536,13 +534,14 @@ class Tie(collective.Owner):
         )
 
     def blocks(self) -> tuple[PETSc.Mat, ...]:
-        """The matrices of Σ_i B_i u_i = c, for systems of your own; c is :meth:`offset`.
+        """Matrices B_i of Σ_i B_i u_i = c, for a system of your own; c is :meth:`offset`.
 
         Returns:
-            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with V_i's own numbering of dofs, of a
-            component ``W.sub(0)`` with W's; with ``interior="free"`` also B_Σ for the displacements
-            of Σ's interior nodes. A row for each dof of Γ1 in reach of Γ0 (and each free interior
-            one); prescribed displacements are not eliminated. They may outlive the tie.
+            B₀ and B₁, ``(num_multipliers, num_dofs_i)``, with the dof numbering of V_i, for a
+            component ``W.sub(0)`` that of W. With ``interior="free"`` also B_Σ, for the
+            displacements of Σ's interior nodes. There is a row for each dof of Γ1 that lies
+            opposite Γ0 (and each free interior dof). Prescribed displacements are not eliminated.
+            The matrices may outlive the tie.
         """
         if not self._blocks:
             B0, B1, *interior = self.constraint.B
@@ -556,20 +555,21 @@ class Tie(collective.Owner):
         return self._blocks
 
     def gap(self, u0: fem.Function, u1: fem.Function) -> tuple[fem.Function, fem.Function | None]:
-        """Normal gap and tangential slip, eq. (17), of the displacements.
+        """Normal gap and tangential slip of given displacements, eq. (17). Collective.
 
         Args:
-            u0: Displacement of one body, of Γ0's if both are one. For a tied component, the body's
-                function with all components, or ``u.sub(0)``.
-            u1: Displacement of the other one.
+            u0: Displacement of one body, that of Γ0 if both sides are on one body. For a tied
+                component the function of the body with all components, or ``u.sub(0)``.
+            u1: Displacement of the other body.
 
         Returns:
-            n · ∂u/∂α, positive where the surfaces separate, and ∂u/∂α without its normal part; both
-            on Σ, discontinuous, in units of the displacement. For scalars, ∂u/∂α and None. On
-            curved cells they are least squares, with the same integrals over each cell.
+            The gap n · ∂u/∂α, positive where the surfaces separate, and the slip, ∂u/∂α minus its
+            normal part. For scalars ∂u/∂α and None. Both are discontinuous functions on Σ, in
+            units of the displacement. On curved cells they are least-squares fits with the exact
+            integral over each cell.
 
         Raises:
-            ValueError: A displacement that is not on its side's space.
+            ValueError: A function that is on the space of no side.
         """
         us = []
         if all(isinstance(u, fem.Function) for u in (u0, u1)) and all(
@@ -584,33 +584,34 @@ class Tie(collective.Owner):
         return fields.gap(self._domain, self.constraint, us[0], us[1], self.turn)
 
     def traction(self, problem, *, on: str = "sigma") -> fem.Function:
-        """The traction between the bodies, of a solved problem. Collective.
+        """Traction between the bodies of a solved problem. Collective.
 
         Args:
-            problem: A solved :class:`TiedProblem` or :class:`NonlinearTiedProblem` with this tie.
-            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α, eq. (20), on Σ, discontinuous (on
-                curved cells its least squares, with its integral over each cell). It is the
-                traction on Γ0's body, λ = σ₀n₀ with its outward normal n₀; Γ1's body feels −λ. (Of
-                a temperature: +k ∂u/∂n₀, the heat that enters Γ0's body.) To integrate it use
-                :meth:`quadrature`: Σ has no volume for ``ufl.dx``.
+            problem: A solved problem with this tie.
+            on: ``"sigma"``: the multiplier λ = Σ_a λ_a ∂φ_a/∂α of eq. (20), a discontinuous
+                function on Σ (on curved cells a least-squares fit with the exact integral over
+                each cell). It acts on the body of Γ0: λ = σ₀n₀ with the outward normal n₀; −λ acts
+                on the body of Γ1. For a temperature it is k ∂u/∂n₀, the heat that enters the body
+                of Γ0. Integrate it with :meth:`quadrature`, since Σ has no volume for ``ufl.dx``.
 
-                ``"side0"``, ``"side1"``: the traction σᵢnᵢ on Γ0's or Γ1's body, recovered from
-                the forces of λ at both sides' nodes: one order more accurate than λ, and smooth.
-                The smoothing adapts to λ, so it is linear in λ only within its own error. It is a
-                Lagrange function on a mesh of its own, the tied part of Γᵢ, so
+                ``"side0"``, ``"side1"``: the traction σᵢnᵢ on the body of Γᵢ, recovered from the
+                nodal forces of both sides. It is smooth, and one order more accurate than λ, but
+                not where fields change within a few facets. The smoothing adapts to λ, so that the
+                result is linear in λ up to its error only. It is a Lagrange function on a mesh of
+                its own, the tied part of Γᵢ:
                 ``fem.assemble_scalar(fem.form(ufl.inner(t, t) * ufl.dx))`` integrates it,
                 ``ufl.CellNormal(t.function_space.mesh)`` is nᵢ, and VTX files take it. At kinks it
-                has a value on each side. The two sides' tractions are opposite to each other, and
-                their integrals the force, up to the error of the recovery; :meth:`force` is exact.
-                Where fields change within a few facets, λ is as accurate.
+                has a value on each side. The tractions of the two sides are opposite, and their
+                integrals equal the force, up to the error of the recovery.
 
         Returns:
-            Force per area (in the plane, not axisymmetric: per length and unit depth), of the
-            side's own area: the areas of sides that lie apart differ, and the integral of λ is the
-            force. Its moment is that of the forces up to λ's error; :meth:`moment` is exact.
+            A force per area of the side (in the plane a force per length and unit depth). The areas
+            of sides that lie apart differ; the integral of λ is the force. :meth:`force` and
+            :meth:`moment` are exact; the moment of λ has the error of λ.
 
         Raises:
-            ValueError: Not one of the problem's ties, not solved yet, or an unknown ``on``.
+            ValueError: A tie that isn't one of the problem's, a problem that isn't solved, or an
+                unknown ``on``.
         """
         if on not in ("sigma", "side0", "side1"):
             raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')
@@ -621,22 +622,23 @@ class Tie(collective.Owner):
         return self._recovery.traction(int(on[-1]), shape, multipliers)
 
     def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray:
-        """The force on a body, exact: that of −Bᵀλ at its nodes. Collective.
+        """Force on a body, the sum of the nodal forces −Bᵀλ, exact. Collective.
 
         Args:
             problem: A solved problem with this tie.
-            on: Displacement of the body, one that the problem's ``solve()`` returns; if not given,
-                the body of the second side as given to the constructor or :meth:`between`,
-                whichever became Γ1. The other body feels the opposite.
+            on: Displacement of the body, one that the problem's ``solve()`` returns. By default
+                the body of the second side as given to the constructor or to :meth:`between`,
+                whichever became Γ1. The opposite force acts on the other body.
 
         Returns:
-            ``(block_size,)``, the same on every rank: a force (2D: per unit depth), of a
-            temperature the heat that flows into the body. Of bodies of revolution that of the
-            circle (of a radian), and its radial component isn't one force.
+            Force, ``(block_size,)``, the same on every rank, in 2D per unit depth; for a
+            temperature the heat flow into the body. For bodies of revolution it is the force on
+            the whole circumference (or on a radian), and the radial component is a sum over all
+            directions.
 
         Raises:
-            ValueError: Not one of the problem's ties, or not solved yet; another function, or that
-                of both sides.
+            ValueError: A tie that isn't one of the problem's, a problem that isn't solved, a
+                function of neither body, or one of both sides.
         """
         comm = self._domain.comm
         return comm.allreduce(self._nodal_forces(problem, self._side(on)).sum(axis=0))
@@ -644,21 +646,22 @@ class Tie(collective.Owner):
     def moment(
         self, problem, about: npt.ArrayLike, *, on: fem.Function | None = None
     ) -> npt.NDArray:
-        """The moment of the forces of :meth:`force` about a point, Σ (x − x₀) × f. Collective.
+        """Moment of the nodal forces about a point, Σ (x − x₀) × f, exact. Collective.
 
-        It is that of the places of the mesh, undeformed. Across surfaces that lie apart the two
-        bodies' moments differ by the force times the distance (see ``adjust``).
+        Positions are those of the undeformed mesh. If the surfaces lie apart, the moments on the
+        two bodies differ by the force times the distance (see ``adjust``).
 
         Args:
             problem: A solved problem with this tie.
             about: The point x₀, ``(n,)``.
-            on: As in :meth:`force`.
+            on: Displacement of the body, as in :meth:`force`.
 
         Returns:
-            In space ``(3,)``, in the plane ``(1,)``, the same on every rank.
+            Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
 
         Raises:
-            ValueError: As :meth:`force`; a tie of something else than displacements; no point.
+            ValueError: As :meth:`force`; values that aren't displacements; bodies of revolution; a
+                point of the wrong shape.
         """
         side = self._side(on)
         V, n = self._spaces[side], self.surfaces[0].gdim
@@ -695,14 +698,14 @@ class Tie(collective.Owner):
 
     @cached_property
     def area(self) -> float:
-        """Area that is tied (2D: length), the mean of both sides'. Collective."""
+        """Tied area (in 2D: length), the mean of both sides. Collective."""
         q = self.quadrature(2 * self.domain.geometry.degree)
         return float(q.integrate(np.ones_like(q.weights)))
 
     def quadrature(self, degree: int) -> fields.GapQuadrature:
-        """Gauss points on Σ with the measure dΓ_α dα, to integrate there. Collective.
+        """Gauss points on Σ with the measure dΓ_α dα, for integrals on Σ. Collective.
 
         Args:
-            degree: Degree of the Gauss rule.
+            degree: Degree of polynomials that the rule integrates exactly.
         """
         return fields.create_quadrature(self._domain, degree)

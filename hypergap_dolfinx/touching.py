@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Search for bodies that touch and their facets: the sides of an assembly's ties."""
+"""Search for touching bodies and their facets, the sides of an assembly's ties."""
 
 import logging
 from collections.abc import Sequence
@@ -43,27 +43,27 @@ class _Sides(NamedTuple):
 
 
 class Touching(_Sides):
-    """Facets of two bodies that lie on each other, the two sides of a tie; or face each other."""
+    """Facets of two bodies that touch (or face each other): two sides for a tie."""
 
     apart: float
-    """Largest distance of the flat facets, negative if they overlap."""
+    """Largest distance between the facets, taken as flat; negative for an overlap."""
     explained: str
-    """Explanation of that distance: ``"flat"`` if it is 1e-3 of a facet's size and less,
-    ``"curved"`` if the surfaces turn as much, or cross within each facet, ``"distance"`` if it is
-    only less than the given distance. Of facets that were left out ``"clearance"`` if nothing says
-    that the surfaces meet, ``"unexplained"`` if they may."""
+    """Explanation of :attr:`apart`. ``"flat"``: at most 1e-3 of the facet size. ``"curved"``: no
+    more than the curvature of the surfaces explains, or the surfaces cross within each facet.
+    ``"distance"``: no more than the given distance. For facets that were left out ``"clearance"``:
+    no sign that the surfaces meet; ``"unexplained"``: they may meet."""
     area: float
-    """Area, or length, that the facets have in common."""
+    """Common area of the facets (in 2D: length)."""
     numbers: tuple[int, int]
-    """Numbers of both spaces."""
+    """Indices of both spaces in the list given to :func:`find_touching`."""
     counts: tuple[int, int]
-    """Numbers of both sides' facets, on all ranks."""
+    """Numbers of facets of both sides, summed over all ranks."""
     left_out: "Touching | None" = None
-    """Further facets of the same two bodies that face each other, but weren't found to touch."""
+    """Further facets of the same bodies that face each other, but weren't found to touch."""
 
     @classmethod
     def of(cls, sides, **values) -> "Touching":
-        """Two sides, and what is known of them."""
+        """A pair with given values of the attributes."""
         pair = cls(*sides)
         for name, value in values.items():
             setattr(pair, name, value)
@@ -82,18 +82,23 @@ class Touching(_Sides):
 
 
 class TouchingPairs(list[Touching]):
-    """Pairs that touch, in a list; ``print`` shows them and what was left out in a table."""
+    """List of touching pairs; ``print`` shows them, and facets left out, as a table."""
 
     left_out: list[Touching]
-    """Pairs of facets that face each other, but weren't found to touch."""
+    """Facets that face each other, but weren't found to touch."""
 
     def __init__(self, pairs: Sequence[Touching] = (), left_out: Sequence[Touching] = ()):
-        """Pairs, and what was left out."""
+        """Store the pairs.
+
+        Args:
+            pairs: Pairs that touch.
+            left_out: Pairs that were left out.
+        """
         super().__init__(pairs)
         self.left_out = list(left_out)
 
     def __str__(self) -> str:
-        """A table: facets, area in common, largest distance, and its explanation."""
+        """Table of facets, common areas, largest distances and their explanations."""
         lines = [f"{'side':<28} {'side':<28} {'area':>9} {'apart':>10}  explained"]
         lines += [pair.row() for pair in self] or ["nothing touches"]
         if self.left_out:
@@ -106,38 +111,38 @@ class _Facing:
     """Pairs of simplices of two bodies that face each other."""
 
     pair: npt.NDArray[np.intp]
-    """Numbers among those that were compared, ``(num_pairs,)``."""
+    """Indices among the compared pairs, ``(num_pairs,)``."""
     low: npt.NDArray[np.float64]
     """Smallest distance, negative where they overlap, ``(num_pairs,)``."""
     high: npt.NDArray[np.float64]
     """Largest distance."""
     near: npt.NDArray[np.float64]
-    """Distance of flat facets that touch."""
+    """Tolerance of the distance for flat facets."""
     curved: npt.NDArray[np.bool_]
-    """Mask of those whose distance both surfaces' curvature explains."""
+    """Mask of pairs whose distance is explained by curvature."""
     bends: npt.NDArray[np.bool_]
-    """Mask of those where a surface turns at all."""
+    """Mask of pairs where at least one surface is curved."""
     area: npt.NDArray[np.float64]
-    """Area in common."""
+    """Common area."""
 
     @property
     def apart(self) -> npt.NDArray[np.float64]:
-        """The distance that is larger in magnitude."""
+        """Distance of the largest magnitude."""
         return np.where(self.high > -self.low, self.high, self.low)
 
     def touch(self, facets: Sequence[npt.NDArray], bent: bool):
-        """Mask of pairs that touch, and of those that may.
+        """Masks of pairs that touch, and of pairs that may touch.
 
-        Nodes of two meshes of one surface lie on it, its facets beside it: from facet to facet the
-        distance vanishes or changes its sign, whether the surface bends out, in, or both. Across a
-        clearance it doesn't. So facets of a surface that turns touch if the distance vanishes on
-        both of them, and those whose distance curvature explains if it vanishes somewhere in the
-        connected area around, or if curvature explains all of it there (a small block on the middle
-        of a large facet). Those on one of which it vanishes may touch.
+        Nodes of two meshes of one curved surface lie on it, but their facets don't: the distance
+        vanishes or changes its sign within each facet, whether the surface is convex, concave or
+        both. Across a clearance it has one sign. Curved facets touch if the distance vanishes on
+        both of them. If curvature explains the distance, they also touch if it vanishes somewhere
+        in the connected region, or if curvature explains all distances there (a small block on the
+        middle of a large facet). If the distance vanishes on one facet only, they may touch.
 
         Args:
-            facets: Numbers of both sides' facets, ``(num_pairs,)`` each.
-            bent: No distance is given.
+            facets: Facet numbers of both sides, ``(num_pairs,)`` each.
+            bent: True if no distance is given.
         """
         if not bent:
             return np.ones(len(self.pair), dtype=bool), np.zeros(len(self.pair), dtype=bool)
@@ -149,17 +154,17 @@ class _Facing:
         return touch | self.bends & one & other, one | other
 
     def regions(self, facets: Sequence[npt.NDArray]) -> npt.NDArray[np.intp]:
-        """Number of the connected area of each pair: pairs with a facet in common."""
+        """Number of the connected region of each pair; pairs are adjacent if they share a facet."""
         num = facets[0].max(initial=-1) + 1
         both = num + facets[1].max(initial=-1) + 1
         return graph.components(both, facets[0], num + facets[1])[facets[0]]
 
     def __getitem__(self, chosen) -> "_Facing":
-        """Some of the pairs."""
+        """Subset of the pairs."""
         return _Facing(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
     def vanishes(self, group: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """Mask of pairs in whose group the distance vanishes or changes its sign."""
+        """Mask of pairs in groups where the distance vanishes or changes its sign."""
         low = np.full(group.max(initial=-1) + 1, np.inf)
         high = -low
         np.minimum.at(low, group, self.low - self.near)
@@ -170,38 +175,36 @@ class _Facing:
 def find_touching(
     spaces: Sequence[fem.FunctionSpace], distance: float | None = None
 ) -> TouchingPairs:
-    """Find bodies that touch, and their exterior facets there. Collective.
+    """Find touching bodies and their exterior facets there. Collective.
 
-    Two facets touch if their normals are opposite and a part of one, seen along the normals, lies
-    on the other, whatever their sizes. Facets with only an edge or a point in common don't. Each
-    connected part of a mesh is a body; a body isn't compared with itself.
+    Two facets touch if their normals are opposite and their projections along the normals overlap;
+    facet sizes don't matter. Facets that share only an edge or a point don't touch. Each connected
+    part of a mesh is a body. A body isn't compared with itself.
 
     Args:
-        spaces: A Lagrange space on each mesh, or a component of a mixed one, ``W.sub(0)``; all
-            meshes in 2D, or all in 3D, of triangles, quadrilaterals, tetrahedra or hexahedra.
-        distance: Largest gap or overlap of facets that touch. If not given, it is 1e-3 of the
-            smaller one's size for flat facets; flat facets of curved surfaces are up to h²/8R apart
-            (edges h on a radius R). Both surfaces' turns between facets (up to 65°) give R, and
-            such distances count at facets' middles, not at their vertices; or surfaces that turn
-            cross within each facet. A turn is a corner, not curvature, if the surface doesn't go on
-            turning beyond the facets on both sides; a distance that vanishes nowhere around is a
-            clearance, not curvature. Clearances smaller than facets' distances from the curved
-            surface, thinner layers, and larger gaps need a distance. Normals may deviate from
-            opposite ones by 5° plus ¾ of the surfaces' turns between facets.
+        spaces: A Lagrange space on each mesh, or a component of a mixed space, ``W.sub(0)``. All
+            meshes are 2D, or all are 3D.
+        distance: Largest gap or overlap of touching facets, a length. By default it is 1e-3 of the
+            smaller facet for flat surfaces, and h²/8R for curved ones with edges h and radius R.
+            R follows from the angles between adjacent facets (up to 65°); distances at facet
+            centres count, not those at vertices. Curved surfaces that cross within each facet
+            also touch. An angle is a corner, not curvature, if the surface doesn't continue to turn
+            on both sides; a distance that vanishes nowhere in the region is a clearance. Clearances
+            and layers thinner than h²/8R, and larger gaps, need a distance. Normals may deviate
+            from opposite ones by 5° plus ¾ of the angles between adjacent facets.
 
     Returns:
-        A list with a pair of sides for :class:`Tie` for each two bodies that touch, each a space
-        and this rank's facets (possibly none); in the order of ``spaces``, and of the positions of
-        a mesh's parts. A pair's ``apart`` is the largest distance in it, ``explained`` is what
-        explains it, ``area`` what its facets have in common. ``left_out`` of the list and of a pair
-        are facets that face each other as near as some curvature could explain, and aren't in a
-        pair; where their surfaces may meet the log of ``hypergap_dolfinx`` has a warning.
-        ``print`` shows all of it in a table.
+        A list with one :class:`Touching` for each two bodies that touch, in the order of
+        ``spaces``: the two sides for a :class:`Tie` or :class:`Contact`, each a space and this
+        rank's facets (possibly none), with ``area``, ``apart`` (the largest distance) and
+        ``explained``. ``left_out`` of the list and of each pair holds facets that face each other
+        but weren't found to touch; where they may touch, the log of ``hypergap_dolfinx`` has a
+        warning. ``print`` shows everything as a table.
 
     Raises:
-        InterfaceError: A space that isn't Lagrange, two on one mesh, meshes of different dimension
-            or on different communicators, coordinates that aren't finite.
-        ValueError: A distance that isn't positive.
+        InterfaceError: A space that isn't Lagrange, two spaces on one mesh, meshes of different
+            dimensions or on different communicators, or coordinates that aren't finite.
+        ValueError: A distance that isn't positive, or something that isn't a space.
 
     Example:
         Three blocks on a plate:
@@ -252,7 +255,7 @@ def find_touching(
 
 
 def _tell(pairs: TouchingPairs) -> None:
-    """Log what touches, and warn of what may, but was left out."""
+    """Log touching pairs; warn of facets left out that may touch."""
     for pair in pairs:
         LOG.info(
             "spaces[%d] and spaces[%d] touch with %d and %d facets, up to %.3g apart (%s)",
@@ -303,11 +306,12 @@ def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
 
 
 def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
-    """Facets of each two bodies that touch, and of those that face each other and were left out.
+    """Facets of all touching pairs of bodies, and facing facets that were left out.
 
     Returns:
-        A list of two (((space, facets), (space, facets)), values of :class:`Touching`); the values
-        are none where there are no such facets.
+        A list with two entries for each pair of bodies, facets that touch and facets left out:
+        (((space, facets), (space, facets)), values of :class:`Touching`). The values are None
+        without such facets.
     """
     boxes = [body.boxes(body.most if distance is None else distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
@@ -337,7 +341,7 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
 
 
 def _pair(sides, facing: "_Facing", explained: str | None = None):
-    """Sides, and values of a :class:`Touching`; none if there are no facets."""
+    """Sides, and values of a :class:`Touching`; None without facets."""
     if not len(facing.pair):
         return sides, None
     k = np.abs(facing.apart).argmax()
@@ -357,7 +361,7 @@ def _pair(sides, facing: "_Facing", explained: str | None = None):
 
 
 def _with_fans(body: Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Facets of some simplices; with those around vertices in which they would only touch."""
+    """Facets of simplices, and those at vertices where the facets alone would touch each other."""
     facets = np.unique(body.facet[simplices])
     if body.x.shape[2] == 2:
         return facets
@@ -377,9 +381,10 @@ def _with_fans(body: Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[n
 
 
 def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
-    """Numbers of triangles' corners, one for those around a vertex that edges connect, and nodes.
+    """Fan numbers of the corners of triangles, and their nodes.
 
-    Edges at which the surface turns by more than ``most`` don't connect.
+    A fan is a set of triangles around a vertex that are connected by edges. Edges where the surface
+    turns by more than ``most`` don't connect.
     """
     nodes, normals = body.nodes[simplices], body.normals[simplices]
     edges = np.sort(np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
@@ -395,7 +400,7 @@ def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
 
 
 def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
-    """Pairs of boxes ``(num, 2, n)`` that meet, sorted, by bisection of the larger set."""
+    """Sorted pairs of intersecting boxes ``(num, 2, n)``, by bisection of the larger set."""
     boxes, found = (boxes0, boxes1), [np.empty((0, 2), dtype=np.intp)]
     todo = [(np.arange(len(boxes0)), np.arange(len(boxes1)))]
     while todo:
@@ -422,12 +427,12 @@ def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
 
 
 def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
-    """Mask of boxes ``(..., 2, n)`` that meet."""
+    """Mask of intersecting boxes ``(..., 2, n)``."""
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
 def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
-    """Pairs of simplices that face each other, as far apart as curved surfaces may be."""
+    """Pairs of simplices that face each other within the distance that curvature permits."""
     limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
     facing = np.flatnonzero(np.einsum("pi,pi->p", a.normals, b.normals) < -np.cos(limit))
     a, b = a[facing], b[facing]

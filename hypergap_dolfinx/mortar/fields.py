@@ -21,10 +21,10 @@ from hypergap_dolfinx.surface.trace import tabulate
 
 @dataclass(frozen=True)
 class GapQuadrature:
-    """Gauss points on this rank's cells of Σ."""
+    """Gauss points on this rank's cells of Σ, from :meth:`Tie.quadrature`."""
 
     mesh: Mesh
-    """Σ."""
+    """Mesh of Σ, ``tie.sigma``."""
     X: npt.NDArray[np.float64]
     """Reference points, ``(num_points, n)``."""
     x: npt.NDArray[np.float64]
@@ -32,11 +32,17 @@ class GapQuadrature:
     normal: npt.NDArray[np.float64]
     """Unit normals of Γ_α, from Γ0 to Γ1, ``(num_cells, num_points, n)``."""
     weights: npt.NDArray[np.float64]
-    """dΓ_α dα times the weights of the rule, ``(num_cells, num_points)``; of axisymmetric bodies
-    with 2πr or r, as their forms have it."""
+    """Weights of the rule times dΓ_α dα, ``(num_cells, num_points)``; times 2πr or r for
+    axisymmetric ties, as in the forms."""
 
     def evaluate(self, f: fem.Function) -> npt.NDArray:
-        """Values of a function on Σ, ``(num_cells, num_points, block_size)``.
+        """Values of a function on Σ at the points.
+
+        Args:
+            f: Function on :attr:`mesh`, as ``tie.traction`` and ``tie.gap`` return them.
+
+        Returns:
+            Values, ``(num_cells, num_points, block_size)``.
 
         Raises:
             ValueError: A function on another mesh.
@@ -48,7 +54,14 @@ class GapQuadrature:
         return np.einsum("pa,cai->cpi", tabulate(V.ufl_element().basix_element, self.X), nodal)
 
     def integrate(self, values: npt.NDArray) -> npt.NDArray:
-        """∫∫ f dΓ_α dα of values at the points, ``(num_cells, num_points, ...)``. Collective."""
+        """Integral ∫∫ f dΓ_α dα. Collective.
+
+        Args:
+            values: Values of f at the points, ``(num_cells, num_points, ...)``.
+
+        Returns:
+            The integral, ``(...)``, the same on every rank.
+        """
         local = np.einsum("cp,cp...->...", self.weights, values)
         return self.mesh.comm.allreduce(local)
 
@@ -66,10 +79,11 @@ def create_quadrature(domain: GapDomain, degree: int) -> GapQuadrature:
 
 
 def _beyond(domain: GapDomain, points: npt.NDArray, degree: int) -> npt.NDArray[np.float64]:
-    """Shares of the weights that belong to the overhang, which the constraint doesn't integrate.
+    """Parts of the weights that belong to the overhang, which the constraint doesn't integrate.
 
-    The smallest weights, ``(num_cells, num_points)``, at the points of a Gauss rule of that degree
-    with the overhang's integrals of polynomials of half the degree.
+    Returns:
+        Weights of least norm at the points of the Gauss rule, ``(num_cells, num_points)``, that
+        give the integrals of polynomials of half the degree over the overhang.
     """
     beyond = domain.overhang
     if beyond is None:
@@ -95,7 +109,7 @@ def nodal_forces(constraint: Constraint, side: int, multipliers: npt.NDArray) ->
         multipliers: This rank's multipliers, ``(num_multipliers, block_size)``.
 
     Returns:
-        Of this rank's owned dofs of V_i, ``(num_dofs, block_size)``.
+        Forces at this rank's owned dofs of V_i, ``(num_dofs, block_size)``.
     """
     B = constraint.B[side]
     dofs, rows = B.createVecs()
