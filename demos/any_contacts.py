@@ -71,7 +71,6 @@ APART = 0.1  # of a facet, from the other body to the facets around a vertex wit
 AT_CORNER = 1.0  # the same at sharp corners, which means of gaps don't see
 BALANCE = 1e-6  # of forces in the bodies
 MOMENT = {"finite": 1e-3, "small": np.inf}  # the same, of moments with friction
-MOMENT_ARCS = 1e-4  # the same without friction, degree 2: arcs' distances from parabolas don't turn
 UNLOADED = 1e-6  # pressure over the stiffest modulus: what has less has round-off
 # -
 
@@ -665,9 +664,7 @@ def wrong(row):
         found.append(f"overlap of {row['overlap_at_corners']:.2f} facets at a corner")
     if row["apart"] > APART:
         found.append(f"pressure {row['apart']:.2f} facets apart")
-    moment = MOMENT_ARCS if row["degree"] == 2 else BALANCE
-    if row["friction"]:
-        moment = MOMENT[row["sliding"]]
+    moment = MOMENT[row["sliding"]] if row["friction"] else BALANCE
     bounds = {"left": BALANCE, "balance": BALANCE, "force": BALANCE, "moment": moment}
     for name, bound in bounds.items():
         if not row[name] <= bound:
@@ -794,7 +791,6 @@ def checked(scene, problem):
     left, total, moment, force = balance(scene, problem, x)
     active = sum(int(contact.active.sum()) for contact in problem.contacts)
     return {
-        "degree": scene.degree,
         "friction": scene.friction or 0.0,
         "sliding": scene.sliding,
         "newton": problem.iterations,

@@ -101,9 +101,17 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
 // A component of a point of an edge (k = 0), or of its derivative by s (k = 1).
 static Jet on_curve(Tape *tape, const Curve *curve, int num, const int *numbers, Jet s, int k, int i)
 {
-  const double f[] = {curve->x[k][i], curve->x[k + 1][i], curve->x[k + 2][i]};
-  return placed(tape, 1, &s, f, num, numbers, 2, i,
-                (const double *[]){curve->N[k], curve->N[k + 1]});
+  const double f[] = {curve->x[k][i], curve->x[k + 1][i], curve->x[k + 2][i]}, none[3] = {0};
+  Jet own = placed(tape, 1, &s, f, num, numbers, 2, i,
+                   (const double *[]){curve->N[k], curve->N[k + 1]});
+  if (!curve->turns)
+    return own;
+  double M[2][2];
+  for (int d = 0; d < 2; ++d)
+    for (int a = 0; a < 2; ++a)
+      M[d][a] = a == i ? curve->across[k + d] : -curve->across[k + d];
+  Jet other = placed(tape, 1, &s, none, 2, numbers, 2, 1 - i, (const double *[]){M[0], M[1]});
+  return combined(tape, 1, own, 1, other);
 }
 
 // A vertex, from another point.
@@ -444,12 +452,11 @@ static Jet slip_by(Tape *tape, const Ray *ray, int i, int sheet, int across)
   return across && i == 1 ? scaled(tape, -1, slip) : slip;
 }
 
-// Times the function of a dof.
-static Jet by_dof(Tape *tape, const Curve *curve, const double *s, int a, double sign,
-                  const double *jet)
+// Times a function of the reference coordinate, with two derivatives.
+static Jet times(Tape *tape, double sign, const double *f, const double *s, const double *jet)
 {
-  return product(tape, composed(tape, s, (double[]){sign * curve->N[0][a], sign * curve->N[1][a],
-                                                    sign * curve->N[2][a]}), jet);
+  const double signed_f[] = {sign * f[0], sign * f[1], sign * f[2]};
+  return product(tape, composed(tape, s, signed_f), jet);
 }
 
 // What is done with the jets that multiply components of dofs in the slips of points.
@@ -481,6 +488,20 @@ static void take(const Slip *slip, int number, int i, Jet jet)
   }
 }
 
+// What a component of the motion of a point of an edge is made of: components of dofs.
+static void take_point(const Slip *slip, const Side *side, const Curve *curve, const double *s,
+                       const int *numbers, int i, double sign, const double *by)
+{
+  size_t used = slip->tape->used;
+  for (int a = 0; a < side->num_dofs; ++a, slip->tape->used = used)
+  {
+    const double f[] = {curve->N[0][a], curve->N[1][a], curve->N[2][a]};
+    take(slip, numbers[a], i, times(slip->tape, sign, f, s, by));
+  }
+  for (int a = 0; curve->turns && a < 2; ++a, slip->tape->used = used)
+    take(slip, numbers[a], 1 - i, times(slip->tape, a == i ? sign : -sign, curve->across, s, by));
+}
+
 static int for_slips(const Sigma *sigma, int order, Slip slip)
 {
   const Side *below = sigma->sides, *above = below + 1;
@@ -500,12 +521,8 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
       for (int i = 0; i < 2; ++i)
       {
         Jet by = slip_by(&tape, &ray, i, k, slip.across);
-        size_t used = tape.used;
-        for (int a = 0; a < below->num_dofs; ++a, tape.used = used)
-          take(&slip, local.of_sheet[k][a], i,
-               by_dof(&tape, ray.curves + k, ray.r[k], a, 1, by));
-        for (int a = 0; a < above->num_dofs; ++a, tape.used = used)
-          take(&slip, local.own[a], i, by_dof(&tape, &ray.curve, ray.s, a, -1, by));
+        take_point(&slip, below, ray.curves + k, ray.r[k], local.of_sheet[k], i, 1, by);
+        take_point(&slip, above, &ray.curve, ray.s, local.own, i, -1, by);
       }
   }
   can = can && !tape.failed;

@@ -24,6 +24,8 @@ typedef struct {
   int num_parts;          // of an edge of the mesh: edge e is part e % num_parts of one
   const double *dof_at;   // reference coordinates of its dofs, as seen from each part, (…, num_dofs)
   const int *end_dofs;    // which of them are at the ends of each part, (num_parts, 2)
+  const double *turned;   // what of the nodes turns with the chord of the mesh's edge, over that, as
+                          // complex numbers, (num_edges, num_nodes, 2); NULL: nothing
   const int *dofs;        // their numbers, Γ1's behind all of Γ0's, (num_edges, num_dofs)
 } Side;
 

@@ -88,6 +88,14 @@ Curve curve_at(const Side *side, int edge, double s, const double *origin)
     for (int a = 0; a < side->num_nodes; ++a)
       for (int i = 0; i < 2; ++i)
         curve.x[k][i] += N[k][a] * (nodes[2 * a + i] - origin[i]);
+  curve.turns = side->turned != NULL;
+  for (int k = 0; curve.turns && k < 4; ++k)
+    for (int a = 0; a < side->num_nodes; ++a)
+    {
+      const double *turned = side->turned + 2 * (edge * side->num_nodes + a);
+      curve.N[k][0] -= N[k][a] * turned[0], curve.N[k][1] += N[k][a] * turned[0];
+      curve.across[k] += N[k][a] * turned[1];
+    }
   return curve;
 }
 

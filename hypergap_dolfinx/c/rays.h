@@ -14,9 +14,12 @@
 #include "plane.h"
 
 // A point of an edge: functions of its dofs, and its position, with three derivatives each by the
-// reference coordinate.
+// reference coordinate. Where edges turn, a component of the position also depends on the other
+// components at the ends of the mesh's edge.
 typedef struct {
   double N[4][MOST_DOFS];
+  int turns;
+  double across[4]; // the first component falls by it times the second one of the chord, and so on
   double x[4][2];
 } Curve;
 

@@ -171,6 +171,7 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
         "num_dofs": element.dim,
         "num_parts": surface.num_parts,
         "dof_at": doubles(_dofs_on_parts(surface)),
+        "turned": None if surface.turned is None else doubles(surface.turned.view(float)),
         "end_dofs": ints(surface.functions(np.array([[0.0], [1.0]])).argmax(axis=2)),
         "dofs": ints(first + side.at_facets),
     }

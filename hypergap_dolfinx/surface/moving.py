@@ -69,6 +69,10 @@ class MovingSurface:
         """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
         rest = self.rest
         nodes = rest.nodes + self._of_parts(self.nodes_by_dofs, u)
+        if rest.turned is not None:
+            start, end = u[self.at_facets[:, :2]].swapaxes(0, 1)  # of edges of the mesh
+            added = rest.turned * ((end - start) @ (1, 1j))[:, None]
+            nodes += np.stack((added.real, added.imag), axis=-1)
         x = np.empty_like(rest.x)
         x[rest.facets] = nodes[:, self._corners]
         return replace(rest, x=x, nodes=nodes)

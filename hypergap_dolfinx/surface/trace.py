@@ -49,6 +49,9 @@ class Surface:
     """Offsets of the ranks' owned dofs (blocks) of the space, ``(num_ranks + 1,)``."""
     num_parts: int = 1
     """Parts of a facet of the mesh: facet f is part f % num_parts of one, with the dofs of all."""
+    turned: npt.NDArray[np.complex128] | None = None
+    """What of ``nodes`` turns with the chord of the mesh's edge, over that, as complex numbers, and
+    0 at the ends, ``(num_facets, num_nodes)``; None: nothing (see :attr:`arcs`)."""
     angle: float = 0.0
     """Angle by which a body of revolution is swept about x[0] = 0, 2π or 1; 0 for others."""
 
@@ -174,8 +177,9 @@ class Surface:
 
         .. math:: x(t) = x_2(t) + d_0\,t (1 - t)^2 (1 - 2t) + d_1\,t^2 (1 - t) (1 - 2t),
 
-        with the parabola x₂, and d that turn its tangents at both ends to the circle's. Straight
-        edges stay as they are.
+        with the parabola x₂, and d that turn its tangents at both ends to the circle's. What it adds
+        turns and stretches with the edge's chord as the edge moves, so that a body that turns keeps
+        its shape, and moments of pressures balance. Straight edges stay as they are.
         """
         if self.gdim != 2 or len(self.geometry.points) != 3 or not self.curved.any():
             return self
@@ -189,14 +193,15 @@ class Surface:
         known = self.curved[:, None] & (ratio.real > np.abs(ratio.imag))  # not by 45° and more
         tilt = np.divide(ratio.imag, ratio.real, out=np.zeros(known.shape), where=known)
         d = 1j * tangents * tilt
-        d = np.stack((d.real, d.imag), axis=-1)
         kind = self.geometry.family, self.geometry.cell_type, 4, self.geometry.lagrange_variant
         finer = basix.create_element(*kind)
         t, every = finer.points, np.arange(len(self.facets))
         bumps = np.hstack((t * (1 - t) ** 2, t**2 * (1 - t))) * (1 - 2 * t)
         nodes = self.points(np.repeat(every, len(t)), np.tile(t, (len(every), 1)))
-        nodes = nodes.reshape(len(every), -1, 2) + np.einsum("fei,me->fmi", d, bumps)
-        return replace(self, nodes=nodes, geometry=finer)
+        added = d @ bumps.T
+        nodes = nodes.reshape(len(every), -1, 2) + np.stack((added.real, added.imag), axis=-1)
+        turned = added / ((end - start) @ (1, 1j))[:, None]
+        return replace(self, nodes=nodes, geometry=finer, turned=turned)
 
     @property
     def split(self) -> "Surface":
@@ -225,7 +230,12 @@ class Surface:
             np.repeat(self.owner, len(factors)),
         )
         points = points.reshape(len(facets), -1, self.gdim)
-        return replace(parts, x=x, facets=facets, nodes=points, dofs=dofs, owner=owner)
+        turned = self.turned
+        if turned is not None:
+            turned = (turned @ tabulate(self.geometry, X).T).reshape(len(facets), -1)
+        return replace(
+            parts, x=x, facets=facets, nodes=points, dofs=dofs, owner=owner, turned=turned
+        )
 
     def _numbers_of_nodes(self, element: basix.finite_element.FiniteElement):
         """Numbers of nodes of degree 2 of facets, vertices' first, ``(num_facets, num_nodes)``."""
