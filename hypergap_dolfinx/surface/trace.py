@@ -177,8 +177,8 @@ class Surface:
 
         .. math:: x(t) = x_2(t) + d_0\,t (1 - t)^2 (1 - 2t) + d_1\,t^2 (1 - t) (1 - 2t),
 
-        with the parabola x₂, and d that turn its tangents at both ends to the circle's. What it adds
-        turns and stretches with the edge's chord as the edge moves, so that a body that turns keeps
+        with the parabola x₂, and d that turn its tangents at both ends to the circle's. What is
+        added turns and stretches with the edge's chord as the edge moves: a body that turns keeps
         its shape, and moments of pressures balance. Straight edges stay as they are.
         """
         if self.gdim != 2 or len(self.geometry.points) != 3 or not self.curved.any():
