@@ -3,7 +3,7 @@
 """Displacements among the fields of a body: contact's forces, motions and norms are theirs alone.
 
 Other fields (a pressure, a temperature) have other units, and equations that are no balance of
-forces: they are satisfied to a share of what the displacements have in them.
+forces: each field's are satisfied to a share of the terms in them.
 """
 
 from petsc4py import PETSc
@@ -11,18 +11,20 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx import fem
 from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
-from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.component import Component, unrolled
 
 
 class DisplacementField:
     """The displacements of one body."""
 
-    def __init__(self, part: Component):
+    def __init__(self, part: Component, V: fem.FunctionSpace):
         """Find its dofs.
 
         Args:
             part: The displacements among the body's fields.
+            V: The body's space.
         """
         self.part = part
         dofmap = part.space.dofmap
@@ -31,10 +33,18 @@ class DisplacementField:
         """Mask of this rank's owned dofs of other fields, ``(num_dofs_of_body,)``."""
         self.num_others = int(part.space.mesh.comm.allreduce(self.others.sum()))
         """Number of dofs of other fields on all ranks."""
+        self._num_fields = 1 + V.num_sub_spaces if self.num_others else 1
+        self._field = np.zeros(len(mine) if part.dofs is None else len(self.others), dtype=np.intp)
+        for i in range(self._num_fields - 1):
+            dofs = np.unique(unrolled(V.sub(i)))
+            self._field[dofs[dofs < len(self._field)]] = i + 1
+        self._field[~self.others] = 0
 
-    def split(self, values: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
-        """This rank's values of the displacements, and those of other fields."""
-        return self.part.of_body(values), values[self.others]
+    def squares(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
+        """Sums of squares of this rank's values: of the displacements, then of each component's."""
+        if not self.num_others:
+            return np.array([np.vdot(values, values).real])
+        return np.bincount(self._field, np.abs(values) ** 2, self._num_fields)
 
     def stiffness(self, K: PETSc.Mat) -> float:
         """Mean absolute value on the displacements' diagonal. Collective."""
@@ -46,23 +56,18 @@ class DisplacementField:
         comm = self.part.space.mesh.comm
         return comm.allreduce(float(mine.sum())) / comm.allreduce(len(mine))
 
-    def lengths(self, K: PETSc.Mat) -> tuple[float, float, float]:
-        """Root mean squares of the norms of rows. Collective.
+    def lengths(self, K: PETSc.Mat) -> npt.NDArray[np.float64]:
+        """Root mean squares of the norms of each field's rows by each field. Collective.
 
         Returns:
-            Of the displacements' rows by displacements and by other fields, and of these' rows by
-            displacements.
+            ``(num_fields, num_fields)``, fields as in :meth:`squares`.
         """
         if not self.num_others:
-            return row_length(K), 0.0, 0.0
-        num = K.getSize()[0] - self.num_others, self.num_others
-        found = []
-        for rows, columns in ((0, 0), (0, 1), (1, 0)):
-            block, left, right = K.copy(), K.createVecLeft(), K.createVecRight()
-            for mask, i in ((left, rows), (right, columns)):
-                mask.array[:] = self.others if i else ~self.others
-            block.diagonalScale(L=left, R=right)
-            found.append(block.norm() / num[rows] ** 0.5)
-            for obj in (block, left, right):
-                obj.destroy()
-        return found[0], found[1], found[2]
+            return np.array([[row_length(K)]])
+        comm, num = self.part.space.mesh.comm, self._num_fields
+        indptr, columns, values = K.getValuesCSR()
+        rows = np.repeat(self._field, np.diff(indptr))
+        pair = num * rows + np.concatenate(comm.allgather(self._field))[columns]
+        squares = comm.allreduce(np.bincount(pair, np.abs(values) ** 2, num**2))
+        sizes = comm.allreduce(np.bincount(self._field, minlength=num))
+        return np.sqrt(squares.reshape(num, num) / np.maximum(sizes, 1)[:, None])

@@ -115,7 +115,9 @@ class ContactSystem(NonlinearSystem):
             compiling: J and options, as for :class:`NonlinearSystem`.
         """
         self._pairs, self._stresses = list(pairs), list[PredictedStress]()
-        self._fields = list(map(DisplacementField, parts))
+        self._fields = [
+            DisplacementField(part, f.function_space) for part, f in zip(parts, u, strict=True)
+        ]
         super().__init__(F, u, bcs, pieces, **compiling)
         pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names, self._moving = rtol, names, list(parts)
@@ -136,7 +138,7 @@ class ContactSystem(NonlinearSystem):
         self._tied = bool(pieces.interfaces)
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
-        self._row_lengths, self._told_loose = list[tuple[float, float, float]](), list[int]()
+        self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
@@ -289,7 +291,8 @@ class ContactSystem(NonlinearSystem):
             stress.start()
         self._reach = np.inf
         continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
-        self._largest, self._num_rays, polished = 0.0, 0, False
+        self._largest, self._largest_terms = 0.0, np.zeros(1)
+        self._num_rays, polished = 0, False
         self._holding: npt.NDArray[np.bool_] | None = None
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
@@ -581,28 +584,30 @@ class ContactSystem(NonlinearSystem):
         """
         num, bodies = len(self._b.getNestSubVecs()) - self._num_ties, len(self._u)
         left, contact = self._forces_left()
-        pairs = [
-            field.split(values)
+        self._left = self._of_displacements(left[:bodies])
+        found = [
+            field.squares(values)
             for of in (left[:bodies], self._owned())
             for field, values in zip(self._fields, of, strict=True)
         ]
-        self._left = [force for force, _ in pairs[:bodies]]
-        parts = [part for pair in pairs for part in pair] + left[bodies:num]  # at jumps too
-        squares = np.array([np.vdot(part, part).real for part in parts])
+        found.append(np.array([np.vdot(part, part).real for part in left[bodies:num]]))  # at jumps
+        squares = np.concatenate(found)
         self._comm.Allreduce(MPI.IN_PLACE, squares)
-        # Of each body forces, what is left of other fields' equations, displacements, other fields
-        of_bodies = squares[: 4 * bodies].reshape(2, bodies, 2).swapaxes(0, 1).reshape(bodies, 4)
-        self._unbalanced = worst = np.sqrt(of_bodies[:, 0].sum() + squares[4 * bodies :].sum())
-        least, are_satisfied = 0.0, True
+        *found, jumps = np.split(squares, np.cumsum([len(part) for part in found[:-1]]))
+        errors, values = found[:bodies], found[bodies:]
+        self._unbalanced = worst = np.sqrt(sum(error[0] for error in errors) + jumps.sum())
         self._stiffness()
-        for (own, by_others, of_others), (_, error, u, others) in zip(
-            self._row_lengths, of_bodies, strict=True
-        ):
-            least += own**2 * u + by_others**2 * others
-            share = max(self._rtol, ROUND_OFF_FORCES)
-            are_satisfied &= bool(np.sqrt(error) <= share * of_others * np.sqrt(u))
+        sizes = [L**2 @ part for L, part in zip(self._row_lengths, values, strict=True)]
+        least = sum(float(size[0]) for size in sizes)
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
         nothing = ROUND_OFF_FORCES * self._largest
+        # The same of other fields' equations, each field's by itself
+        error, terms = (
+            np.sqrt(np.concatenate([of[1:] for of in each])) for each in (errors, sizes)
+        )
+        self._largest_terms = np.maximum(self._largest_terms, terms)
+        accepted = np.maximum(self._rtol * terms, ROUND_OFF_FORCES * self._largest_terms)
+        are_satisfied = bool((error <= accepted).all())
         size = sum([force**2 for force in self._forces])
         for forces in contact:
             size += sum([(force**2).sum() for force in forces])

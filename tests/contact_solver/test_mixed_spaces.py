@@ -193,6 +193,48 @@ def test_only_contact_holds():
         problem.solve()
 
 
+def test_unloaded():
+    """Bodies that part are at rest at once: pressures have the digits that they lost before."""
+    scene = Blocks()
+    contact = Contact(*scene.sides)
+    problem = ContactProblem(scene.F, scene.u, bcs=scene.bcs, contacts=[contact])
+    problem.solve()
+    for condition in scene.bcs:
+        condition.g.x.array[:] = 0
+    problem.solve()
+    assert problem.iterations <= 4  # 13 without what was the largest
+    assert np.abs(contact.force(problem)).max() <= EXACT
+
+
+@two_ranks()
+@pytest.mark.parametrize("expands", (0.0, 1e-6))
+def test_temperatures(expands):
+    """A field whose equation has no displacements in it: one-way coupled temperatures."""
+    source, u, F, bcs, sides = 1e6, [], [], [], []
+    for i in range(2):
+        mesh, ft = meshes.block(comm, (5 - i, 3), lambda x, i=i: np.add(x, (0, i - 1)))
+        cell = mesh.basix_cell()
+        parts = [basix.ufl.element("Lagrange", cell, 1, shape=shape) for shape in (None, (2,))]
+        W = fem.functionspace(mesh, basix.ufl.mixed_element(parts))
+        w, V, far = fem.Function(W), W.sub(1), ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        (T, d), (s, v) = ufl.split(w), ufl.TestFunctions(W)
+        load, rate = (fem.Constant(mesh, default_scalar_type(x)) for x in (source, expands))
+        stress = 2 * ufl.sym(ufl.grad(d)) - rate * T * ufl.Identity(2)
+        flow = ufl.inner(ufl.grad(T), ufl.grad(s)) - load * s
+        F.append((ufl.inner(stress, ufl.sym(ufl.grad(v))) + flow) * ufl.dx)
+        bcs.append(held(V, 0, lambda x: np.isclose(x[1], 2 * i - 1)))
+        bcs += [held(V, 1, far, -0.01 * i), held(W, 0, far)]
+        u.append(w)
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact = Contact(*sides)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem.solve()
+    assert problem.iterations <= 4
+    for w in u:
+        T = w.sub(0).collapse().x.array
+        assert comm.allreduce(T.max(), MPI.MAX) == pytest.approx(source / 2, rel=1e-12)
+
+
 # Rubber: a rigid sphere is pressed into a disc, by 30 % of its height
 
 
