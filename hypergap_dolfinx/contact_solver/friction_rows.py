@@ -337,7 +337,10 @@ class FrictionRows(ContactRows):
     # Convergence
 
     def is_closed(self, nothing: float) -> bool:
-        """True if active gaps are closed, sticking ones don't slip, and |q| is μ p elsewhere."""
+        """True if active gaps are closed, sticking ones don't slip, and |q| is μ p elsewhere.
+
+        There slip isn't along q, as it is where a body has turned back.
+        """
         now, rigid = self.state, self.stuck
         bound, _ = self._bounds(now.p)
         target = bound * now.way
@@ -345,6 +348,9 @@ class FrictionRows(ContactRows):
             rigid = np.zeros_like(now.active)
             target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid]).max(initial=0)
+        if not self._soft:
+            along = (self.slip * now.way).sum(axis=0)
+            slip = max(slip, along[now.active & ~rigid & (self.mu > 0)].max(initial=0))
         error = np.abs(now.q - target)[:, now.active & ~rigid].max(initial=0)
         none = max(EXCEEDS * bound.max(initial=0), self._zero)
         return super().is_closed(nothing) and slip <= self.closed and error <= none

@@ -184,6 +184,28 @@ def test_back_and_forth():
     assert 0.15 < ratios[3] / ratios[2] < 1 and slips[3] == 0
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("sliding", ("small", "finite"))
+def test_floor_turns_back(sliding):
+    """A floor that is drawn one way and then the other: all slips, and pressures stay."""
+    block, floor = rectangle((4, 3), (1, 0), (2, 1)), rectangle((2, 1), (0, -1), (3, 0))
+    body, u = Elastic.on(block.V), fem.Function(floor.V)
+    top = fem.Function(block.V)
+    top.x.array[1::2] = -0.01
+    bcs = [fem.dirichletbc(top, fem.locate_dofs_topological(block.V, 1, block.facets(meshes.TOP)))]
+    sides = (floor.V, floor.facets(meshes.TOP)), (block.V, block.facets(meshes.BOTTOM))
+    contact = Contact(*sides, friction=0.01, sliding=sliding)
+    problem = ContactProblem([None, body.F], [u, body.u], bcs=bcs, contacts=[contact])
+    problem.solve()
+    for x in (0.2, -0.2, 0.0):
+        way = np.sign(x - u.x.array[0])
+        u.x.array[::2] = x
+        problem.solve()
+        force = contact.force(problem)
+        close(force[0], 0.01 * way * force[1], 1e-9)
+        close(contact.dissipation(problem), 0.01 * force[1] * (0.4 if x < 0 else 0.2), 0.05)
+
+
 def test_lent_directions():
     """Vertices in space that share a traction have one direction of it, and all show it."""
     contact, problem, go = rotating(3, friction=0.1)
