@@ -381,6 +381,10 @@ class ContactRows:
         """Pressures over multipliers in these units."""
         return self._over_areas(np.full(len(self.m), self._root))
 
+    def slide(self) -> bool:
+        """Let all slip in the working set; false without friction."""
+        return False
+
     def start_set(self, stiffness: float, zero: float):
         """Choose the working set: active multipliers, and those that are closed or overlap.
 

@@ -400,6 +400,12 @@ class ContactSystem(NonlinearSystem):
                 rows.accept(*solution)
             if self._num_free:
                 self._hold()
+        if not found.is_solved and any([rows.slide() for rows in self._rows]):
+            # A base that sticks can be all but singular: where the motion along it is held, too
+            if self._num_free:
+                self._hold()
+            again = self._falling_back(solve)
+            found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == RAYS:
             raise SolveError(self._unsolved(found))

@@ -174,6 +174,12 @@ class FrictionRows(ContactRows):
         """Let all that is active stick, where nothing else would hold a body."""
         self.state.sticks = self.mu > 0
 
+    def slide(self) -> bool:
+        """Let all slip in the working set, without traction; true if something stuck."""
+        stuck = bool(self.stuck.any())
+        self.state.sticks, self.state.way = np.zeros_like(self.state.sticks), 0 * self.state.way
+        return stuck
+
     def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
         rows = np.stack([self._times(self.T, move) for move in moves])

@@ -206,6 +206,26 @@ def test_floor_turns_back(sliding):
         close(contact.dissipation(problem), 0.01 * force[1] * (0.4 if x < 0 else 0.2), 0.05)
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("mu", (0.02, 0.001))
+def test_symmetry(mu):
+    """Half of a block on a rigid floor: at the plane of symmetry nothing slips, beside it all."""
+    block, lid = rectangle((3, 3), (0, -1), (2, 0)), rectangle((1, 1), (-1, 0), (3, 1))
+    body, u = Elastic.on(block.V), fem.Function(lid.V)
+    u.x.array[1::2] = -0.02
+    fixed = fem.locate_dofs_topological(block.V, 1, block.facets(meshes.BOTTOM))
+    V = block.V.sub(0)
+    left = fem.locate_dofs_topological(V, 1, block.facets(meshes.LEFT))
+    bcs = [fem.dirichletbc(fem.Function(block.V), fixed), fem.dirichletbc(0.0, left, V)]
+    sides = (lid.V, lid.facets(meshes.BOTTOM)), (block.V, block.facets(meshes.TOP))
+    contact = Contact(*sides, friction=mu, sliding="small")
+    problem = ContactProblem([None, body.F], [u, body.u], bcs=bcs, contacts=[contact])
+    problem.solve()
+    force = contact.force(problem)
+    close(force[0], mu * force[1], 1e-9)
+    assert contact.slipping.all() and problem.iterations <= 2
+
+
 def test_lent_directions():
     """Vertices in space that share a traction have one direction of it, and all show it."""
     contact, problem, go = rotating(3, friction=0.1)
