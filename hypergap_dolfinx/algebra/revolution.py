@@ -24,10 +24,14 @@ from ufl.classes import (
     Division,
     Expr,
     FixedIndex,
+    FormArgument,
     Indexed,
     MultiIndex,
+    Power,
+    Product,
     ScalarValue,
     SpatialCoordinate,
+    Sum,
 )
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -115,8 +119,7 @@ def _doubt(form: ufl.Form, angle: float) -> str | None:
     """Doubt about one body's form, in which {} stands for its name."""
     parts = list(_parts(form))
     if not angle:
-        divisors = [e.ufl_operands[1] for e in parts if isinstance(e, Division)]
-        if not any(_is_radius(e) for divisor in divisors for e in unique_pre_traversal(divisor)):
+        if not any(_vanishes(e.ufl_operands[1]) for e in parts if isinstance(e, Division)):
             return None
         return (
             "the form of {} divides by x[0], as the hoop strain of axisymmetric bodies: give "
@@ -146,6 +149,27 @@ def _parts(form: ufl.Form) -> Iterator[Expr]:
     """All expressions in a form."""
     for integral in form.integrals():
         yield from unique_pre_traversal(integral.integrand())
+
+
+def _vanishes(e: Expr) -> bool:
+    """True for x[0], its powers and products, and sums with displacements or tiny numbers.
+
+    Not for distances from a point, or what has another value on the axis.
+    """
+    if isinstance(e, Sum):
+        found = list(map(_vanishes, e.ufl_operands))
+        rest = [part for part, vanishes in zip(e.ufl_operands, found) if not vanishes]
+        return any(found) and all(map(_is_tiny, rest))
+    if isinstance(e, Product | Power):
+        return any(map(_vanishes, e.ufl_operands))
+    return _is_radius(e)
+
+
+def _is_tiny(e: Expr) -> bool:
+    """True for a displacement, beside a radius, and for a number that keeps this from zero."""
+    if isinstance(e, ScalarValue):
+        return abs(e._value) < FILE_DIGITS
+    return isinstance(e, Indexed) and isinstance(e.ufl_operands[0], FormArgument)
 
 
 def _is_radius(e: Expr) -> bool:

@@ -22,6 +22,7 @@ from hypergap_dolfinx import (
     Tie,
     TiedProblem,
 )
+from hypergap_dolfinx.algebra import revolution
 
 comm = MPI.COMM_WORLD
 LARGE = 0.2
@@ -246,3 +247,24 @@ def test_weights_are_told(axisymmetric, told, caplog):
     found = [record.getMessage() for record in caplog.records]
     assert len(found) == 4 and all("has no x[0]" in line for line in found[:2])
     assert all("weight is 2πr, and the form of body" in line for line in found[2:])
+
+
+def test_plane_forms_are_not_told(caplog):
+    """What divides by other functions of x[0] than hoop strains do: distances, moduli."""
+    sides = two_blocks()
+    forms = []
+    for divides in (
+        lambda x: 1 + x[0],
+        lambda x: ufl.sqrt(x[0] ** 2 + x[1] ** 2),
+        lambda x: x[0] + 1e-12,
+    ):
+        parts = []
+        for V, _ in sides:
+            u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(V.mesh)
+            parts.append(ufl.inner(ufl.grad(u), ufl.grad(v)) / divides(x) * ufl.dx)
+        forms.append(parts)
+    for a, told in zip(forms, (0, 0, 2), strict=True):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            revolution.tell(a, [Tie(*sides)], "tie")
+        assert len(caplog.records) == told
