@@ -130,6 +130,32 @@ def run(name, factor, degree, fine):
     return row | {"ratio": row["error"] / row["fused"]}
 
 
+def picture(names, factor, file):
+    """The parts of some assemblies, each in a colour. Collective."""
+    drawn = {name: parts_of_assembly(comm, ASSEMBLIES[name], factor) for name in names}
+    from hypergap_dolfinx import plot
+
+    cells = {name: [plot.grid(mesh) for _, mesh in parts] for name, parts in drawn.items()}
+    if comm.rank > 0:
+        return
+    import pyvista
+
+    across = min(4, len(names))
+    shape = -(-len(names) // across), across
+    size = [400 * shape[1], 400 * shape[0]]
+    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=size, border=False)
+    colours = ("#4477aa", "#ee6677", "#ccbb44", "#228833", "#66ccee", "#aa3377", "#bbbbbb")
+    for k, parts in enumerate(cells.values()):
+        plotter.subplot(*divmod(k, across))
+        for i, part in enumerate(parts):
+            look = {"color": colours[i % len(colours)], "ambient": 0.35}
+            plotter.add_mesh(part, show_edges=True, edge_opacity=0.4, **look)
+        plotter.view_vector((1.2, -1, 0.9))
+    plotter.background_color = "white"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    plotter.screenshot(file)
+
+
 def main():
     """All assemblies, or one."""
     parser = argparse.ArgumentParser(description="Eight CAD assemblies, tied and fused.")
@@ -138,9 +164,14 @@ def main():
     parser.add_argument("--size", type=float, default=1.2, help="of cells over a part's thickness")
     parser.add_argument("--fine", type=float, default=0.8, help="that of the reference")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--plot", type=Path, metavar="DIR", help="save a picture of the parts, and do nothing else"
+    )
     args = parser.parse_args()
-    rows = []
-    for name in [args.only] if args.only else ASSEMBLIES:
+    rows, names = [], [args.only] if args.only else list(ASSEMBLIES)
+    if args.plot:
+        return picture(names, args.size, args.plot / "cad_assemblies.png")
+    for name in names:
         for degree in args.degree:
             progress.show(comm, f"{name}, degree {degree}")
             row = run(name, args.size, degree, args.fine)

@@ -59,6 +59,17 @@ def energy(u, E, nu=0.32):
     return mu / 2 * (ufl.inner(F, F) - dim - 2 * ufl.ln(J)) + lame / 2 * ufl.ln(J) ** 2
 
 
+def mises(u, E, nu=0.32):
+    """Its equivalent stress (Cauchy), in plane strain or in space."""
+    mu, lame = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    F = ufl.Identity(len(u)) + ufl.grad(u)
+    J = ufl.det(F)
+    b = ufl.as_tensor([[(F * F.T)[i, j] if max(i, j) < len(u) else float(i == j)
+                        for j in range(3)] for i in range(3)])  # fmt: skip
+    stress = (mu * (b - ufl.Identity(3)) + lame * ufl.ln(J) * ufl.Identity(3)) / J
+    return ufl.sqrt(1.5 * ufl.inner(ufl.dev(stress), ufl.dev(stress)))
+
+
 class Ironing:
     """The scene."""
 
@@ -94,7 +105,7 @@ class Ironing:
             x[:, -1] = bottom + x[:, -1] * (1 - bottom / sizes[1][-1])
             return start + x
 
-        self.u, self.energies, F, bcs, sides = [], [], [], [], []
+        self.u, self.energies, self.mises, F, bcs, sides = [], [], [], [], [], []
         self.goal = None
         low, high = 2 * dim - 1, 2 * dim  # tags of the bottom and the top
         for place, n, E, tags in (
@@ -115,6 +126,7 @@ class Ironing:
                 bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(1)))
             self.u.append(u)
             self.energies.append(fem.form(W))
+            self.mises.append(mises(u, E))
             F.append(ufl.derivative(W, u))
             sides.append((V, ft.find(tags[0])))
         self.comm = comm
@@ -187,7 +199,7 @@ class Ironing:
 
 
 class Film:
-    """The bodies, the pressure between them and the reaction, step by step."""
+    """The bodies with their stress, the pressure between them and the reaction, step by step."""
 
     def __init__(self, scene):
         """Nothing taken yet."""
@@ -196,12 +208,14 @@ class Film:
 
     def add(self, along, force):
         """Take a picture. Collective."""
-        from hypergap_dolfinx import plot
+        from hypergap_dolfinx import files, plot
 
         contact, problem = self.scene.contact, self.scene.problem
         if self.largest is None:
             self.largest = 1.2 * contact.pressures(problem).max()
-        plotter = plot.contact(contact, problem, largest=self.largest)
+        bodies = zip(self.scene.mises, self.scene.u, strict=True)
+        stress = [files.interpolated(s, u.function_space.mesh, 1, "stress") for s, u in bodies]
+        plotter = plot.contact(contact, problem, largest=self.largest, values=stress)
         self.path.append(along)
         self.forces.append(np.abs(force[[0, -1]]))
         if plotter:
@@ -210,7 +224,10 @@ class Film:
                 plotter.camera.focal_point = LENGTH / 2, 0, 0
                 plotter.camera.position = LENGTH / 2, 0, 10
                 plotter.camera.parallel_scale = 0.4 * LENGTH
-            self.images.append(plotter.screenshot(None, return_img=True)[225:700])
+            for text in list(plotter.actors.values()):
+                if type(text).__name__ == "CornerAnnotation":
+                    plotter.remove_actor(text)
+            self.images.append(plotter.screenshot(None, return_img=True)[225:700, 60:980])
             plotter.close()
 
     def save(self, folder):
@@ -223,15 +240,17 @@ class Film:
 
         folder.mkdir(parents=True, exist_ok=True)
         fig, (above, below) = plt.subplots(
-            2, figsize=(6, 4), height_ratios=(3, 2), layout="constrained"
+            2, figsize=(7, 5), height_ratios=(7, 2), layout="compressed"
         )
         image = above.imshow(self.images[0])
         above.axis("off")
+        shear = ", green: friction" if self.scene.friction else ""
+        above.set_title(f"blue: equivalent stress, red: pressure{shear}", fontsize=10)
         forces = np.array(self.forces)
         lines = [below.plot([], [], label=name)[0] for name in ("horizontal", "vertical")]
         below.set(xlabel="way along, in cells", ylabel="reaction")
         below.set(xlim=(0, max(self.path)), ylim=(-0.05 * forces.max(), 1.15 * forces.max()))
-        below.legend(loc="center right")
+        below.legend(loc="center right", ncols=2)
 
         def show(k):
             image.set_data(self.images[k])

@@ -289,6 +289,25 @@ def indent(comm, cells, steps, threshold, a=0.1 * R):
     }
 
 
+def picture(rows, file):
+    """Mean pressure over the radius of the contact."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    _, _, radius, mean = np.array(rows).T
+    x = E_star * radius / (sigma_y * R)
+    fig, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
+    axes.axhspan(2.8, 3, color="0.9", label="fully plastic (textbook)")
+    axes.axhline(2 / 3 * 1.60, color="0.4", lw=1, ls="--", label="first yield (textbook)")
+    axes.plot(x, mean / sigma_y, "C0o-", ms=3, label="mean pressure")
+    axes.set(xlabel="E* a / (σ_y R)", ylabel="mean pressure / σ_y", xlim=(0, None), ylim=(0, 3.2))
+    axes.legend(loc="lower right")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    fig.savefig(file, dpi=150)
+
+
 def main():
     """Print a table."""
     parser = argparse.ArgumentParser(description="A rigid sphere is pressed into a half-space.")
@@ -296,6 +315,7 @@ def main():
     parser.add_argument("--steps", type=int, default=24, help="load steps down")
     parser.add_argument("--threshold", type=float, default=1e-8, help="of the trial stress, in σ_y")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="save a picture")
     args = parser.parse_args()
     comm = MPI.COMM_WORLD
     result = {"first_yield": float(first_yield(comm, args.cells))}
@@ -312,6 +332,8 @@ def main():
     print(f"Newton steps: {result['newton']}; back: {result['newton_back']}")
     if args.json:
         args.json.write_text(json.dumps(result, indent=1))
+    if args.plot:
+        picture(result["rows"], args.plot / "plasticity.png")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from slender_contact import NU, Body, Scene, picture, slab
+from slender_contact import NU, Body, Scene, slab
 
 import meshes
 from hypergap_dolfinx import Contact
@@ -104,9 +104,10 @@ def main():
             print(f"force over that of the pressures: {result['friction']:.5f}")
         if args.json:
             args.json.write_text(json.dumps(result, indent=1))
-    cells = [body.cells() for body in scene.bodies]
-    if comm.rank == 0 and args.plot:
-        picture({"press_fit": cells}, args.plot / "press_fit.png")
+    if args.plot:
+        from hypergap_dolfinx import plot
+
+        plot.contact(scene.contacts[0], scene.problem, args.plot / "press_fit.png")
 
 
 if __name__ == "__main__":

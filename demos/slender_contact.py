@@ -490,7 +490,7 @@ def picture(scenes, file):
     import matplotlib.pyplot as plt
     from matplotlib.collections import PolyCollection
 
-    across = min(4, len(scenes))
+    across = min(5, len(scenes))
     down = -(-len(scenes) // across)
     size = 3.5 * across, 3 * down
     fig, axes = plt.subplots(down, across, figsize=size, layout="constrained", squeeze=False)
@@ -498,8 +498,9 @@ def picture(scenes, file):
         ax.axis("off")
     for ax, (name, cells) in zip(axes.ravel(), scenes.items(), strict=False):
         for k, body in enumerate(cells):
-            ax.add_collection(PolyCollection(body, fc=f"C{k}", ec="k", lw=0.2))
-        ax.set_title(name)
+            colour = ("#c6dbef", "#fdae61", "#c7e9c0")[k % 3]
+            ax.add_collection(PolyCollection(body, fc=colour, ec="0.3", lw=0.3))
+        ax.set_title(name.replace("_", " "))
         ax.axis("equal")
     file.parent.mkdir(parents=True, exist_ok=True)
     fig.savefig(file, dpi=100)

@@ -55,6 +55,7 @@ intersphinx_mapping = (
 )
 
 html_theme = "furo"
+pygments_dark_style = "monokai"
 html_title = "hypergap_dolfinx"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

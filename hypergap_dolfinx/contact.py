@@ -164,7 +164,7 @@ class Contact:
                 f"{side1[0].mesh.geometry.dim}; they must be equal."
             )
         self.axisymmetric = axisymmetric
-        """What the forms have: True for 2πr, "radian" for r, False for neither."""
+        """Factor of the forms. True for 2πr, "radian" for r, False for plane bodies."""
         angle = revolution.angle_of(axisymmetric)
         below, above = (
             revolution.swept(create_surface(*side, name), angle)
@@ -412,7 +412,7 @@ class Contact:
                 This is the most accurate one. Its force equals :meth:`force` to about 1e-3.
 
         Returns:
-            Force per area of the displaced Γ1. Cells of Σ have no volume where bodies touch: take
+            Force per area of the displaced Γ1. Where bodies touch, cells of Σ have no volume; take
             :meth:`force` instead of an integral over Σ.
 
         Raises:

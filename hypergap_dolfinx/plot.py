@@ -1,9 +1,9 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Pictures of tied bodies with PyVista: Σ pulled apart, deformed shapes, tractions.
+"""Pictures with PyVista: Σ, deformed shapes, fields, tractions and contact.
 
-No other module imports this one. All functions are collective; rank 0 draws and gets the plotter or
-grid, other ranks None. The real part of complex values is drawn.
+All functions are collective. Rank 0 draws and returns the plotter or grid, other ranks return None.
+Of complex values the real part is drawn.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 import pyvista
+from matplotlib.colors import LinearSegmentedColormap
 from vtkmodules.vtkFiltersGeometry import (
     vtkDataSetSurfaceFilter,
     vtkUnstructuredGridGeometryFilter,
@@ -31,17 +32,24 @@ from hypergap_dolfinx.surface.trace import Surface, is_mixed, lengths
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 
-_BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#0d0887"
+_BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#777777"
+_WARM = LinearSegmentedColormap.from_list("warm", ("#fdae61", "#d7301f", "#67000d"))
+"""Colours of pressures and tractions, seen on light bodies, from low to high."""
+_ARROW = pyvista.Arrow(tip_length=0.35, tip_radius=0.1, shaft_radius=0.03)
 
 
 def grid(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
-    """The cells of all ranks as one PyVista grid."""
+    """Cells of all ranks as one PyVista grid.
+
+    Args:
+        mesh: A mesh.
+    """
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
     return _merged(mesh.comm, vtk_mesh(mesh, mesh.topology.dim, owned))
 
 
 def _merged(comm: MPI.Comm, part, **values: npt.NDArray) -> pyvista.UnstructuredGrid | None:
-    """The parts of all ranks, (cells, types, x) with values at points, as one grid. Collective."""
+    """One grid of the parts of all ranks, (cells, types, x) with values at points. Collective."""
     parts = comm.gather((part, values))
     if parts is None:
         return None
@@ -60,12 +68,12 @@ def gap_domain(
     distance: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies, pulled apart along their interfaces, and Σ between them coloured by α.
+    """Tied bodies, pulled apart, with Σ between them coloured by α.
 
     Args:
         ties: A tie or several; their bodies are drawn.
-        filename: Path of the picture to save.
-        distance: Drawn distance of Γ1 from Γ0; a sixth of the interface's extent if not given.
+        filename: Path of the picture; None saves none.
+        distance: Drawn distance of Γ1 from Γ0; by default a sixth of the interface's extent.
         window: True to open a window.
     """
     ties = [ties] if isinstance(ties, Tie) else ties
@@ -79,14 +87,17 @@ def deformed(
     factor: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies before (2D: black) and after deformation, coloured by the displacement's length.
+    """Deformed bodies, coloured by the length of the displacement; in 2D with undeformed edges.
 
     Args:
-        us: Displacement of each body; of mixed elements ``w.sub(0)``.
-        filename: Path of the picture to save.
-        factor: Scale of the drawn displacements; if not given, the largest is drawn as a tenth of
-            the assembly.
+        us: Displacement of each body; ``w.sub(0)`` of mixed elements.
+        filename: Path of the picture; None saves none.
+        factor: Factor of the drawn displacements; by default the largest is drawn as a tenth of the
+            extent of all bodies.
         window: True to open a window.
+
+    Raises:
+        ValueError: A function that isn't a vector.
     """
     us = [us] if isinstance(us, fem.Function) else list(us)
     if any(len(u.function_space.value_shape) != 1 for u in us):
@@ -102,7 +113,9 @@ def deformed(
         factor = 0.1 * size / (length or 1) if factor is None else factor
         for g in grids:
             if dim == 2:
-                plotter.add_mesh(g.extract_all_edges(), color="black", opacity=0.4)
+                before = g.extract_all_edges()
+                before.points[:, 2] -= 1e-3 * size  # behind the deformed body
+                plotter.add_mesh(before, color="black", opacity=0.4)
             warped = g.copy()
             warped.points = g.points + factor * g["displacement"]
             warped["length"] = np.linalg.norm(g["displacement"], axis=1)
@@ -121,15 +134,18 @@ def field(
     title: str = "value",
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The bodies, coloured by the values of a function or the length of a vector.
+    """Bodies, coloured by a scalar function or the length of a vector function.
 
-    For functions on Σ, which has no volume, see :func:`interface`.
+    For functions on Σ take :func:`interface`.
 
     Args:
         fs: Function on each body, or on a side of ties: ``tie.traction(problem, on="side1")``.
-        filename: Path of the picture to save.
-        title: Title of the scale.
+        filename: Path of the picture; None saves none.
+        title: Title of the colour bar.
         window: True to open a window.
+
+    Raises:
+        ValueError: A function with tensor values.
     """
     fs = [fs] if isinstance(fs, fem.Function) else list(fs)
     if any(len(f.function_space.value_shape) > 1 for f in fs):
@@ -159,15 +175,15 @@ def interface(
     distance: float | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """Σ between its bodies pulled apart, coloured by a function on it or the length of a vector.
+    """Σ between its pulled-apart bodies, coloured by a scalar or the length of a vector.
 
     Args:
         tie: The tie.
-        f: A function on ``tie.sigma``, as ``tie.gap`` and ``tie.traction`` give them.
-        filename: Path of the picture to save.
-        title: Title of the scale.
-        distance: Drawn distance of Γ1 from Γ0; a sixth of the interface's extent (3D: a third) if
-            not given.
+        f: A function on ``tie.sigma``, as ``tie.gap`` and ``tie.traction`` return them.
+        filename: Path of the picture; None saves none.
+        title: Title of the colour bar.
+        distance: Drawn distance of Γ1 from Γ0; by default a sixth of the interface's extent (3D: a
+            third).
         window: True to open a window.
 
     Raises:
@@ -185,12 +201,15 @@ def traction(
     *,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """The traction on the interface, as arrows: 2D on the bodies, 3D on Γ0's body.
+    """Traction on the interface as arrows, in 2D on both bodies, in 3D on the body of Γ0.
+
+    Tractions of more than three times the mean, as at singular corners, are drawn as long and in
+    the colour of those of three times the mean.
 
     Args:
         tie: The tie.
         traction: λ on Σ, from ``tie.traction(problem)``; a vector.
-        filename: Path of the picture to save.
+        filename: Path of the picture; None saves none.
         window: True to open a window.
     """
     comm, dim = tie.domain.comm, tie.surfaces[0].gdim
@@ -205,17 +224,19 @@ def traction(
     if plotter and parts is not None:
         x, t = (np.vstack([part[i] for part in parts]) for i in (0, 1))
         points = pyvista.PolyData(_padded(x))
+        length = np.linalg.norm(t, axis=1)
+        largest = min(length.max(), 3 * length.mean())
+        t = t * np.minimum(1, largest / np.where(length > 0, length, 1))[:, None]
         points["traction"] = _padded(t)
         points["length"] = np.linalg.norm(t, axis=1)
-        largest = points["length"].max()
-        scale = 0.12 * np.ptp(_padded(x), axis=0).max() / (largest or 1)
-        arrows = points.glyph(orient="traction", scale="length", factor=scale)
+        scale = 0.15 * np.ptp(_padded(x), axis=0).max() / (largest or 1)
         bar, clim = _bar("traction"), (0, largest)
         if dim == 3:  # arrows of pressure point into the body: they end at the surface, to be seen
             inwards = np.einsum("pi,pi->p", t, np.vstack([part[2] for part in parts])) < 0
             points.points[inwards] -= scale * points["traction"][inwards]
-            arrows = points.glyph(orient="traction", scale="length", factor=scale)
-        plotter.add_mesh(arrows, scalars="length", cmap="plasma", clim=clim, scalar_bar_args=bar)
+        arrows = points.glyph(orient="traction", scale="length", factor=scale, geom=_ARROW)
+        plotter.add_mesh(arrows, scalars="length", cmap=_WARM, clim=clim, lighting=dim == 3,
+                         scalar_bar_args=bar)  # fmt: skip
     mean = _mean_normal(tie.domain.surfaces[0])
     return _finish(plotter, dim, filename, window, mean + 0.4 * _beside(mean), mean)
 
@@ -226,19 +247,22 @@ def contact(
     filename: str | Path | None = None,
     *,
     largest: float | None = None,
+    values: Sequence[fem.Function] | None = None,
     window: bool = False,
 ) -> pyvista.Plotter | None:
-    """Displaced bodies in contact, with the pressure on Γ1 as colour and as arrows.
+    """Displaced bodies in contact, with the pressure on Γ1 as colours and arrows.
 
-    Green arrows are the tractions of friction on Γ1's body, on a scale of their own. Points are the
-    active vertices of Γ1. In 3D Γ1's body is left out, which would hide it; a body in contact with
-    itself is translucent.
+    Green arrows are friction tractions on Γ1's body, with a scale of their own; in 2D some are left
+    out where they would overlap. Points are active vertices of Γ1. In 3D the body of Γ1 is left
+    out, since it would hide the contact; a body in contact with itself is translucent.
 
     Args:
         contact: The contact.
-        problem: A solved problem with it.
-        filename: Path of the picture to save.
-        largest: Pressure at the end of the scale; the largest one if not given.
+        problem: A solved problem with this contact.
+        filename: Path of the picture; None saves none.
+        largest: Pressure at the end of the colour bar; by default the largest one.
+        values: Scalar function on each body of the problem, drawn as its colour (blue, from 0 on):
+            an equivalent stress from :func:`files.interpolated` for example.
         window: True to open a window.
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
@@ -246,17 +270,25 @@ def contact(
     drawn = _drawn(contact.pressure(problem, on="surface"))
     shear = contact.shears(problem) if contact.friction else np.zeros(0)
     plotter, itself = _plotter(comm, window), contact.spaces[0] == contact.spaces[1]
-    for u in problem.every_u:
-        body = _with_values(u, "displacement")
+    bodies = [
+        _with_values(u, "displacement", None if values is None else values[i])
+        for i, u in enumerate(problem.every_u)
+    ]
+    known = [body["value"].max() for body in bodies if body and "value" in body.point_data]
+    for u, body in zip(problem.every_u, bodies, strict=True):
         hides = dim == 3 and u.function_space == contact.spaces[1]
         if plotter and body is not None and (itself or not hides):
             body.points += body["displacement"]
-            _add(plotter, body, color=_BODY, opacity=0.3 if hides else 1.0)
+            colours: Any = {"color": _BODY}
+            if known:
+                colours = {"scalars": "value", "cmap": "Blues", "clim": (0, max(known)),
+                           "show_scalar_bar": False}  # fmt: skip
+            _add(plotter, body, opacity=0.3 if hides else 1.0, **colours)
     if plotter and drawn:
         largest = (p.max(initial=0) or 1.0) if largest is None else largest
         extent = np.ptp(surface.x, axis=0).max()
         lift = 0.01 * extent  # so that surfaces at one place are drawn one before the other
-        scale: Any = {"scalars": "pressure", "cmap": "plasma", "clim": (0, largest)}
+        scale: Any = {"scalars": "pressure", "cmap": _WARM, "clim": (0, largest)}
         bar: Any = {"lighting": False, "scalar_bar_args": _bar("pressure")}
         direction = np.zeros_like(surface.x)
         for corner in surface.facets.T:
@@ -281,17 +313,21 @@ def contact(
             points = pyvista.PolyData(_padded(x[on]))
             points["arrow"], points["pressure"] = _padded(direction[on]), p[on]
             plotter.add_mesh(points, color="black", point_size=8, render_points_as_spheres=True)
-            length, tails = (0.12, 0.25)[dim - 2] * extent / largest, points.copy()
+            length, tails = (0.15, 0.25)[dim - 2] * extent / largest, points.copy()
             tails.points = points.points - length * p[on][:, None] * points["arrow"]
-            arrows = tails.glyph(orient="arrow", scale="pressure", factor=length)
-            plotter.add_mesh(arrows, show_scalar_bar=False, **scale)
+            arrows = tails.glyph(orient="arrow", scale="pressure", factor=length, geom=_ARROW)
+            plotter.add_mesh(arrows, show_scalar_bar=False, lighting=dim == 3, **scale)
             if shear.any():
                 tails["shear"] = _padded(shear[on])
                 tails["size"] = np.linalg.norm(shear[on], axis=1)
                 tails.points = points.points - 2 * lift * points["arrow"]  # beside Γ1
                 most = tails["size"].max()
-                length = (0.12, 0.25)[dim - 2] * extent / most
-                arrows = tails.glyph(orient="shear", scale="size", factor=length)
+                length = (0.1, 0.25)[dim - 2] * extent
+                if dim == 2:  # one behind the other: not all are drawn
+                    tails = tails.extract_points(_apart(tails.points, tails["size"], length / 2))
+                    tails.points[:, 2] += 2 * lift
+                factor = length / most
+                arrows = tails.glyph(orient="shear", scale="size", factor=factor, geom=_ARROW)
                 plotter.add_mesh(arrows, color=_SHEAR, name="shear", lighting=dim == 3)
                 text = f"green: shear, up to {most:.3g}"
                 plotter.add_text(text, position="upper_left", color=_SHEAR, font_size=12)
@@ -299,8 +335,17 @@ def contact(
     return _finish(plotter, dim, filename, window, _beside(up) + up, up)
 
 
+def _apart(points: npt.NDArray, size: npt.NDArray, distance: float) -> list[int]:
+    """Indices of points that are a distance apart, the largest ones first."""
+    chosen: list[int] = []
+    for i in np.argsort(-size, kind="stable"):
+        if all(np.linalg.norm(points[i] - points[j]) > distance for j in chosen):
+            chosen.append(int(i))
+    return chosen
+
+
 def _drawn(f: fem.Function) -> pyvista.UnstructuredGrid | None:
-    """A grid with a pressure that is linear in each cell of a surface; on rank 0. Collective."""
+    """Grid with the pressure on cells of a surface; on rank 0. Collective."""
     V = f.function_space
     mesh = V.mesh
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
@@ -309,24 +354,35 @@ def _drawn(f: fem.Function) -> pyvista.UnstructuredGrid | None:
 
 
 def _padded(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Rows with zeros up to three components."""
+    """Rows padded with zeros to three components."""
     return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
 
 
-def _with_values(u: fem.Function, name: str) -> pyvista.UnstructuredGrid | None:
-    """A grid with the values of a vector function at its points; on rank 0. Collective."""
+def _with_values(
+    u: fem.Function, name: str, f: fem.Function | None = None
+) -> pyvista.UnstructuredGrid | None:
+    """Grid with a vector function, and a scalar one as "value"; on rank 0. Collective."""
     if is_mixed(u.function_space):
         raise ValueError("fields of a mixed space are drawn one by one: u.sub(0) for example.")
     u = u.collapse() if u.function_space.component() else u
-    V, comm = u.function_space, u.function_space.mesh.comm
+    V, comm, more = u.function_space, u.function_space.mesh.comm, {}
     owned = np.arange(V.mesh.topology.index_map(V.mesh.topology.dim).size_local)
+    if f is not None:  # both on one discontinuous element
+        degrees = [one.function_space.ufl_element().basix_element.degree for one in (u, f)]
+        element = "Discontinuous Lagrange", max(degrees)
+        V = fem.functionspace(V.mesh, (*element, V.value_shape))
+        both = fem.Function(V), fem.Function(fem.functionspace(V.mesh, element))
+        for into, one in zip(both, (u, f), strict=True):
+            into.interpolate(one)
+        u, more = both[0], {"value": np.real(both[1].x.array)}
     cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]
     values = np.real(u.x.array).reshape(-1, V.dofmap.index_map_bs)[: len(x)]
-    return _merged(comm, (cells, types, x), **{name: _padded(values)})
+    more = {key: array[: len(x)] for key, array in more.items()}
+    return _merged(comm, (cells, types, x), **{name: _padded(values)}, **more)
 
 
 Place = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float]
-"""Map of a body to its drawn place, x ↦ c + s (x − c) + d, as (d, c, s)."""
+"""Map of a body to its drawn position, x ↦ c + s (x − c) + d, as (d, c, s)."""
 
 
 def _moved(x, shift, centre, scale):
@@ -335,7 +391,7 @@ def _moved(x, shift, centre, scale):
 
 
 def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
-    """Drawn place of each body (by its mesh), away from the bodies it is tied to."""
+    """Drawn position of each body (by its mesh), away from the bodies tied to it."""
     first = ties[0].spaces[0].mesh
     places: dict[int, Place] = {id(first): (np.zeros(3), np.zeros(3), 1.0)}
     todo = list(ties)
@@ -357,13 +413,13 @@ def _pulled_apart(ties: Sequence[Tie], distance: float) -> dict[int, Place]:
 
 
 def _mean_normal(surface: Surface) -> npt.NDArray[np.float64]:
-    """Mean of the outward normals, ``(3,)``; short for closed surfaces."""
+    """Mean of the outward normals, ``(3,)``; nearly zero for closed surfaces."""
     size = surface.size ** (surface.gdim - 1)
     return (size[:, None] * _padded(surface.normals)).sum(axis=0) / size.sum()
 
 
 def _beside(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A direction to look from, across another one and a little down on it."""
+    """View direction across a given one, and a little down on it."""
     axis = np.eye(3)[np.abs(direction).argmin()]
     across = np.cross(direction, axis)
     length = np.linalg.norm(across)
@@ -371,7 +427,7 @@ def _beside(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
-    """Γ1's drawn place: a translation from Γ0 along the mean normal, or a scaling."""
+    """Drawn position of Γ1: a translation along Γ0's mean normal, or a scaling."""
     surface = surfaces[0]
     x = _padded(surface.x[surface.facets].mean(axis=1))
     normals, size = _padded(surface.normals), surface.size ** (surface.gdim - 1)
@@ -388,7 +444,7 @@ def _separation(surfaces: tuple[Surface, Surface], distance: float) -> Place:
 def _draw_gap_domains(
     ties: Sequence[Tie], f: fem.Function | None, title: str, filename, distance, window: bool
 ) -> pyvista.Plotter | None:
-    """Bodies pulled apart and Σ between them, coloured by a function on it or else by α."""
+    """Pulled-apart bodies with Σ between them, coloured by a function on it or by α."""
     comm, dim = ties[0].domain.comm, ties[0].surfaces[0].gdim
     if distance is None:
         distance = np.ptp(ties[0].surfaces[0].x, axis=0).max() / (6 if dim == 2 else 3)
@@ -417,7 +473,7 @@ def _draw_gap_domains(
 def _sigma(
     tie: Tie, places: Sequence[Place], f: fem.Function | None
 ) -> pyvista.UnstructuredGrid | None:
-    """Σ between two moved bodies with the values of f, or else α; on rank 0. Collective."""
+    """Σ between two moved bodies with the values of f or α; on rank 0. Collective."""
     domain, mesh = tie.domain, tie.sigma
     cells = np.arange(len(domain.alpha_vertices))
     if f is None:
@@ -454,7 +510,7 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
 
 
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
-    """Draw cells and their edges, as curved as they are."""
+    """Draw cells and their edges, with their curvature."""
     dim = cells.get_cell(0).dimension if cells.n_cells else 2
     if dim == 1:  # a side's traction in the plane
         plotter.add_mesh(cells, lighting=False, line_width=8, **options)
@@ -472,7 +528,7 @@ def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str =
 
 
 def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
-    """Triangles of what is seen of cells; each face of curved ones makes several."""
+    """Triangles of the outer faces of cells, several for each curved face."""
     faces = cells
     if cells.n_cells and cells.get_cell(0).dimension == 3:
         outside = vtkUnstructuredGridGeometryFilter()
@@ -488,7 +544,7 @@ def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
 
 
 def _outlines(skin: pyvista.PolyData) -> pyvista.PolyData:
-    """The edges of the faces that triangles come from: those that one triangle of a face has."""
+    """Edges of the faces that triangles subdivide: those of a single triangle of a face."""
     corners = skin.faces.reshape(-1, 4)[:, 1:]
     edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
     face = np.repeat(skin["vtkOriginalCellIds"], 3)
@@ -500,7 +556,7 @@ def _outlines(skin: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def _bar(title: str) -> Any:
-    """A scalar bar beside the picture."""
+    """Options of a colour bar beside the picture."""
     return {"title": f"{title}\n", "vertical": True, "fmt": "%.3g", "color": "black",
             "position_x": 0.87, "position_y": 0.2, "height": 0.6}  # fmt: skip
 

@@ -207,7 +207,7 @@ class Tie(collective.Owner):
         self._spaces = self.components[0].space, self.components[1].space
         self._facets = np.asarray(facets0), np.asarray(facets1)
         self.axisymmetric = axisymmetric
-        """What the forms have: True for 2πr, "radian" for r, False for neither."""
+        """Factor of the forms. True for 2πr, "radian" for r, False for plane bodies."""
         angle = revolution.angle_of(axisymmetric)
         if adjust:
             move, before = adjust_surface(V0.mesh, facets0, V1.mesh, facets1)
@@ -359,7 +359,7 @@ class Tie(collective.Owner):
             options: Options of the constructor, except ``adjust`` and ``close_gap``.
 
         Returns:
-            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and the tractions of both sides: Rᵀλ
+            The tie. Its Σ lies on Γ1, and so do λ, gap, slip and the tractions of both sides. Rᵀλ
             acts on the body of Γ0.
 
         Raises:
@@ -698,7 +698,7 @@ class Tie(collective.Owner):
 
     @cached_property
     def area(self) -> float:
-        """Tied area (in 2D: length), the mean of both sides. Collective."""
+        """Tied area, in 2D tied length, the mean of both sides. Collective."""
         q = self.quadrature(2 * self.domain.geometry.degree)
         return float(q.integrate(np.ones_like(q.weights)))
 

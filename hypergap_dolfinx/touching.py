@@ -48,12 +48,14 @@ class Touching(_Sides):
     apart: float
     """Largest distance between the facets, taken as flat; negative for an overlap."""
     explained: str
-    """Explanation of :attr:`apart`. ``"flat"``: at most 1e-3 of the facet size. ``"curved"``: no
-    more than the curvature of the surfaces explains, or the surfaces cross within each facet.
+    """Explanation of :attr:`apart`.
+
+    ``"flat"``: at most 1e-3 of the facet size. ``"curved"``: no more than the curvature of the
+    surfaces explains, or the surfaces cross within each facet.
     ``"distance"``: no more than the given distance. For facets that were left out ``"clearance"``:
     no sign that the surfaces meet; ``"unexplained"``: they may meet."""
     area: float
-    """Common area of the facets (in 2D: length)."""
+    """Common area of the facets, in 2D their common length."""
     numbers: tuple[int, int]
     """Indices of both spaces in the list given to :func:`find_touching`."""
     counts: tuple[int, int]

@@ -39,17 +39,21 @@ PICTURES = {
 CHARTS = {
     "bolted_assembly": ("bolted_assembly",),
     "bouncing": ("bouncing",),
+    "cad_assemblies": ("cad_assemblies",),
     "contact_run_time": ("contact", "--scene", "contact", "--peers", "--repeats", "3"),
     "friction": ("friction", "--scene", "cattaneo"),
     "hertz": ("hertz",),
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
+    "plasticity": ("plasticity",),
+    "press_fit": ("press_fit",),
     "rolling": ("rolling",),
+    "slender_contact": ("slender_contact",),
     "stability": ("stability",),
 }
 SCRIPTS = {"contact_run_time": "error_against_run_time"}  # others' are called as the picture
 BESIDE = {"bolted_assembly": 2, "contact_run_time": 3}  # charts of other shapes
 COMPLEX = {"wave": ("wave", "--degrees", "2")}
-FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5")}
+FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5", "--friction", "0.3")}
 
 
 def thumbnail(picture: Path, file: Path):

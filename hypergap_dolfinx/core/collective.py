@@ -79,7 +79,7 @@ class Owner:
     _ticket: Ticket | None = None
 
     def destroy(self):
-        """Destroy the PETSc objects now, but those that the user still has. Collective.
+        """Destroy the PETSc objects now, except those that the user still holds. Collective.
 
         Otherwise they are destroyed with their owner; on several ranks, when the next tie or
         problem is made.

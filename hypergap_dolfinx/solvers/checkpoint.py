@@ -21,15 +21,15 @@ from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 
 
 class State:
-    """What the next load step of a problem depends on.
+    """State of a problem between two load steps.
 
-    Made by ``problem.state()``, and taken back by ``problem.restore(state)``: of the same problem,
-    or of one that the same script made, in another process, on any number of ranks. Its arrays are
-    on rank 0, in orders of the meshes' input: cells and nodes as they were given to DOLFINx (a
-    mesh from the same file or the same call has the same ones).
+    ``problem.state()`` makes it, ``problem.restore(state)`` restores it: in the same problem, or in
+    one that the same script made in another process, on any number of ranks. Its arrays are on rank
+    0, in the order of the input cells and nodes of the meshes. A mesh from the same file or the
+    same call has the same order.
 
     Example:
-        A run that goes on tomorrow, after ``problem.state().save("state.npz")`` today::
+        Continuation of a run that ended with ``problem.state().save("state.npz")``::
 
             problem.restore(State.load("state.npz", comm))
     """
@@ -39,15 +39,18 @@ class State:
 
         Args:
             comm: Communicator of the problem.
-            arrays: All arrays by name on rank 0; none on others.
+            arrays: All arrays by name on rank 0; empty on other ranks.
         """
         self.comm, self.arrays = comm, arrays
 
     def save(self, path: str | os.PathLike):
-        """Write a file of NumPy's (``.npz``), at once or not at all. Collective.
+        """Write a NumPy file (``.npz``), completely or not at all. Collective.
+
+        Args:
+            path: Name of the file.
 
         Raises:
-            OSError: It can't be written, on all ranks.
+            OSError: The file can't be written; raised on all ranks.
         """
         path, error = Path(path), None
         if self.comm.rank == 0:
@@ -66,10 +69,13 @@ class State:
 
         Args:
             path: Name of the file.
-            comm: Communicator of the problem that goes on.
+            comm: Communicator of the problem that continues.
+
+        Returns:
+            The state.
 
         Raises:
-            OSError: It can't be read, or is no state.
+            OSError: The file can't be read, or has no state; raised on all ranks.
         """
         arrays, error = dict[str, npt.NDArray](), None
         if comm.rank == 0:
@@ -100,7 +106,7 @@ class Resumes(Protocol):
         """Arrays on which the next load step depends."""
 
     def resume(self, kept: dict[str, npt.NDArray], start: Displacements | None) -> None:
-        """Go on from arrays that were kept."""
+        """Continue from retained arrays."""
 
 
 @dataclass

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies with a history: a user's functions around Newton steps, and internal variables."""
+"""Bodies with a history: callbacks around Newton steps, and internal variables."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from hypergap_dolfinx.core.collective import run_on_all
 
 
 class Hooks:
-    """Functions that a problem calls, and values that belong to its state."""
+    """Callbacks of a problem and internal variables of its state."""
 
     def __init__(
         self,
@@ -25,16 +25,16 @@ class Hooks:
         accepted: Callable[[float], Any] | None = None,
         taken_back: Callable[[], Any] | None = None,
     ):
-        """Check what is given.
+        """Check the callbacks and variables.
 
         Args:
-            internal_variables: Functions and constants that the hooks change.
+            internal_variables: Functions and constants that the callbacks change.
             before_step: Called before a residual is evaluated at new displacements.
-            accepted: Called with the share of the load step that is reached.
-            taken_back: Called when a part of a load step was taken back.
+            accepted: Called with the part of the load step that is reached.
+            taken_back: Called after a failed part of a load step.
 
         Raises:
-            ValueError: A hook that is no function, or other internal variables.
+            ValueError: A callback that isn't callable; internal variables of another type.
         """
         hooks = {"before_step": before_step, "accepted": accepted, "taken_back": taken_back}
         for name, hook in hooks.items():

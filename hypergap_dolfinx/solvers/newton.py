@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Residual and tangent of nonlinear bodies with ties between them, assembled when data change."""
+"""Residual and tangent of nonlinear tied bodies, assembled when their data change."""
 
 import logging
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Dependence:
     """Coefficients, constants and coordinates of a form, and their last values."""
 
     def __init__(self, form: ufl.Form, compiled: fem.Form, u: fem.Function):
-        """Find those that are left once derivatives are taken.
+        """Find those that remain after differentiation.
 
         Args:
             form: The form.
@@ -82,9 +82,9 @@ def _check_ranks(forms: Sequence[ufl.Form], rank: int, name: str, wanted: str):
 
 
 class NonlinearSystem(TiedSystem):
-    """F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s; :attr:`A` has their derivative.
+    """Residuals F_i(u_i) + Σ_t Bᵀ_ti λ_t and Σ_i B_ti u_i − Σ_s C_ts λ_s, with tangent :attr:`A`.
 
-    The jumps w_t of ties with a law are u_i too, and F_i(u_i) is the law's F(w_t).
+    The jumps w_t of ties with a law are among the u_i, with F(w_t) as F_i(u_i).
     """
 
     def __init__(
@@ -104,18 +104,18 @@ class NonlinearSystem(TiedSystem):
         Args:
             F: Residual form of each body.
             u: Solution function of each body.
-            bcs: Dirichlet conditions of any of the bodies.
-            pieces: The ties, and the interfaces that they are pieces of.
-            J: Jacobian form of each body; F's derivative if not given.
-            hooks: The user's functions around Newton steps, and internal variables.
+            bcs: Dirichlet conditions of all bodies, in any order.
+            pieces: The ties and their interfaces.
+            J: Jacobian form of each body; the derivative of F by default.
+            hooks: Callbacks of the user and internal variables.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
 
         Raises:
-            ValueError: Numbers of forms and functions that differ; a residual that isn't linear in
-                a test function, or on another function than its body's; a tie or boundary condition
-                on a space that belongs to no body.
-            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+            ValueError: Different numbers of forms and functions; a residual that isn't linear in a
+                test function or doesn't depend on its body's function; a tie or boundary condition
+                on a space of no body.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
         """
         wanted = "not a form with one test function; of an energy it is ufl.derivative(energy, u)."
         _check_ranks(F, 1, "residual", wanted)
@@ -162,10 +162,9 @@ class NonlinearSystem(TiedSystem):
         return ufl.derivative(F, u)
 
     def _forget(self):
-        """Forget stiffness and factors, which next load steps would use again: all are made anew.
+        """Discard stiffness and factors that later load steps would reuse.
 
-        A problem that goes on after its state was taken, and one that goes on from this state,
-        do the same.
+        A problem whose state was taken and one that continues from this state then do the same.
         """
         self._known = [None] * len(self._known)
         for depends in self._depends:
@@ -175,7 +174,7 @@ class NonlinearSystem(TiedSystem):
         return [*super()._release(), *self.__dict__.pop("_now", [])]
 
     def _assign(self, x: PETSc.Vec):
-        """Copy the bodies' part of a vector into u, and that of jumps into the laws."""
+        """Copy displacements from a vector into u, and jumps into the laws."""
         super()._assign(x)
         jumps = self._constraints.jump_fields
         parts = x.getNestSubVecs()
@@ -189,9 +188,9 @@ class NonlinearSystem(TiedSystem):
         self._evaluate(x, r)
 
     def _evaluate(self, x: PETSc.Vec, r: PETSc.Vec):
-        """Evaluate the residual r at x, whose displacements are assigned to u already.
+        """Evaluate the residual r at x, whose displacements are in u already.
 
-        Prescribed values are lifted: r is F at displacements that hold them, to first order.
+        Prescribed values are lifted: to first order, r is F at displacements that satisfy them.
         """
         x_parts, r_parts = x.getNestSubVecs(), r.getNestSubVecs()
         num_bodies, num_ties = len(self._u), self._num_ties
@@ -239,7 +238,7 @@ class NonlinearSystem(TiedSystem):
         r.assemble()
 
     def _lifted(self) -> list[npt.NDArray]:
-        """Each body's displacements with those that are prescribed, ghosts included."""
+        """Displacements of each body with prescribed values inserted, ghosts included."""
         lifted = [u.x.array.copy() for u in self._u]
         for values, bcs in zip(lifted, self._bcs, strict=True):
             for bc in bcs:
@@ -247,7 +246,7 @@ class NonlinearSystem(TiedSystem):
         return lifted
 
     def assemble_matrix(self):
-        """Assemble what has changed into A, the stiffness of a linear body once. Collective."""
+        """Assemble changed blocks into A; the stiffness of a linear body only once. Collective."""
         super().assemble_matrix()
         self._known = [K.stateGet() for K in self._K]
 
@@ -264,11 +263,14 @@ class NonlinearSystem(TiedSystem):
         self.assemble_matrix()
 
     def state(self) -> State:
-        """The state between two load steps: all that the next one depends on. Collective.
+        """State between two load steps, for :meth:`restore` and for files. Collective.
 
-        Displacements and multipliers, pressures, tractions and sets, elastic slip, values in forms,
-        boundary conditions, ties and contacts. Not in it are what the user computes with, nor
-        positions of meshes' nodes.
+        It has displacements, multipliers, contact pressures and tractions, contact and friction
+        states, elastic slip, ``internal_variables``, and the values in forms, boundary conditions,
+        ties and contacts. It has no other data of the script, and no node positions.
+
+        Returns:
+            The state; ``state.save(path)`` writes a file.
         """
         self._check_usable()
         checkpoint = self._prepared_checkpoint()
@@ -276,15 +278,16 @@ class NonlinearSystem(TiedSystem):
         return checkpoint.state(type(self).__name__, self._parts(checkpoint, []))
 
     def restore(self, state: State):
-        """Go back, or on, to a state of this problem or of one made by the same script. Collective.
+        """Restore a state of this problem, or of one that the same script made. Collective.
 
-        Values in forms, boundary conditions, ties and contacts are set too.
+        Values in forms, boundary conditions, ties and contacts are set, too. The number of ranks
+        may be another one.
 
         Args:
-            state: From :meth:`state` or ``State.load``.
+            state: State from :meth:`state` or ``State.load``.
 
         Raises:
-            ValueError: It is of another problem or of other meshes; nothing has changed then.
+            ValueError: A state of another problem or of other meshes; nothing is changed then.
         """
         self._check_usable()
         self._prepare_once()
@@ -302,16 +305,16 @@ class NonlinearSystem(TiedSystem):
         self._forget()
 
     def _prepare_once(self):
-        """Find what the first solve finds, before another state is there. Collective."""
+        """Set up what the first solve would set up, before a state is restored. Collective."""
 
     def _prepared_checkpoint(self) -> Checkpoint:
-        """Orders for states. Collective."""
+        """Checkpoint with the orders of the state's entries. Collective."""
         if self._checkpoint is None:
             self._checkpoint = Checkpoint(self._u[0].function_space.mesh.comm)
         return self._checkpoint
 
     def _values(self) -> Sequence[Value]:
-        """Values that the user sets."""
+        """Values set by the user."""
         given = [value for tie in self.ties for value in tie.given]
         without = (*self._u, *self._hooks.internal_variables)
         found = values_of(self._forms, self._given_bcs, (), given, without=without)
@@ -322,7 +325,7 @@ class NonlinearSystem(TiedSystem):
 
         Args:
             checkpoint: Orders of their entries.
-            lost: Takes the names of ties whose multipliers aren't found again.
+            lost: Output list for names of ties whose multipliers aren't found again.
         """
         spaces = [u.function_space for u in self._u]
         parts = [checkpoint.mesh(f"body {i}", V) for i, V in enumerate(spaces)]
@@ -349,7 +352,7 @@ class NonlinearSystem(TiedSystem):
 
     @property
     def history(self) -> list[StepRecord]:
-        """Records of the last 1000 calls of ``solve()``, with their Newton steps."""
+        """Records of the last 1000 calls of ``solve()`` with their Newton steps, oldest first."""
         return list(self._records.done)
 
     @property

@@ -28,9 +28,9 @@ class NewtonRecord:
     gap: float
     """Largest gap (a length) where a pressure acts, 0 without contact."""
     came: int
-    """Vertices in contact that weren't so before."""
+    """Number of vertices that came into contact in this step."""
     went: int
-    """Vertices not in contact any more."""
+    """Number of vertices that left contact in this step."""
     iterations: int
     """Iterations of linear solvers since the last record; 1 for a direct solve."""
     seconds: float
@@ -51,11 +51,11 @@ class StepRecord:
     """One call of a problem's ``solve()``."""
 
     number: int
-    """Number of the load step, from 1; of one that failed the number that it would have had."""
+    """Number of the load step, from 1; a failed one has the number of the next."""
     steps: tuple[NewtonRecord, ...]
-    """All Newton steps, those of parts of the load step that failed too."""
+    """All Newton steps, including those of failed parts of the load step."""
     halvings: int
-    """Times that the load step was halved."""
+    """Number of times that the load step was halved."""
     seconds: float
     """Wall-clock seconds."""
     message: str

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The saddle system of tied bodies, which linear and nonlinear problems share."""
+"""The saddle-point system of tied bodies, shared by linear and nonlinear problems."""
 
 from collections.abc import Sequence
 
@@ -24,12 +24,16 @@ from hypergap_dolfinx.surface.trace import is_mixed
 
 
 def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
-    """True if constants are not recovered from the loads that they make. Collective.
+    """True if the system leaves a constant undetermined. Collective.
 
-    Neither K nor B alone shows these: a pressure (a scalar of a mixed space) whose forces on the
-    two sides of a tie λ balances, if displacements are prescribed all around; or a body that only a
-    tie would hold whose conductance is 0, if the loads balance each other. The solver has factors;
-    b is for its layout only.
+    Constants are multiplied by A and solved for again. Such constants, which neither K nor B shows
+    alone, are a pressure (a scalar of a mixed space) if displacements are prescribed all around,
+    and a body that is held only by a tie with a conductance of 0.
+
+    Args:
+        system: The system.
+        solver: Its solver, with factors.
+        b: A vector of the system's layout.
     """
     conducts = system.constraints.conducts
     if solver.ksp.getPC().getType() != "lu" or not (conducts or any(map(is_mixed, system.spaces))):
@@ -59,7 +63,7 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
 
 
 class TiedSystem(collective.Owner):
-    """[K Bᵀ; B −C] [u; λ] = b with K from forms, B and C from ties, and a solver for it."""
+    """Saddle-point system [K Bᵀ; B −C] [u; λ] = b, with K from forms, B and C from ties."""
 
     _solver: Solver
 
@@ -74,14 +78,13 @@ class TiedSystem(collective.Owner):
 
         Args:
             a: Compiled bilinear form of each body.
-            bcs: Dirichlet conditions of any of the bodies.
-            pieces: The ties, and the interfaces that they are pieces of.
+            bcs: Dirichlet conditions of all bodies, in any order.
+            pieces: The ties and their interfaces.
             u: Solution function of each body.
 
         Raises:
-            ValueError: A tie or boundary condition on a space that belongs to no body; a tie given
-                twice.
-            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+            ValueError: A tie or boundary condition on a space of no body; a tie given twice.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
         """
         self._a, self._u, self._pieces = list(a), list(u), pieces
         ties = pieces.ties
@@ -136,7 +139,7 @@ class TiedSystem(collective.Owner):
         ]
 
     def _create_constraints(self, spaces: Sequence[fem.FunctionSpace]) -> ConstraintBlocks:
-        """B and C. The sides of ties that chose them may have to be exchanged. Collective."""
+        """B and C; exchanges the sides of ties that may be exchanged if necessary. Collective."""
         while True:
             pieces = self._pieces
             try:
@@ -148,7 +151,7 @@ class TiedSystem(collective.Owner):
                 self._pieces = other
 
     def _check_motions(self):
-        """Raise if the assembly can move rigidly; a solver may not notice. Once; collective."""
+        """Raise if the assembly can move rigidly; checked once. Collective."""
         if self._motions_known:
             return
         free = free_motions(self._system.spaces, self._K, self._constraints)
@@ -163,7 +166,7 @@ class TiedSystem(collective.Owner):
         self._motions_known = True
 
     def _check_constants(self):
-        """Raise if a constant is undetermined, after a solve. Collective."""
+        """Raise if the last solve left a constant undetermined. Collective."""
         if self._constants_known:
             return
         if undetermined(self._system, self._solver, self._b):
@@ -180,22 +183,23 @@ class TiedSystem(collective.Owner):
         self._constants_known = True
 
     def _release(self) -> list:
-        """The PETSc objects, which the problem forgets."""
+        """The PETSc objects, removed from the problem."""
         single = ("_solver", "_A", "_b", "_x", "_constraints", "_pieces")
         several = ("_K", "_Bt", "_zeros", "_b_bodies", "_b_interiors", "_b_ties")
         objects = [self.__dict__.pop(name, None) for name in single]
         return objects + [obj for name in several for obj in self.__dict__.pop(name, [])]
 
     def __getattr__(self, name: str):
-        """Tell of PETSc's objects where they were destroyed."""
+        """Raise a ValueError for PETSc objects that were destroyed."""
         if name in ("_A", "_b", "_x", "_solver", "_snes", "_constraints", "_K"):
             self._check_usable()
         raise AttributeError(f"{type(self).__name__} has no attribute {name}")
 
     def assemble_matrix(self):
-        """Assemble the bodies' stiffness and the ties' compliances and laws into A. Collective.
+        """Assemble stiffness, compliances and laws into A. Collective.
 
-        A prescribed dof has the mean of the others' diagonal, so that residuals have one unit.
+        The diagonal entry of a prescribed dof is the mean of the others, so that all residuals have
+        the same unit.
         """
         changed = [self._assemble(i) for i in range(len(self._K))]
         checks.check_finite(self._K, "the stiffness", self._system.spaces)
@@ -220,7 +224,7 @@ class TiedSystem(collective.Owner):
         return True
 
     def _scale_prescribed(self, i: int):
-        """Set the prescribed dofs' diagonal, and the right-hand side with it. Collective."""
+        """Set the diagonal of prescribed dofs and scale their right-hand side. Collective."""
         K, held = self._K[i], self._constraints.prescribed[i]
         diagonal = K.getDiagonal()
         values = np.abs(diagonal.array_r[~held])
@@ -235,7 +239,7 @@ class TiedSystem(collective.Owner):
         diagonal.destroy()
 
     def _assign(self, x: PETSc.Vec):
-        """Copy the bodies' part of a vector into u."""
+        """Copy displacements from a solution vector into u."""
         for u, part in zip(self._u, x.getNestSubVecs()):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
@@ -246,13 +250,16 @@ class TiedSystem(collective.Owner):
             raise ValueError("the problem was destroyed.")
 
     def multipliers(self, tie: Interface) -> npt.NDArray:
-        """The multipliers of a tie after a solve.
+        """Multipliers of a tie after a solve. Collective.
 
         Args:
             tie: One of the problem's ties.
 
         Returns:
-            This rank's rows, ``(num_multipliers, block_size)``.
+            This rank's multipliers, ``(num_multipliers, block_size)``.
+
+        Raises:
+            ValueError: A tie that isn't one of the problem's, or a problem that isn't solved.
         """
         self._check_usable()
         t = self._pieces.find(tie)
@@ -263,17 +270,17 @@ class TiedSystem(collective.Owner):
 
     @property
     def A(self) -> PETSc.Mat:
-        """The saddle matrix, a MatNest."""
+        """The saddle-point matrix, a MatNest."""
         return self._A
 
     @property
     def b(self) -> PETSc.Vec:
-        """The right-hand side; of a nonlinear problem the residual."""
+        """The right-hand side, in nonlinear problems the residual."""
         return self._b
 
     @property
     def x(self) -> PETSc.Vec:
-        """The solution vector: displacements, then multipliers."""
+        """The solution vector with displacements, then multipliers."""
         return self._x
 
     @property

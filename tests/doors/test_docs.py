@@ -3,6 +3,7 @@
 """What the documentation says is so: examples in docstrings and pages, versions, links."""
 
 import doctest
+import inspect
 import logging
 import re
 import runpy
@@ -119,6 +120,19 @@ def test_api():
     """The API's pages have the members of what they name."""
     options = runpy.run_path(str(DOCS / "conf.py"))["autodoc_default_options"]
     assert options["members"] and options["inherited-members"]
+
+
+def test_no_colon_becomes_a_type():
+    """Sphinx takes what stands before a colon in these first lines for a type."""
+    lines = []
+    names = "Tie", "TiedProblem", "NonlinearTiedProblem", "Contact", "ContactProblem"
+    for part in (getattr(hypergap_dolfinx, name) for name in names):
+        for name, member in inspect.getmembers(part):
+            text = "" if name.startswith("_") else inspect.getdoc(member) or ""
+            lines += text.split("\n")[:1] if isinstance(member, property) else []
+            lines += re.findall(r"^Returns:\n\s+(.*)", text, re.MULTILINE)
+    assert len(lines) > 50
+    assert not [line for line in lines if re.search(r":(\s|$)", re.sub("``.*?``", "", line))]
 
 
 def test_gallery():
