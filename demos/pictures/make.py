@@ -79,8 +79,8 @@ def film(picture: Path, file: Path):
     with Image.open(picture) as images:
         for k in range(0, images.n_frames, 2):
             images.seek(k)
-            frame = images.convert("RGB").resize((400, 400 * images.height // images.width))
-            frames.append(frame.quantize(64, Image.Quantize.FASTOCTREE))
+            frame = images.convert("RGB").resize((560, 560 * images.height // images.width))
+            frames.append(frame.quantize(96, Image.Quantize.FASTOCTREE))
     frames[0].save(file, save_all=True, append_images=frames[1:], duration=200, loop=0)
 
 

@@ -11,7 +11,7 @@ DOCS = Path(__file__).parents[1]
 DEMOS = DOCS.parent / "demos"
 ROW = re.compile(
     r"^\| (?:<img src=\"pictures/(?P<picture>[\w.]+)\".*?>)? ?\| "
-    r"\[(?P<name>\w+)\]\(\w+\.py\)(?P<how>.*?) \| (?P<shows>.*) \| (?P<seconds>.*) \|$"
+    r"\[(?P<name>\w+)\]\(\w+\.py\)(?P<how>.*?) \| (?P<shows>.*) \|$"
 )
 
 
@@ -51,10 +51,9 @@ def page(name: str, row) -> str:
     rest = re.sub(r"^# Copyright.*\n#\n# SPDX.*\n(#\n)?", "", rest, flags=re.MULTILINE)
     rest = re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", rest)
     picture = f"![](pictures/{row['picture']})\n\n" if row["picture"] else ""
-    seconds = f" ({row['seconds']} processor seconds)" if row["seconds"].isdigit() else ""
     return (
         f"# {title_of(text)}\n\n{picture}**Result**\n\n{results()[name]}\n\n"
-        f"Run it: `python demos/{name}.py`{seconds}; the file: "
+        f"Run it: `python demos/{name}.py`; the file: "
         f"[{name}.py](../../demos/{name}.py)\n\n" + "\n\n".join(cells(rest)).lstrip("\n") + "\n"
     )
 
