@@ -262,7 +262,7 @@ def contact(
         filename: Path of the picture; None saves none.
         largest: Pressure at the end of the colour bar; by default the largest one.
         values: Scalar function on each body of the problem, drawn as its colour (blue, from 0 on):
-            an equivalent stress from :func:`files.interpolated` for example.
+            an equivalent stress from :func:`hypergap_dolfinx.files.interpolated` for example.
         window: True to open a window.
     """
     comm, dim = contact.spaces[0].mesh.comm, contact.spaces[0].mesh.geometry.dim
