@@ -24,6 +24,7 @@ from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.core import compat, progress
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
 from hypergap_dolfinx.solvers.checkpoint import State
@@ -36,6 +37,7 @@ __all__ = [
     "InterfaceError",
     "InvertedCellError",
     "NonlinearTiedProblem",
+    "RigidBody",
     "SolveError",
     "State",
     "Tie",

@@ -24,6 +24,7 @@ from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidComponent
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -69,7 +70,7 @@ class ContactProblem(ContactSystem):
 
     def __init__(
         self,
-        F: Sequence[ufl.Form | None],
+        F: Sequence[ufl.Form | RigidBody | None],
         u: Sequence[fem.Function],
         *,
         bcs: Sequence[fem.DirichletBC] = (),
@@ -90,7 +91,8 @@ class ContactProblem(ContactSystem):
         """Compile the forms. Collective.
 
         Args:
-            F: Residual form of each body; None for a rigid obstacle, whose u is set by the user.
+            F: Residual form of each body; None for a rigid obstacle, whose u is set by the user; a
+                :class:`RigidBody` for a rigid body under forces and torques.
             u: Displacement of each body, as used in F; its values are the initial displacements.
             bcs: Dirichlet conditions of all bodies, in any order.
             contacts: The contacts.
@@ -163,38 +165,52 @@ class ContactProblem(ContactSystem):
             accepted=accepted,
             taken_back=taken_back,
         )
-        elastic = [i for i, form in enumerate(F) if form is not None]
-        forms = [form for form in F if form is not None]
+        rigid = {i: one for i, one in enumerate(F) if isinstance(one, RigidBody)}
+        _check_rigid(rigid, u, contacts)
+        elastic = [i for i, form in enumerate(F) if form is not None and i not in rigid]
+        forms = [F[i] for i in elastic]
+        moving = [*elastic, *rigid]
         self._every = list(u)
         pairs, told_sizes = [], list[str]()
         for c, contact in enumerate(contacts):
             bodies = [self._body(c, i, part) for i, part in enumerate(contact.components)]
-            numbers = [elastic.index(b) if b in elastic else None for b in bodies]
+            numbers = [moving.index(b) if b in moving else None for b in bodies]
             if numbers == [None, None]:
                 raise ValueError(f"contact {c} is between two rigid bodies.")
-            if numbers[1] is None and contact.finer > ALIKE:
+            are_rigid = [b not in elastic for b in bodies]
+            if all(are_rigid) and contact.compliance is None:
+                raise ValueError(
+                    f"contact {c} is between two rigid bodies, where pressures are undetermined: "
+                    "give it a compliance."
+                )
+            if are_rigid[1] and not all(are_rigid) and contact.finer > ALIKE:
                 raise ValueError(
                     f"Γ1 of contact {c} is rigid, with smaller facets than Γ0: there would be "
                     "more pressures than displacements; swap its sides."
                 )
-            if contact.is_wall and contact.doubt_of_sizes and numbers[0] is not None:
+            if contact.is_wall and contact.doubt_of_sizes and not are_rigid[0]:
                 told_sizes.append(contact.doubt_of_sizes)
             fields = u[bodies[0]], u[bodies[1]]
             of_bodies = numbers[0], numbers[1]
-            pairs.append(ContactPair(contact, fields, of_bodies, contact.components))
+            both = rigid.get(bodies[0]), rigid.get(bodies[1])
+            pairs.append(ContactPair(contact, fields, of_bodies, contact.components, both))
         super().__init__(
-            forms,
-            [u[i] for i in elastic],
-            bcs,
+            [*forms, *(body.F for body in rigid.values())],
+            [*(u[i] for i in elastic), *(body.q for body in rigid.values())],
+            [*bcs, *(bc for body in rigid.values() for bc in body.bcs)],
             Joined(ties),
             pairs,
-            parts=[_displacements(i, u[i].function_space, contacts) for i in elastic],
-            names=[name_of_body(i, u[i].function_space) for i in elastic],
+            parts=[
+                *(_displacements(i, u[i].function_space, contacts) for i in elastic),
+                *map(RigidComponent.of_rigid, rigid.values()),
+            ],
+            names=[name_of_body(i, u[i].function_space) for i in moving],
+            rigid=list(rigid.values()),
             rtol=rtol,
             solver=solver,
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,
-            J=J,
+            J=None if J is None else [*J, *(body.J for body in rigid.values())],
             hooks=hooks,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
@@ -203,14 +219,16 @@ class ContactProblem(ContactSystem):
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
         told = [part for one in contacts for part in (one.friction, one.compliance) if part]
         values = [*(v for tie in ties for v in tie.given), *(part.given for part in told)]
+        values += [value for body in self._rigid for value in body.given]
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
         self._told_far: set[int] = set()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
-        revolution.tell(F, contacts, "contact")
-        revolution.tell(F, ties, "tie")
+        told_of = [None if i in rigid else form for i, form in enumerate(F)]
+        revolution.tell(told_of, contacts, "contact")
+        revolution.tell(told_of, ties, "tie")
 
     def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""
@@ -301,13 +319,15 @@ class ContactProblem(ContactSystem):
         self._path.start_step()
         wrong = self._path.wrong
         raise_on_all(self._comm, wrong and f"{wrong} is no number.", SolveError)
+        for body in self._rigid:
+            raise_on_all(self._comm, body.wrong(), ValueError)
         changes = self._comm.allreduce(self._path.changes, MPI.LOR)
         self._prepare()
         if not self._num_steps:
             self._warn_of_stiffness(self._comm)
         done, size = 0.0, 1.0
         while done < 1:
-            before, values = self._state(), [u.x.array.copy() for u in self._u]
+            before, values = self._state(), [u.x.array.copy() for u in self._set]
             internal = self._hooks.copies()
             s = min(done + size, 1.0)
             self._path.interpolate(s)
@@ -344,12 +364,19 @@ class ContactProblem(ContactSystem):
                 self._interrupted(before, values, done)
                 raise
             else:
-                for rows in self._rows:
-                    rows.commit()
+                for one in (*self._rows, *self._rigid):
+                    one.commit()
                 done, size = s, min(2 * size, 1.0)
                 if done < 1:
                     self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()
+        for body in self._rigid:
+            body.react([load for rows in self._rows for load in rows.loads_on(body)])
+
+    @property
+    def _set(self) -> list[fem.Function]:
+        """Functions that a solve sets: unknowns, and the displacements of rigid bodies."""
+        return [*self._u, *(body.u for body in self._rigid)]
 
     def _stop_at(self, done: float):
         """End a load step at the last solved state. Collective.
@@ -412,6 +439,8 @@ class ContactProblem(ContactSystem):
         parts = super()._parts(checkpoint, lost)
         for k, value in enumerate(zip(self._path.values, self._path.start, strict=True)):
             parts.append(checkpoint.start(f"start{k}", *value))
+        for i, body in enumerate(self._rigid):
+            parts.append(checkpoint.shared(f"rigid body {i}", lambda b=body: b.kept, body.resume))
         for c, rows in enumerate(self._rows):
             orders = list(map(checkpoint.order, rows.spaces))
             parts += checkpoint.contact(f"contact {c}", rows, orders)
@@ -422,7 +451,7 @@ class ContactProblem(ContactSystem):
 
         Not collective unless all ranks have agreed on the interrupt.
         """
-        for u, array in zip(self._u, values, strict=True):
+        for u, array in zip(self._set, values, strict=True):
             u.x.array[:] = array
         for part, array in zip(self._x.getNestSubVecs(), before.values, strict=True):
             part.array[:] = array
@@ -453,7 +482,7 @@ class ContactProblem(ContactSystem):
         """Warn of a Γ1 that is far stiffer than Γ0 and not coarser. Collective."""
         size = [field.stiffness(K) for field, K in zip(self._fields, self._K, strict=True)]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
-            i, j = rows.bodies
+            i, j = (None if b is None or b >= self._num_elastic else b for b in rows.bodies)
             if i is None or contact.finer * ALIKE < 1 or comm.rank > 0:
                 continue
             if j is None or size[j] > STIFF * size[i]:
@@ -504,6 +533,26 @@ def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) ->
             f"{V.mesh.geometry.dim} dimensions one of them."
         )
     return vectors[0]
+
+
+def _check_rigid(
+    rigid: dict[int, RigidBody], u: Sequence[fem.Function], contacts: Sequence[Contact]
+):
+    """Raise if rigid bodies don't fit to the displacements, or to axisymmetry."""
+    if len(set(map(id, rigid.values()))) < len(rigid):
+        raise ValueError("a rigid body is given twice; make one for each body.")
+    for i, body in rigid.items():
+        if u[i] is not body.u:
+            raise ValueError(
+                f"u[{i}] isn't the displacement of the rigid body in F[{i}]; give its u."
+            )
+        V = body.u.function_space
+        swept = any(one.axisymmetric and V in one.spaces for one in contacts)
+        if swept and not body.held[[0, 2]].all():
+            raise ValueError(
+                f"body {i} is rigid and axisymmetric: it can move along the axis only; make it "
+                'with held=("x", "rotation").'
+            )
 
 
 def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):

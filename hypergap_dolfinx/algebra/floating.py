@@ -17,6 +17,7 @@ from hypergap_dolfinx.algebra.rigid_motions import (
     mean,
     motions,
     places,
+    rotates,
     tied_groups,
 )
 from hypergap_dolfinx.algebra.tolerances import ASTRAY, DEPENDENT, MOVES, ROTATES
@@ -47,7 +48,8 @@ class FreeMotions:
         self._spaces, self._parts = spaces, [parts(V) for V in spaces]
         self.places = [places(V) for V in spaces]
         """Initial positions of this rank's owned nodes of each body, ``(num_nodes, n)`` each."""
-        self._centre = mean(spaces[0].mesh.comm, self.places)
+        bodies = [x for V, x in zip(spaces, self.places, strict=True) if rotates(V)]
+        self._centre = mean(spaces[0].mesh.comm, bodies or self.places)
         self._sizes: list[npt.NDArray[np.float64] | None] = [None] * len(spaces)
         modes = [self._modes(i, x) for i, x in enumerate(self.places)]
         ends = np.cumsum([0, *(part.shape[1] for part in modes)])
@@ -97,7 +99,9 @@ class FreeMotions:
         if not self._combinations[i].any():  # it is held
             return np.zeros((len(u), self.num))
         u = self._fields[i].of_body(u)
-        modes = self._modes(i, x + u.reshape(x.shape)) @ self._combinations[i]
+        if rotates(self._spaces[i]):  # not unknowns of a rigid body
+            x = x + u.reshape(x.shape)
+        modes = self._modes(i, x) @ self._combinations[i]
         return self._fields[i].into_body(modes)
 
     def _modes(self, i: int, x) -> npt.NDArray[np.float64]:
@@ -179,9 +183,8 @@ class RigidBodyDiagnostics:
         for i, (f, some) in enumerate(zip(self._fields, sizes > MOVES * sizes.max(), strict=True)):
             if not some.any():
                 continue
-            x = places(f.space)
-            v = f.of_body(moving[i][:, some.argmax()]).reshape(x.shape)
-            x, v = self._those_that_move(x + f.of_body(u[i]).reshape(x.shape), v)
+            v = f.at_nodes(moving[i][:, some.argmax()])
+            x, v = self._those_that_move(f.nodes(u[i]), v)
             how = f", {in_words(self._comm, x, v)}" if some.sum() == 1 else ""
             messages.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
         return "; ".join(messages)
@@ -209,8 +212,8 @@ class RigidBodyDiagnostics:
         for i, (f, start, end) in enumerate(zip(self._fields, before, now, strict=True)):
             if not self._moves[i]:
                 continue
-            x, start, end = places(f.space), f.of_body(start), f.of_body(end)
-            x, way = x + start.reshape(x.shape), (end - start).reshape(x.shape)
+            x = f.nodes(start)
+            way = f.nodes(end) - x
             middle, shift = mean(self._comm, [x]), mean(self._comm, [way])
             extent = 2 * np.sqrt(mean(self._comm, [(x - middle) ** 2]).sum())
             only.append(f"{self._names[i]} at {spot(middle)}")

@@ -40,6 +40,15 @@ class Pattern:
         """Union of two patterns."""
         return Pattern(self.size, _sorted(np.append(self.keys, other.keys)))
 
+    def coupled_with(self, num: int) -> "Pattern":
+        """The pattern with unknowns behind its own that are coupled with all others in it."""
+        i, j = self.places
+        size, more = self.size + num, self.size + np.arange(num)
+        every = _sorted(np.concatenate((i, j, more)))
+        blocks = every[:, None] * size + more, more[:, None] * size + every
+        keys = [i * size + j, *(block.ravel() for block in blocks)]
+        return Pattern(size, _sorted(np.concatenate(keys)))
+
     @property
     def places(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Rows and columns of the entries, ``(num_entries,)`` each."""

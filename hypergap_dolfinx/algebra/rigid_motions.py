@@ -182,7 +182,7 @@ def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:
     return next(B for B in row if B is not None).getLocalSize()[0]
 
 
-def _rotates(V: fem.FunctionSpace) -> bool:
+def rotates(V: fem.FunctionSpace) -> bool:
     """True if a body's field is a displacement."""
     return V.value_shape == (V.mesh.geometry.dim,)
 
@@ -264,7 +264,7 @@ def tied_groups(
     """
     num_bodies, tied_at_all = len(constraints.prescribed), bool(constraints.full)
     num_places = num_bodies + len(constraints.interior_sizes)
-    sizes = [_cell_sizes(p.space) if tied_at_all and _rotates(p.space) else None for _, p in fields]
+    sizes = [_cell_sizes(p.space) if tied_at_all and rotates(p.space) else None for _, p in fields]
     apart = [
         _apart(fields, places, num_bodies, sizes, row[:num_places]) | carried
         for row, carried in zip(constraints.full, constraints.carried(), strict=True)

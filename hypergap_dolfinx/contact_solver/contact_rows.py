@@ -28,6 +28,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     ROUND_OFF_FORCES,
 )
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidSides
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.component import Component
@@ -45,6 +46,8 @@ class ContactPair:
     """Numbers of the bodies; None for a rigid one."""
     components: tuple[Component, Component]
     """The sides' displacements among the fields of u."""
+    rigid: tuple[RigidBody | None, RigidBody | None] = (None, None)
+    """Rigid bodies that forces move."""
 
 
 @dataclass
@@ -121,18 +124,25 @@ class ContactRows:
         self._size = float(surface.size.max())
         """Size of the largest facet."""
         self.state = NormalState(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
+        self._rigid = self._rigid_sides(pair)
         self._held = [
             np.ones((len(side.dofs), self._n), dtype=bool)
-            if body is None
+            if body is None or rigid
             else look_up(
                 self._comm,
                 part.of_body(held[body]).reshape(-1, self._n).astype(np.int8),
                 part.space.dofmap.index_map.local_range[0],
                 side.dofs,
             ).astype(bool)
-            for part, side, body in zip(self.components, self.sides, self.bodies, strict=True)
+            for part, side, body, rigid in zip(
+                self.components, self.sides, self.bodies, pair.rigid, strict=True
+            )
         ]
         self._is_free = ~np.concatenate([part.ravel() for part in self._held])
+        self._moves = self._is_free.copy()  # dofs of rigid bodies too
+        if self._rigid:
+            can = [body is not None and not body.held.all() for body in pair.rigid]
+            self._moves |= np.repeat(can, [part.size for part in self._held])
         self._compliance = np.zeros(num)
         self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
         corners = surface.facets.shape[1]
@@ -145,10 +155,35 @@ class ContactRows:
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
+    def _rigid_sides(self, pair: ContactPair) -> RigidSides | None:
+        """The sides on rigid bodies that forces move; None without any. Collective."""
+        if not any(pair.rigid):
+            return None
+        arms = []
+        for body, side, V in zip(pair.rigid, self.sides, self.spaces, strict=True):
+            at = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : self._n]
+            start = V.dofmap.index_map.local_range[0]
+            found = look_up(self._comm, np.ascontiguousarray(at), start, side.dofs)
+            arms.append(found - (body.point if body else 0.0))
+        return RigidSides(pair.rigid, arms)
+
     @property
     def has_compliance(self) -> bool:
         """True if gaps of what is in contact grow with pressures."""
         return self._contact.compliance is not None
+
+    @property
+    def on_rigid_body(self) -> bool:
+        """True if a side is on a rigid body that forces move."""
+        return self._rigid is not None
+
+    @property
+    def springs(self) -> float:
+        """Mean stiffness of a compliance at vertices; 0 without one. Collective."""
+        if self._contact.compliance is None:
+            return 0.0
+        c = self._contact.compliance.at_vertices()
+        return float((self._area[c > 0] / c[c > 0]).mean()) if c.any() else 0.0
 
     def displacements(self, u: Sequence[npt.NDArray[np.float64] | None]) -> Displacements:
         """Displacements at both sides' dofs. Collective.
@@ -164,8 +199,16 @@ class ContactRows:
         return u0, u1
 
     def from_bodies(self, values: Sequence[npt.NDArray[np.float64]]) -> Displacements:
-        """Values of each body at both sides' dofs, 0 on a rigid one. Collective."""
-        return self.displacements([None if b is None else values[b] for b in self.bodies])
+        """Values of each body at both sides' dofs, 0 on an obstacle. Collective."""
+        moves = self._rigid.moves if self._rigid else (False, False)
+        of_bodies = [
+            None if b is None or on else values[b] for b, on in zip(self.bodies, moves, strict=True)
+        ]
+        found = self.displacements(of_bodies)
+        for side, body in enumerate(self.bodies):
+            if moves[side] and self._rigid and body is not None:
+                found[side][:] = self._rigid.moved(side, values[body])
+        return found
 
     # Changes of the state
 
@@ -202,7 +245,7 @@ class ContactRows:
         self._refuse_behind()
         every, free = (
             np.bincount(self.C.i, weights * self.C.values**2, len(g))
-            for weights in (1.0, self._is_free[self.C.j])
+            for weights in (1.0, self._moves[self.C.j])
         )
         self.valid = (self.m > HOLDS * self._area) & (free > HOLDS**2 * every)
         self._lengths, self._acting = self.g, self.C
@@ -354,7 +397,9 @@ class ContactRows:
         a = matrix.i % len(self.g)
         use = self.valid[a] & self._is_free[matrix.j]
         found = matrix.some(use)
-        return Sparse(found.i, found.j, self._root * found.values / self.m[a[use]])
+        if self._rigid:
+            found = joined(found, matrix.some(self.valid[a]) @ self._by_rigid)
+        return replace(found, values=self._root * found.values / self.m[found.i % len(self.g)])
 
     def watched_forces(self) -> Sparse:
         """Multipliers of the working set in terms of the unknowns of the equations."""
@@ -498,10 +543,21 @@ class ContactRows:
         Prescribed dofs have no residual.
         """
         forces = self.contact_forces()
-        for body, force, (mine, dofs) in zip(self.bodies, forces, self._owned_dofs, strict=True):
-            if body is not None:
+        rigid = self._rigid.bodies if self._rigid else (None, None)
+        each = zip(self.bodies, forces, self._owned_dofs, rigid, strict=True)
+        for side, (body, force, (mine, dofs), moves) in enumerate(each):
+            if body is None:
+                continue
+            if self._rigid and moves:
+                on = ~prescribed[body]  # of this rank
+                residual[body] -= (self._rigid.generalised(side, force)[: len(on)]) * on
+            else:
                 residual[body][dofs] -= force[mine].ravel() * ~prescribed[body][dofs]
         return forces
+
+    def loads_on(self, body: RigidBody) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """Contact forces on a rigid body, as :meth:`RigidBody.react` takes them."""
+        return self._rigid.loads(body, self.contact_forces()) if self._rigid else []
 
     @cached_property
     def _owned_dofs(self) -> list[tuple[npt.NDArray, npt.NDArray]]:
@@ -552,7 +608,18 @@ class ContactRows:
             of_body = part.global_dofs().reshape(-1, self._n)
             start = part.space.dofmap.index_map.local_range[0]
             numbers.append(look_up(self._comm, of_body, start, side.dofs).ravel())
-        return np.concatenate([*bodies, np.full(len(own), -1)]), np.concatenate([*numbers, own])
+        bodies, numbers = [*bodies, np.full(len(own), -1)], [*numbers, own]
+        if self._rigid:
+            of_rigid, mine = self._rigid.numbers(self.bodies)
+            bodies.append(of_rigid)
+            numbers.append(mine)
+        return np.concatenate(bodies), np.concatenate(numbers)
+
+    @property
+    def _by_rigid(self) -> Sparse:
+        """Derivatives of dofs by the unknowns of rigid bodies, which are behind all others."""
+        assert self._rigid is not None
+        return self._rigid.slopes(len(self._is_free) + self.num_unknowns)
 
     def pattern(self) -> Pattern:
         """Entries of the equations; in the plane also those that sliding may soon bring.
@@ -566,7 +633,10 @@ class ContactRows:
         facets = self.sides[0].at_facets if n == 2 else None
         shape = num, len(self._is_free) // n
         found = coupled(a[near], node[near], shape, n, self._per_vertex, facets)
-        return found.without(self.unknowns[0] == -2)
+        gone = self.unknowns[0] == -2
+        if self._rigid:
+            found = found.coupled_with(len(gone) - found.size)
+        return found.without(gone)
 
     def equations(self, increments: Sequence[npt.NDArray] | None) -> Linear:
         """Laws of the working set to first order, and p = 0 of other multipliers. Collective.
@@ -598,17 +668,25 @@ class ContactRows:
             found.append(Sparse(start + num * i + at, start + num * j + at, -k * by_f[i, j, at]))
         off = start + np.flatnonzero(~on)
         found.append(Sparse(off, off, np.full(len(off), self._diagonal)))
-        if self._follows and self.state.opening is not None:
-            if self._bends is None:  # else that of the step's first working set
-                H = self._curvature()
-                H = H.some(self._is_free[H.i] & self._is_free[H.j])
-                self._bends = replace(H, values=-H.values)
-            found.append(self._bends)
+        if self._bends is None:  # else that of the step's first working set
+            H = self._stress_stiffness()
+            self._bends = replace(H, values=-H.values)
+        found.append(self._bends)
         return Linear(
             joined(*found).summed,
             np.where(on, self._root * right.ravel(), 0),
             f.ravel() / self._root * on,
         )
+
+    def _stress_stiffness(self) -> Sparse:
+        """Derivative of the forces at fixed multipliers, by the unknowns of the equations."""
+        bends = self._follows and self.state.opening is not None
+        H = self._curvature() if bends else Sparse.empty()
+        if not self._rigid:
+            return H.some(self._is_free[H.i] & self._is_free[H.j])
+        free, start = np.flatnonzero(self._is_free), len(self._is_free) + self.num_unknowns
+        P = joined(Sparse(free, free, np.ones(len(free))), self._by_rigid)
+        return joined(P.T @ (H @ P), self._rigid.curvature(start, self.contact_forces()))
 
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f."""

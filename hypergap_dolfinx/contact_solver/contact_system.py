@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 )
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
@@ -92,6 +94,7 @@ class ContactSystem(NonlinearSystem):
         *,
         parts: Sequence[Component],
         names: Sequence[str],
+        rigid: Sequence[RigidBody] = (),
         rtol: float,
         solver: str | None = None,
         petsc_options_prefix: str,
@@ -107,6 +110,7 @@ class ContactSystem(NonlinearSystem):
             pieces: The ties, and the interfaces that they are pieces of.
             pairs: The contacts with their bodies.
             parts: Displacements of each body among its fields.
+            rigid: The rigid bodies among them, the last ones.
             names: Names of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, treated as zero.
             solver: ``"direct"``, ``"iterative"``, or None: chosen by the size.
@@ -118,6 +122,7 @@ class ContactSystem(NonlinearSystem):
         self._fields = [
             DisplacementField(part, f.function_space) for part, f in zip(parts, u, strict=True)
         ]
+        self._rigid, self._num_elastic = list(rigid), len(u) - len(rigid)
         super().__init__(F, u, bcs, pieces, **compiling)
         pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names, self._moving = rtol, names, list(parts)
@@ -142,6 +147,9 @@ class ContactSystem(NonlinearSystem):
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
+        for body in self._rigid:
+            if body.q is u:
+                return body.J
         found = super()._derivative(F, u)
         if is_mixed(u.function_space):
             return found
@@ -157,7 +165,7 @@ class ContactSystem(NonlinearSystem):
             ValueError: An unknown name, or a solver that isn't possible.
         """
         reason = multigrid_tangent.why_not(self._system, self._rows)
-        symmetric = not self._frictional
+        symmetric = not self._frictional and not any(b.can_turn_freely for b in self._rigid)
         if solver is None:
             large = self._dim == 3 and sum(K.getSize()[0] for K in self._K) >= LARGE_CONTACT
             can = symmetric and not reason and not self._names_types
@@ -170,7 +178,20 @@ class ContactSystem(NonlinearSystem):
                 raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')
             return MultigridTangent(self._system, self._rows, *options, symmetric=symmetric)
         found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
-        return Tangent(self._A, self._fields, self._rows, self._prefix, found)
+        fields = self._fields[: self._num_elastic]
+        return Tangent(self._A, fields, self._rows, self._prefix, found, len(self._rigid))
+
+    def _assign(self, x: PETSc.Vec):
+        """Copy a vector into u, and move the nodes of rigid bodies. Collective."""
+        super()._assign(x)
+        for body in self._rigid:
+            body.assign()
+
+    def _lifted(self) -> list[npt.NDArray]:
+        """Displacements with those that are prescribed, rigid bodies' as users have set them."""
+        for body in self._rigid:
+            body.read()
+        return super()._lifted()
 
     @property
     def _dim(self) -> int:
@@ -197,7 +218,7 @@ class ContactSystem(NonlinearSystem):
             self._given = None  # options of another solver
             self._tangent = self._chosen("direct")
             self._tangent.iterations = iterations
-            self._tangent.remember_stiffness()
+            self._tangent.remember_stiffness(self._stiffness())
             return solve()
 
     def _sides(self) -> list:
@@ -225,11 +246,14 @@ class ContactSystem(NonlinearSystem):
             x.array[:] = u.x.array[: x.getLocalSize()]
         for rows in self._rows:
             rows.start_solve()
+        for body in self._rigid:
+            body.assign()
+            body.read()
         if self._free is None:
             self._hooks("before_step")
             self.assemble_matrix()
             self._scales_fixed = True
-            self._tangent.remember_stiffness()
+            self._tangent.remember_stiffness(self._stiffness())
             self._free = FreeMotions(self._moving, self._K, self._constraints)
             self._num_free = self._free.num
             self._strays = RigidBodyDiagnostics(self._moving, self._free, self._names)
@@ -436,7 +460,8 @@ class ContactSystem(NonlinearSystem):
         at = []
         assert self._free is not None
         left = self._of_displacements([b.array_r for b in self._b.getNestSubVecs()])
-        for name, x, b in zip(self._names, self._free.places, left, strict=True):
+        elastic = slice(self._num_elastic)
+        for name, x, b in zip(self._names[elastic], self._free.places, left, strict=False):
             wrong = ~np.isfinite(b).reshape(x.shape).all(axis=1)
             if wrong.any():
                 at.append(f" of {name} around {spot(x[wrong][:1])} (before displacements)")
@@ -653,7 +678,7 @@ class ContactSystem(NonlinearSystem):
         assert self._free is not None
         moves = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         pushes = any(rows.state.p.any() for rows in self._rows)
-        if self._tied or self._num_free or not (moves and pushes):
+        if self._tied or self._rigid or self._num_free or not (moves and pushes):
             return
         now, ways, held = map(self._of_displacements, (self._owned(), jump, self._held))
         motions = prescribed_motions(self._comm, self._free.places, now, ways, held)
@@ -697,6 +722,7 @@ class ContactSystem(NonlinearSystem):
         if self._stiffness_of != self._known:
             self._stiffness_of = list(self._known)
             pairs = list(zip(self._fields, self._K, strict=True))
-            self._softest = min([field.stiffness(K) for field, K in pairs])
+            sizes = [field.stiffness(K) for field, K in pairs[: self._num_elastic]]
+            self._softest = min(sizes, default=0.0) or max(rows.springs for rows in self._rows)
             self._row_lengths = [field.lengths(K) for field, K in pairs]
         return self._softest

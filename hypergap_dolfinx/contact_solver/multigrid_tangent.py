@@ -45,6 +45,8 @@ Array = npt.NDArray[np.float64]
 
 def why_not(system: System, rows: Sequence[ContactRows]) -> str | None:
     """Reason why contact can't be solved like this, or None. Collective."""
+    if any(part.on_rigid_body for part in rows):
+        return "a rigid body moves"
     reason = Multigrid.why_not(system)
     gives = any(part.has_compliance for part in rows)
     return reason or ("a contact has a compliance" if gives else None)
@@ -219,7 +221,7 @@ class MultigridTangent:
         """Start a load step: springs of the last one may be elsewhere by now."""
         self._sprung = self._last = None
 
-    def remember_stiffness(self):
+    def remember_stiffness(self, _of_rigid: float):
         """Remember the diagonal of the bodies' present stiffness, which is that without stress."""
         if self._made is None:  # K has values from now on
             with self._options.in_use():

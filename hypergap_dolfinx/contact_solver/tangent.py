@@ -227,17 +227,19 @@ class Tangent:
         rows: Sequence[ContactRows],
         prefix: str,
         ways: Sequence[Way],
+        num_rigid: int = 0,
     ):
         """Store the matrix and the contacts.
 
         Args:
             A: The nested matrix of bodies and ties.
-            fields: Displacements of the bodies, whose block rows are the first ones.
+            fields: Displacements of elastic bodies, whose block rows are the first ones.
             rows: The contacts.
             prefix: Prefix of the KSP's options.
             ways: Ways to solve; where one fails, the next one replaces it for good.
+            num_rigid: Number of rigid bodies, whose block rows come next.
         """
-        self._nest, self._num_bodies, self._rows = A, len(fields), list(rows)
+        self._nest, self._num_bodies, self._rows = A, len(fields) + num_rigid, list(rows)
         self._fields = list(fields)
         self._mine = [part.mine for part in rows]
         self._prefix, self._ways = prefix, list(ways)
@@ -257,22 +259,27 @@ class Tangent:
         """Start a load step: entries of the last one need no room any more."""
         self._load_step += 1
 
-    def remember_stiffness(self):
-        """Remember the present stiffness of the bodies, which is that without stress."""
+    def remember_stiffness(self, of_rigid: float):
+        """Remember the present stiffness of the bodies, which is that without stress.
+
+        Args:
+            of_rigid: What counts as that of each unknown of a rigid body.
+        """
         self._elastic, self._diagonals = [], []
+        num = len(self._fields)
         for i, j, block in self._blocks():
             indptr, columns, values = block.getValuesCSR()
-            own = values * (i == j < self._num_bodies)
-            if i == j < self._num_bodies and self._fields[i].num_others:
+            rows = np.repeat(np.arange(*block.getOwnershipRange()), np.diff(indptr))
+            own = values * (i == j < num)
+            if i == j < num and self._fields[i].num_others:
                 # Of displacements alone: equations of other fields are satisfied as they are
                 moves = np.concatenate(block.comm.tompi4py().allgather(~self._fields[i].others))
                 mine = np.repeat(~self._fields[i].others, np.diff(indptr))
                 own = own * (mine & moves[columns])
-            start, end = block.getOwnershipRange()
+            elif num <= i == j < self._num_bodies:
+                own = of_rigid * (columns == rows)
             self._elastic.append(own)
-            self._diagonals.append(
-                own * (columns == np.repeat(np.arange(start, end), np.diff(indptr)))
-            )
+            self._diagonals.append(own * (columns == rows))
 
     def solve(
         self,

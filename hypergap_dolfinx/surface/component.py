@@ -83,6 +83,23 @@ class Component:
         result[self.dofs] = values
         return result
 
+    def nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """Positions of this rank's owned nodes, displaced by a body's owned values.
+
+        Args:
+            values: ``(num_dofs_of_body,)``.
+
+        Returns:
+            ``(num_nodes, n)``.
+        """
+        V = self.space
+        num, n = V.dofmap.index_map.size_local, V.mesh.geometry.dim
+        return V.tabulate_dof_coordinates()[:num, :n] + self.at_nodes(values)
+
+    def at_nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """A body's owned values at this rank's owned nodes, ``(num_nodes, n)``."""
+        return self.of_body(values).reshape(-1, self.space.mesh.geometry.dim)
+
     def own_function(self, u: fem.Function) -> fem.Function | None:
         """The field of a function, on its own space. Collective.
 

@@ -1,0 +1,443 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Rigid bodies under forces and torques: a body's nodes move with a point and a rotation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx.mesh
+import ufl
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.rotation import moment_of, rotated, rotation
+from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.moving import Sparse, joined
+from hypergap_dolfinx.surface.trace import lagrange_element
+
+Array = npt.NDArray[np.float64]
+COMPONENTS = {2: ("x", "y", "rotation"), 3: ("x", "y", "z", "rx", "ry", "rz")}
+
+
+class RigidBody:
+    """A rigid body that contact, forces and torques move; it takes the place of a form.
+
+    Its displacements are u = (R − 1) (X − X₀) + t: t is that of its reference point X₀, R a
+    rotation of any size. Components are x, y and the rotation in the plane, x, y, z and rotations
+    rx, ry, rz about axes of space in space; each is free or held. The mesh needs no more than the
+    cells at its surface.
+
+    Loads are ``force``, at X₀, and ``torque``, both fixed in space. All arrays may be changed
+    between load steps, and are ramped where one is halved. In space a rotation is the product of
+    those of load steps, each about the sum of the increments of rx, ry and rz.
+
+    Example:
+        A wheel on an axle in springs, which a torque turns::
+
+            wheel = RigidBody(u1, point=(0.0, 1.0))
+            problem = ContactProblem([F0, wheel], [u0, u1], contacts=[contact])
+            wheel.force = 0.0, -100.0
+            wheel.torque = 20.0
+            wheel.springs[0] = 1e4
+            problem.solve()
+            print(wheel.displacement, wheel.angles)
+
+        A mass m, by Newmark's method or another one that is linear in accelerations: springs are
+        m / (β Δt²), anchors the predicted displacements; of rotations with the moment of inertia
+        about their axis (gyroscopic moments aren't in it).
+    """
+
+    def __init__(self, u: fem.Function, *, point: npt.ArrayLike, held: Sequence[str] | str = ()):
+        """Find its nodes. Collective.
+
+        Args:
+            u: Displacement of the body, on a Lagrange space of vectors; it is set by the problem.
+            point: The reference point X₀, in the body or elsewhere.
+            held: Names of the components that are held, of :attr:`components`, at the values in
+                :attr:`prescribed`.
+
+        Raises:
+            ValueError: No displacement, a point or a name that is none.
+        """
+        self._check(u)
+        V = u.function_space
+        self.u, self._n, self._comm = u, V.mesh.geometry.dim, V.mesh.comm
+        n = self._n
+        self.components = COMPONENTS[n]
+        """Names of its unknowns."""
+        try:
+            given = np.asarray(point, dtype=float)
+        except (TypeError, ValueError):
+            given = np.full(0, np.nan)
+        if given.shape != (n,) or not np.isfinite(given).all():
+            raise ValueError(f"the point of a rigid body has {n} coordinates, not {point!r}.")
+        held = [held] if isinstance(held, str) else list(held)
+        for name in held:
+            if name not in self.components:
+                raise ValueError(f"held has {name!r}; components are {', '.join(self.components)}.")
+        self._point = given
+        self.held = np.array([name in held for name in self.components])
+        """Mask of the components that are held."""
+        arms = V.tabulate_dof_coordinates()[:, :n] - given
+        self._arms = _in_space(arms)
+        mine = self._arms[: V.dofmap.index_map.size_local]
+        sums = self._comm.allreduce(np.array([(mine**2).sum(), len(mine)]))
+        self._length = float(np.sqrt(sums[0] / sums[1])) or 1.0
+        num, across = len(self.components), len(self.components) - n
+        self._units = np.append(np.ones(n), np.full(across, 1 / self._length))
+        self._rotates = slice(0, 3) if n == 3 else slice(2, 3)  # of a rotation vector
+        self._force, self._torque = np.zeros(n), np.zeros(across)
+        self._prescribed, self._springs, self._anchors = np.zeros((3, num))
+        self._values, self._reaction = np.zeros((2, num))
+        self._start, self._turn = np.zeros(across), np.eye(3)
+        self._make_unknowns()
+
+    @staticmethod
+    def _check(u: fem.Function):
+        """Raise if a function is no displacement."""
+        if not isinstance(u, fem.Function):
+            raise ValueError(f"a rigid body takes the displacement u, not a {type(u).__name__}.")
+        V = u.function_space
+        if V.value_shape != (V.mesh.geometry.dim,) or lagrange_element(V)[1] is not None:
+            raise ValueError(
+                "the displacement of a rigid body is on a Lagrange space of vectors, with as many "
+                "components as there are coordinates; this is another one."
+            )
+        if np.issubdtype(default_scalar_type, np.complexfloating):
+            raise ValueError("rigid bodies need a PETSc with real scalars.")
+
+    def _make_unknowns(self):
+        """Function of the unknowns, on one cell of volume 1, and its forms. Collective."""
+        n, num, comm = self._n, len(self.components), self._comm
+        x = factorial(n) ** (1 / n) * np.vstack((np.zeros(n), np.eye(n)))
+        mine = np.arange(n + 1)[None] if comm.rank == 0 else np.empty((0, n + 1), dtype=np.int64)
+        name = {2: "triangle", 3: "tetrahedron"}[n]
+
+        def stay(comm, num_parts, cell_types, cells):
+            return compat.destinations(np.zeros(len(mine), dtype=np.int32))
+
+        mesh = dolfinx.mesh.create_mesh(
+            comm,
+            mine,
+            e=basix.ufl.element("Lagrange", name, 1, shape=(n,)),
+            x=x if comm.rank == 0 else x[:0],
+            partitioner=stay,
+        )
+        V = fem.functionspace(mesh, ("DG", 0, (num,)))
+        self.q = fem.Function(V)
+        """Its unknowns: translations, and rotations times a length."""
+        self._goals = [fem.Constant(mesh, 0.0) for _ in range(num)]
+        self._load, self._own = (fem.Constant(mesh, np.zeros(num)) for _ in range(2))
+        self._slope = fem.Constant(mesh, np.zeros((num, num)))
+        dq, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        own = ufl.as_vector([self._own[k] * self.q[k] for k in range(num)])
+        self.F = ufl.inner(own - self._load, v) * ufl.dx
+        """Residual form of springs and loads."""
+        self.J = ufl.derivative(self.F, self.q) + ufl.inner(self._slope * dq, v) * ufl.dx
+        """Its derivative."""
+        self.bcs = [
+            fem.dirichletbc(goal, np.full(len(mine), k, dtype=np.int32), V.sub(k))
+            for k, goal in enumerate(self._goals)
+            if self.held[k]
+        ]
+        """Conditions of what is held."""
+
+    # What users set and read
+
+    @property
+    def point(self) -> Array:
+        """The reference point X₀, ``(n,)``."""
+        return self._point.copy()
+
+    @property
+    def force(self) -> Array:
+        """Force at the reference point, ``(n,)``."""
+        return self._force
+
+    @force.setter
+    def force(self, value: npt.ArrayLike):
+        self._force[:] = value
+
+    @property
+    def torque(self) -> Array:
+        """Torque about the reference point, ``(1,)`` in the plane, ``(3,)`` about axes of space."""
+        return self._torque
+
+    @torque.setter
+    def torque(self, value: npt.ArrayLike):
+        self._torque[:] = value
+
+    @property
+    def prescribed(self) -> Array:
+        """Values of what is held: displacements of the point, and angles, ``(num_components,)``."""
+        return self._prescribed
+
+    @prescribed.setter
+    def prescribed(self, value: npt.ArrayLike):
+        self._prescribed[:] = value
+
+    @property
+    def springs(self) -> Array:
+        """Stiffness of springs to the anchors, ``(num_components,)``; 0 for none."""
+        return self._springs
+
+    @springs.setter
+    def springs(self, value: npt.ArrayLike):
+        self._springs[:] = value
+
+    @property
+    def anchors(self) -> Array:
+        """Values of the components at which springs have no force, ``(num_components,)``."""
+        return self._anchors
+
+    @anchors.setter
+    def anchors(self, value: npt.ArrayLike):
+        self._anchors[:] = value
+
+    @property
+    def displacement(self) -> Array:
+        """Displacement t of the reference point, ``(n,)``, the same on every rank."""
+        return self._values[: self._n].copy()
+
+    @property
+    def angles(self) -> Array:
+        """Rotations added up, in radians, ``(1,)`` in the plane, ``(3,)`` in space."""
+        return self._values[self._n :] / self._length
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation R, ``(n, n)``."""
+        return (rotation(self._theta) @ self._turn)[: self._n, : self._n]
+
+    @property
+    def reaction(self) -> Array:
+        """Forces and torques by which held components are held after a solve, 0 of free ones."""
+        return self._reaction.copy()
+
+    # What a problem asks for
+
+    @property
+    def given(self) -> list[Array]:
+        """Arrays in which a user changes its values."""
+        return [self._force, self._torque, self._prescribed, self._springs, self._anchors]
+
+    @property
+    def constants(self) -> list[fem.Constant]:
+        """Constants in its forms and conditions, which :meth:`read` sets."""
+        return [*self._goals, self._load, self._own, self._slope]
+
+    @property
+    def can_turn_freely(self) -> bool:
+        """True if its rotation has no fixed axis."""
+        return self._n == 3 and int((~self.held[3:]).sum()) > 1
+
+    def wrong(self) -> str | None:
+        """Message about values that are contradictory, or None."""
+        at = np.flatnonzero((self._prescribed != 0) & ~self.held)
+        if len(at):
+            name = self.components[at[0]]
+            return (
+                f"a value is prescribed for {name} of a rigid body, which isn't held: make the "
+                f"body with held={name!r}, or set 0."
+            )
+        if (self._springs < 0).any():
+            return f"a spring of a rigid body has the stiffness {self._springs.min():.3g} < 0."
+        return None
+
+    @property
+    def _theta(self) -> Array:
+        """Rotation vector since the last accepted state, ``(3,)``."""
+        return self._theta_of(self._values)
+
+    def _theta_of(self, values: Array) -> Array:
+        theta = np.zeros(3)
+        theta[self._rotates] = values[self._n :] / self._length - self._start
+        return theta
+
+    def read(self):
+        """Set the constants of its forms from what the user has set, at the present rotation."""
+        n = self._n
+        M = np.zeros(3)
+        M[self._rotates] = self._torque
+        moment, slope = moment_of(self._theta, M)
+        at = self._rotates
+        load = np.append(self._force, moment[at]) + self._springs * self._anchors
+        self._load.value[:] = load * self._units
+        self._own.value[:] = self._springs * self._units**2
+        self._slope.value[n:, n:] = -slope[at, at] / self._length**2
+        for goal, value in zip(self._goals, self._prescribed / self._units, strict=True):
+            goal.value = value
+
+    def shared(self, values: Array) -> Array:
+        """Values of its unknowns on every rank, from this rank's. Collective."""
+        return self._comm.bcast(np.array(values[: len(self.components)]))  # rank 0 has the cell
+
+    def assign(self):
+        """Set u from the unknowns. Collective."""
+        self._values = self.shared(self.q.x.array)
+        self.u.x.array[:] = self.moved(self._arms, self._values).ravel()
+
+    def moved(self, arms: Array, values: Array) -> Array:
+        """Displacements of points X, from X − X₀, ``(num, n)`` from ``(num, 3)``, by unknowns."""
+        n = self._n
+        x, _, _ = rotated(self._theta_of(values), arms @ self._turn.T)
+        return (x - arms)[:, :n] + values[:n]
+
+    def slopes(self, arms: Array) -> Array:
+        """Derivatives of displacements by the unknowns, ``(num, n, num_components)``."""
+        n = self._n
+        _, first, _ = rotated(self._theta, arms @ self._turn.T)
+        found = np.zeros((len(arms), n, len(self.components)))
+        found[:, range(n), range(n)] = 1.0
+        found[:, :, n:] = first[:, :n, self._rotates] / self._length
+        return found
+
+    def curvature(self, arms: Array, forces: Array) -> Array:
+        """Forces times second derivatives of displacements, ``(num_components, num_components)``.
+
+        Args:
+            arms: X − X₀, ``(num, 3)``.
+            forces: ``(num, n)``.
+        """
+        n, at = self._n, self._rotates
+        _, _, second = rotated(self._theta, arms @ self._turn.T)
+        found = np.zeros((len(self.components),) * 2)
+        both = np.einsum("ak,akij->ij", forces, second[:, :n])
+        found[n:, n:] = both[at, at] / self._length**2
+        return found
+
+    def react(self, loads: Sequence[tuple[Array, Array]]):
+        """Find the reactions to contact forces.
+
+        Args:
+            loads: Of each contact X − X₀ of points, ``(num, 3)``, and forces there, ``(num, n)``.
+        """
+        n, at = self._n, self._rotates
+        values = np.append(self.displacement, self.angles)
+        total = np.append(self._force, self._torque) + self._springs * (self._anchors - values)
+        for arms, forces in loads:
+            x, _, _ = rotated(self._theta, arms @ self._turn.T)
+            total[:n] += forces.sum(axis=0)
+            total[n:] += np.cross(x, _in_space(forces)).sum(axis=0)[at]
+        self._reaction = np.where(self.held, -total, 0.0)
+
+    def commit(self):
+        """Accept the state: the next rotation vector starts from it."""
+        self._turn = rotation(self._theta) @ self._turn
+        self._start = self.angles
+
+    @property
+    def kept(self) -> Array:
+        """What the next load step depends on beside the unknowns, flat."""
+        return np.concatenate((self._start, self._turn.ravel()))
+
+    def resume(self, kept: Array):
+        """Go on from what was kept, with unknowns that are set already. Collective."""
+        self._start, turn = np.split(kept.copy(), [len(self._start)])
+        self._turn = turn.reshape(3, 3)
+        self.assign()
+
+
+def _in_space(x: Array) -> Array:
+    """Vectors with three components."""
+    return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+
+
+@dataclass(frozen=True)
+class RigidComponent(Component):
+    """The unknowns of a rigid body in the place of a field; its nodes are those of its mesh."""
+
+    body: RigidBody
+
+    @classmethod
+    def of_rigid(cls, body: RigidBody) -> "RigidComponent":
+        """That of a body."""
+        V = body.q.function_space
+        return cls(V, V, None, body)
+
+    @property
+    def _arms(self) -> Array:
+        """X − X₀ of this rank's owned nodes."""
+        return self.body._arms[: self.body.u.function_space.dofmap.index_map.size_local]
+
+    def nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """Positions of this rank's owned nodes of its mesh, ``(num_nodes, n)``. Collective."""
+        n, body = self.body._n, self.body
+        return body.point + self._arms[:, :n] + body.moved(self._arms, body.shared(values))
+
+    def at_nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """Velocities of this rank's owned nodes, ``(num_nodes, n)``. Collective."""
+        return self.body.slopes(self._arms) @ self.body.shared(values)
+
+
+class RigidSides:
+    """Rigid bodies at the sides of a contact: their unknowns in the place of surfaces' dofs."""
+
+    def __init__(self, bodies: Sequence[RigidBody | None], arms: Sequence[Array]):
+        """Store them.
+
+        Args:
+            bodies: Γ0's and Γ1's, None for another body.
+            arms: X − X₀ at the dofs of both sides, ``(num_dofs_i, n)``.
+        """
+        self.bodies = list(bodies)
+        """Γ0's and Γ1's, None for another body."""
+        self._sides = [(b, _in_space(x)) for b, x in zip(bodies, arms, strict=True)]
+        self._n = arms[0].shape[1]
+        self.moves = [body is not None for body in bodies]
+        """True for sides on a rigid body."""
+
+    def numbers(self, of: Sequence[int | None]) -> tuple[npt.NDArray, npt.NDArray]:
+        """Body of each unknown, -2 for those that are held, and its number there.
+
+        Args:
+            of: Numbers of both sides' bodies.
+        """
+        pairs = [(b, k) for b, k in zip(self.bodies, of, strict=True) if b and k is not None]
+        bodies = [np.where(body.held, -2, k) for body, k in pairs]
+        return np.concatenate(bodies), np.concatenate([np.arange(len(b.held)) for b, _ in pairs])
+
+    def slopes(self, start: int) -> Sparse:
+        """Derivatives of dofs by the unknowns that are free, of which ``start`` is the first."""
+        found, before = [Sparse.empty()], 0
+        for body, arms in self._sides:
+            if body:
+                values = body.slopes(arms).reshape(-1, len(body.held)) * ~body.held
+                i, j = np.nonzero(values)
+                found.append(Sparse(before + i, start + j, values[i, j]))
+                start += len(body.held)
+            before += len(arms) * self._n
+        return joined(*found)
+
+    def curvature(self, start: int, forces: Sequence[Array]) -> Sparse:
+        """Forces at both sides' dofs times second derivatives of these by the unknowns."""
+        found = [Sparse.empty()]
+        for (body, arms), force in zip(self._sides, forces, strict=True):
+            if body:
+                free = np.where(body.held, 0.0, 1.0)
+                values = body.curvature(arms, force) * np.outer(free, free)
+                i, j = np.nonzero(values)
+                found.append(Sparse(start + i, start + j, values[i, j]))
+                start += len(body.held)
+        return joined(*found)
+
+    def moved(self, side: int, values: npt.NDArray) -> Array:
+        """Velocities of a side's dofs from this rank's of the unknowns. Collective."""
+        body, arms = self._sides[side]
+        assert body is not None
+        return body.slopes(arms) @ body.shared(values)
+
+    def generalised(self, side: int, force: Array) -> Array:
+        """Forces at a side's dofs on the unknowns, ``(num_components,)``."""
+        body, arms = self._sides[side]
+        assert body is not None
+        return np.einsum("aik,ai->k", body.slopes(arms), force)
+
+    def loads(self, body: RigidBody, forces: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """X − X₀ and forces on one body, as :meth:`RigidBody.react` takes them."""
+        pairs = zip(self._sides, forces, strict=True)
+        return [(arms, force) for (other, arms), force in pairs if other is body]
