@@ -167,8 +167,9 @@ class ContactProblem(ContactSystem):
         )
         rigid = {i: one for i, one in enumerate(F) if isinstance(one, RigidBody)}
         _check_rigid(rigid, u, contacts)
-        elastic = [i for i, form in enumerate(F) if form is not None and i not in rigid]
-        forms = [F[i] for i in elastic]
+        of_bodies = [None if isinstance(form, RigidBody) else form for form in F]
+        elastic = [i for i, form in enumerate(of_bodies) if form is not None]
+        forms = [form for form in of_bodies if form is not None]
         moving = [*elastic, *rigid]
         self._every = list(u)
         pairs, told_sizes = [], list[str]()
@@ -191,9 +192,8 @@ class ContactProblem(ContactSystem):
             if contact.is_wall and contact.doubt_of_sizes and not are_rigid[0]:
                 told_sizes.append(contact.doubt_of_sizes)
             fields = u[bodies[0]], u[bodies[1]]
-            of_bodies = numbers[0], numbers[1]
-            both = rigid.get(bodies[0]), rigid.get(bodies[1])
-            pairs.append(ContactPair(contact, fields, of_bodies, contact.components, both))
+            both, on = (numbers[0], numbers[1]), (rigid.get(bodies[0]), rigid.get(bodies[1]))
+            pairs.append(ContactPair(contact, fields, both, contact.components, on))
         super().__init__(
             [*forms, *(body.F for body in rigid.values())],
             [*(u[i] for i in elastic), *(body.q for body in rigid.values())],
@@ -226,9 +226,8 @@ class ContactProblem(ContactSystem):
         self._told_far: set[int] = set()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
-        told_of = [None if i in rigid else form for i, form in enumerate(F)]
-        revolution.tell(told_of, contacts, "contact")
-        revolution.tell(told_of, ties, "tie")
+        revolution.tell(of_bodies, contacts, "contact")
+        revolution.tell(of_bodies, ties, "tie")
 
     def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""
@@ -440,7 +439,7 @@ class ContactProblem(ContactSystem):
         for k, value in enumerate(zip(self._path.values, self._path.start, strict=True)):
             parts.append(checkpoint.start(f"start{k}", *value))
         for i, body in enumerate(self._rigid):
-            parts.append(checkpoint.shared(f"rigid body {i}", lambda b=body: b.kept, body.resume))
+            parts.append(checkpoint.shared(f"rigid body {i}", body.kept, body.resume))
         for c, rows in enumerate(self._rows):
             orders = list(map(checkpoint.order, rows.spaces))
             parts += checkpoint.contact(f"contact {c}", rows, orders)
@@ -543,9 +542,7 @@ def _check_rigid(
         raise ValueError("a rigid body is given twice; make one for each body.")
     for i, body in rigid.items():
         if u[i] is not body.u:
-            raise ValueError(
-                f"u[{i}] isn't the displacement of the rigid body in F[{i}]; give its u."
-            )
+            raise ValueError(f"u[{i}] isn't the u of the rigid body in F[{i}]; give that.")
         V = body.u.function_space
         swept = any(one.axisymmetric and V in one.spaces for one in contacts)
         if swept and not body.held[[0, 2]].all():

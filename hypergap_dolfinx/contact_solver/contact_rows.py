@@ -125,24 +125,11 @@ class ContactRows:
         """Size of the largest facet."""
         self.state = NormalState(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
         self._rigid = self._rigid_sides(pair)
-        self._held = [
-            np.ones((len(side.dofs), self._n), dtype=bool)
-            if body is None or rigid
-            else look_up(
-                self._comm,
-                part.of_body(held[body]).reshape(-1, self._n).astype(np.int8),
-                part.space.dofmap.index_map.local_range[0],
-                side.dofs,
-            ).astype(bool)
-            for part, side, body, rigid in zip(
-                self.components, self.sides, self.bodies, pair.rigid, strict=True
-            )
-        ]
-        self._is_free = ~np.concatenate([part.ravel() for part in self._held])
-        self._moves = self._is_free.copy()  # dofs of rigid bodies too
-        if self._rigid:
-            can = [body is not None and not body.held.all() for body in pair.rigid]
-            self._moves |= np.repeat(can, [part.size for part in self._held])
+        each = zip(self.components, self.sides, self.bodies, pair.rigid, strict=True)
+        self._held = [self._held_at(held, *of_side) for of_side in each]
+        self._moves = ~np.concatenate([part.ravel() for part in self._held])
+        own = [rigid is None for rigid in pair.rigid]  # dofs that are unknowns themselves
+        self._is_free = self._moves & np.repeat(own, [part.size for part in self._held])
         self._compliance = np.zeros(num)
         self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
         corners = surface.facets.shape[1]
@@ -171,6 +158,16 @@ class ContactRows:
     def has_compliance(self) -> bool:
         """True if gaps of what is in contact grow with pressures."""
         return self._contact.compliance is not None
+
+    def _held_at(self, held, part: Component, side: MovingSurface, body, rigid):
+        """Mask of a side's prescribed displacements, ``(num_dofs, n)``. Collective."""
+        if body is None:
+            return np.ones((len(side.dofs), self._n), dtype=bool)
+        if rigid:
+            return np.tile(rigid.held_axes, (len(side.dofs), 1))
+        mask = part.of_body(held[body]).reshape(-1, self._n).astype(np.int8)
+        start = part.space.dofmap.index_map.local_range[0]
+        return look_up(self._comm, mask, start, side.dofs).astype(bool)
 
     @property
     def on_rigid_body(self) -> bool:
@@ -602,9 +599,10 @@ class ContactRows:
         own = np.empty_like(self._order)
         own[self._order] = np.arange(len(own))
         bodies, numbers = [], []
-        each = zip(self.sides, self.components, self.bodies, self._held, strict=True)
-        for side, part, body, held in each:
-            bodies.append(np.where(held.ravel(), -2, -2 if body is None else body))
+        are_free = np.split(self._is_free, [self._held[0].size])
+        each = zip(self.sides, self.components, self.bodies, are_free, strict=True)
+        for side, part, body, free in each:
+            bodies.append(np.where(free, -2 if body is None else body, -2))
             of_body = part.global_dofs().reshape(-1, self._n)
             start = part.space.dofmap.index_map.local_range[0]
             numbers.append(look_up(self._comm, of_body, start, side.dofs).ravel())

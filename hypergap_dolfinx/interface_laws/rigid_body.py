@@ -235,6 +235,11 @@ class RigidBody:
         """True if its rotation has no fixed axis."""
         return self._n == 3 and int((~self.held[3:]).sum()) > 1
 
+    @property
+    def held_axes(self) -> npt.NDArray[np.bool_]:
+        """Mask of the axes along which none of its nodes can move, ``(n,)``."""
+        return self.held[: self._n] & self.held[self._n :].all()
+
     def wrong(self) -> str | None:
         """Message about values that are contradictory, or None."""
         at = np.flatnonzero((self._prescribed != 0) & ~self.held)
@@ -330,7 +335,6 @@ class RigidBody:
         self._turn = rotation(self._theta) @ self._turn
         self._start = self.angles
 
-    @property
     def kept(self) -> Array:
         """What the next load step depends on beside the unknowns, flat."""
         return np.concatenate((self._start, self._turn.ravel()))
