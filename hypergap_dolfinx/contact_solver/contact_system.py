@@ -438,7 +438,8 @@ class ContactSystem(NonlinearSystem):
         for x, dx in zip(parts, found.changes, strict=True):
             x.array[:] -= dx
         self._assign(self._x)
-        self._reach = LONGER * largest_change(self._comm, found.changes, self._fixed)
+        largest = largest_change(self._comm, found.changes, self._fixed)
+        self._reach = np.inf if found.leaves else LONGER * largest  # held near its place
         changes = self._of_displacements(found.changes)
         work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
