@@ -411,11 +411,13 @@ class ContactProblem(ContactSystem):
         if not self._num_free:
             return []
         owned = self._owned()
-        only = self._strays.moving(owned, np.zeros((0, self._num_free)))
-        found = [f"only contact can hold {only}; otherwise hold it by boundary conditions."]
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(owned)]
-        every = [np.zeros((0, self._num_free))]
+        every = [self._springs(modes)]
+        if not self._strays.num_left(every[0]):
+            return []
+        only = self._strays.moving(owned, every[0])
+        found = [f"only contact can hold {only}; otherwise hold it by boundary conditions."]
         for rows in found_rows:
             moves = self._free_moves(rows, modes)
             every.append(rows.holds(moves)[rows.valid])

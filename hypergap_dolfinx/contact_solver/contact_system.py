@@ -248,8 +248,9 @@ class ContactSystem(NonlinearSystem):
             rows.start_solve()
         for body in self._rigid:
             body.assign()
-            body.read()
         if self._free is None:
+            for body in self._rigid:
+                body.read(springs=False)
             self._hooks("before_step")
             self.assemble_matrix()
             self._scales_fixed = True
@@ -556,6 +557,7 @@ class ContactSystem(NonlinearSystem):
 
         def across():
             rows_across = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
+            rows_across.append(self._springs(modes))
             return np.vstack([p.reshape(-1, self._num_free) for p in (holds[:0], *rows_across)])
 
         active, num_free = active_set.holding(every, distance, valid, holds, across())
@@ -598,6 +600,12 @@ class ContactSystem(NonlinearSystem):
     ) -> list[Displacements]:
         """Free rigid motions of each body at a contact's sides. Collective."""
         return [rows.from_bodies([modes[:, k] for modes in every]) for k in range(self._num_free)]
+
+    def _springs(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+        """Elongations of rigid bodies' springs by free motions, ``(num, num_free)``. Collective."""
+        pairs = zip(self._rigid, modes[self._num_elastic :], strict=True)
+        rows = [body.shared(part)[body.springs > 0] for body, part in pairs]
+        return np.vstack([np.zeros((0, self._num_free)), *rows])
 
     def _forces_left(self) -> tuple[list[npt.NDArray], list[list[npt.NDArray]]]:
         """This rank's residual of bodies and ties with contact forces, and those by contact."""

@@ -215,7 +215,11 @@ class RigidBody:
 
     @property
     def reaction(self) -> Array:
-        """Forces and torques by which held components are held after a solve, 0 of free ones."""
+        """Forces and torques after a solve by which it is held, ``(num_components,)``; 0 if free.
+
+        In space the torque has three components if any rotation is held: those of load steps aren't
+        about axes of space alone, but for one axis.
+        """
         return self._reaction.copy()
 
     # What a problem asks for
@@ -263,8 +267,12 @@ class RigidBody:
         theta[self._rotates] = values[self._n :] / self._length - self._start
         return theta
 
-    def read(self):
-        """Set the constants of its forms from what the user has set, at the present rotation."""
+    def read(self, *, springs: bool = True):
+        """Set the constants of its forms from what the user has set, at the present rotation.
+
+        Args:
+            springs: False to leave out the stiffness of springs.
+        """
         n = self._n
         M = np.zeros(3)
         M[self._rotates] = self._torque
@@ -272,7 +280,7 @@ class RigidBody:
         at = self._rotates
         load = np.append(self._force, moment[at]) + self._springs * self._anchors
         self._load.value[:] = load * self._units
-        self._own.value[:] = self._springs * self._units**2
+        self._own.value[:] = springs * self._springs * self._units**2
         self._slope.value[n:, n:] = -slope[at, at] / self._length**2
         for goal, value in zip(self._goals, self._prescribed / self._units, strict=True):
             goal.value = value
@@ -328,7 +336,10 @@ class RigidBody:
             x, _, _ = rotated(self._theta, arms @ self._turn.T)
             total[:n] += forces.sum(axis=0)
             total[n:] += np.cross(x, _in_space(forces)).sum(axis=0)[at]
-        self._reaction = np.where(self.held, -total, 0.0)
+        some = self.held[n:].any()  # of rotations
+        self._reaction = np.where(
+            np.append(self.held[:n], np.full(len(total) - n, some)), -total, 0.0
+        )
 
     def commit(self):
         """Accept the state: the next rotation vector starts from it."""
