@@ -11,7 +11,7 @@
 # $$W R \sin\alpha = T.$$
 #
 # That goes up to the angle of friction, tan φ = μ. A larger torque makes the shaft slide, and no
-# equilibrium is left, which an error says. Turned by a prescribed angle instead it slides there with
+# equilibrium is left, which an error says. Turned by a prescribed angle it slides there with
 # the torque W R sin φ (the friction circle; but for (a / 4R)², as pressures lie in an arc of a).
 
 # +

@@ -434,6 +434,7 @@ class ContactSystem(NonlinearSystem):
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == RAYS:
             raise SolveError(self._unsolved(found))
+        self._check_turns(found.changes)
         for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
             rows.accept(*solution)
         for x, dx in zip(parts, found.changes, strict=True):
@@ -446,6 +447,17 @@ class ContactSystem(NonlinearSystem):
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
         return (start, self._state()), work
+
+    def _check_turns(self, changes: Sequence[npt.NDArray]):
+        """Raise if a step turns a rigid body by more than a turn: then nothing holds it."""
+        n, names = self._num_elastic, self._names[self._num_elastic :]
+        for name, body, change in zip(names, self._rigid, changes[n:], strict=False):
+            turn = body.turn_by(change)
+            if not turn <= 2 * np.pi:
+                raise SolveError(
+                    f"{name}, a rigid one, turns by {np.degrees(turn):.3g}° in a Newton step: its "
+                    "load is more than contact, friction and springs can hold."
+                )
 
     def _nearness(self) -> float:
         """Share of the bodies' diagonal with which free motions go a facet's size. Collective."""

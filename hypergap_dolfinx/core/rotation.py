@@ -15,9 +15,8 @@ from numpy.polynomial import Polynomial
 
 Array = npt.NDArray[np.float64]
 
-_TERMS = 40  # the last one is round-off up to three turns
-_SERIES = [
-    Polynomial([(-1.0) ** k / factorial(2 * k + m) for k in range(_TERMS)]) for m in range(4)
+_SERIES = [  # the last term is round-off up to three turns
+    Polynomial([(-1.0) ** k / factorial(2 * k + m) for k in range(40)]) for m in range(4)
 ]
 
 

@@ -289,6 +289,10 @@ class RigidBody:
         """Values of its unknowns on every rank, from this rank's. Collective."""
         return self._comm.bcast(np.array(values[: len(self.components)]))  # rank 0 has the cell
 
+    def turn_by(self, change: Array) -> float:
+        """Angle of a change of this rank's unknowns, in radians. Collective."""
+        return float(np.linalg.norm(self.shared(change)[self._n :])) / self._length
+
     def assign(self):
         """Set u from the unknowns. Collective."""
         self._values = self.shared(self.q.x.array)

@@ -62,6 +62,14 @@ DEMOS = {
     "any_contacts_in_space": Demo(
         "--dim 3 --only 5 13 26 27", {"*.ok": True}, needs=("gmsh", "scipy"), script="any_contacts"
     ),
+    "bearing": Demo(
+        "--cells 36 --steps 3",
+        {"torque.1.rotation": 2.84e-3, "rotation.3.torque": 2.8754e-2},
+        {"rolling_error": 0.02, "friction_error": 1e-2, "newton.*": 15},
+        accuracy=1e-2,
+        pictures=("bearing",),
+        needs=("matplotlib",),
+    ),
     "benchmarks": Demo("--scene plate wedge press-fit lifting-beam", {"rows.*.met": True}),
     "benchmarks_all": Demo("", {"rows.*.met": True}, slow=True, script="benchmarks"),
     "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
@@ -410,7 +418,7 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("benchmarks", "bouncing", "contact_patch", "friction", "gap_domain", "heat"),
+    *("bearing", "benchmarks", "bouncing", "contact_patch", "friction", "gap_domain", "heat"),
     *("hertz_published", "incompressible", "ironing", "kernel_speed", "modal_analysis"),
     "periodic_cell",
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
