@@ -369,6 +369,10 @@ class ContactProblem(ContactSystem):
                 if done < 1:
                     self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()
+        self._react()
+
+    def _react(self):
+        """Find the reactions of what is held of rigid bodies."""
         for body in self._rigid:
             body.react([load for rows in self._rows for load in rows.loads_on(body)])
 
@@ -387,6 +391,7 @@ class ContactProblem(ContactSystem):
         if done or self._solved:
             for rows in self._rows:
                 rows.update_geometry()
+            self._react()
 
     def status(self) -> str:
         """Table to print before a solve, for present displacements. Collective.

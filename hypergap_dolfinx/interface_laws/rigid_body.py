@@ -351,12 +351,13 @@ class RigidBody:
         self._start = self.angles
 
     def kept(self) -> Array:
-        """What the next load step depends on beside the unknowns, flat."""
-        return np.concatenate((self._start, self._turn.ravel()))
+        """What the next load step depends on beside the unknowns, and the reaction, flat."""
+        return np.concatenate((self._reaction, self._start, self._turn.ravel()))
 
     def resume(self, kept: Array):
         """Go on from what was kept, with unknowns that are set already. Collective."""
-        self._start, turn = np.split(kept.copy(), [len(self._start)])
+        num = len(self._reaction)
+        self._reaction, self._start, turn = np.split(kept.copy(), [num, num + len(self._start)])
         self._turn = turn.reshape(3, 3)
         self.assign()
 
