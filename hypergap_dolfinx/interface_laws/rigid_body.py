@@ -74,7 +74,9 @@ class RigidBody:
         except (TypeError, ValueError):
             given = np.full(0, np.nan)
         if given.shape != (n,) or not np.isfinite(given).all():
-            raise ValueError(f"the point of a rigid body has {n} coordinates, not {point!r}.")
+            raise ValueError(
+                f"the point of a rigid body has {n} coordinates: give these, not {point!r}."
+            )
         held = [held] if isinstance(held, str) else list(held)
         for name in held:
             if name not in self.components:
@@ -254,7 +256,10 @@ class RigidBody:
                 f"body with held={name!r}, or set 0."
             )
         if (self._springs < 0).any():
-            return f"a spring of a rigid body has the stiffness {self._springs.min():.3g} < 0."
+            return (
+                f"a spring of a rigid body has the stiffness {self._springs.min():.3g}; give "
+                "numbers ≥ 0."
+            )
         return None
 
     @property

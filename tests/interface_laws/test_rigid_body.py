@@ -262,7 +262,7 @@ def test_bad_input():
     with raises(ValueError, "prescribed for rotation of a rigid body, which isn't held"):
         scene.problem.solve()
     body.prescribed[2], body.springs[0] = 0.0, -1.0
-    with raises(ValueError, "stiffness -1 < 0"):
+    with raises(ValueError, "stiffness -1; give numbers ≥ 0"):
         scene.problem.solve()
     body.springs[0], body.force[1] = 0.0, np.nan
     with raises(SolveError, "is no number"):
