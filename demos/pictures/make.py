@@ -37,6 +37,7 @@ PICTURES = {
     "write_files": ("write_files",),
 }
 CHARTS = {
+    "bearing": ("bearing",),
     "bolted_assembly": ("bolted_assembly",),
     "bouncing": ("bouncing",),
     "cad_assemblies": ("cad_assemblies",),
