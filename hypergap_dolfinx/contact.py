@@ -174,8 +174,7 @@ class Contact:
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
         self._bare = below, above
         self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
-        shared = side0[0].mesh is side1[0].mesh and bool(np.isin(side0[1], side1[1]).any())
-        raise_on_all(comm, "Γ0 and Γ1 share facets; give each side its own." if shared else None)
+        self._itself = self._is_itself(side0, side1)
         self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
         self._depth = BEHIND_BODY * min(
             _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
@@ -189,6 +188,25 @@ class Contact:
         for doubt in self._doubts(below, above):
             if comm.rank == 0:
                 LOG.warning(doubt)
+
+    def _is_itself(self, side0: Side, side1: Side) -> bool:
+        """True if both sides are one surface. Collective.
+
+        Raises:
+            InterfaceError: They share some facets, or are one in space.
+        """
+        together = side0[0].mesh is side1[0].mesh
+        shared = together and bool(np.isin(side0[1], side1[1]).any())
+        differ = not together or not np.array_equal(np.unique(side0[1]), np.unique(side1[1]))
+        if not self._comm.allreduce(shared, MPI.LOR):
+            return False
+        why = None
+        if self._comm.allreduce(differ, MPI.LOR):
+            why = "Γ0 and Γ1 share facets; give each side its own, or all of them to both."
+        elif side0[0].mesh.geometry.dim == 3:
+            why = "in space a surface can't meet itself; give Γ0 and Γ1 facets of their own."
+        raise_on_all(self._comm, why)
+        return True
 
     @classmethod
     def between(
@@ -313,6 +331,11 @@ class Contact:
         return self._finer
 
     @property
+    def itself(self) -> bool:
+        """True if both sides are one surface, which can meet itself."""
+        return self._itself
+
+    @property
     def follows(self) -> bool:
         """True for finite sliding."""
         return self._sliding == "finite"
@@ -337,7 +360,7 @@ class Contact:
         gives = self._compliance is not None or bool(limited)
         if self._surfaces[0].gdim == 3:
             return SpaceSegments.between(self._sides, u, gives=gives)
-        return PlaneSegments.between(self._sides, u, held, gives=gives)
+        return PlaneSegments.between(self._sides, u, held, gives=gives, itself=self._itself)
 
     @property
     def swapped(self) -> bool:

@@ -11,6 +11,7 @@
 
 #define MOST_DOFS 12  // of an edge
 #define MOST_SHEETS 6 // of Γ0 that one ray sees
+#define NUM_OWN 5     // edges of one surface that don't meet: an edge and two on either side
 
 // A side where it is: edges with the body on the left, their reference coordinates from 0 to 1.
 typedef struct {
@@ -58,6 +59,10 @@ typedef struct {
   double cosines[2];     // between normals: from which on edges face each other, and do so fully
   double nearest[2];     // depth by the nearest edge over that by a sheet, from which on it counts
   double slack;          // length that is added to that depth, over a chord of Γ1
+  const int *turn;       // order of Γ0's edges, of which Γ1 is the same surface: Γ1's edges meet those
+                         // that come before them, (num_edges₀); NULL: another surface
+  const int *own;        // those around each of Γ0's edges that don't meet it, or −1, (…, NUM_OWN)
+  const double *depths;  // overlap beyond which a sheet is the other side of Γ1's own body, (…)
   double angle;          // by which bodies of revolution are swept about x = 0; 0 for others
   double fixed[4];       // places along chords of the numbers −1 … −4: ends, and of what is shared
   int num_rule;          // points of the quadrature rule

@@ -243,6 +243,20 @@ static void add_break(Cast *cast, double xi, int vertex)
     cast->breaks[cast->num_breaks++] = (Break){xi, vertex};
 }
 
+// Whether an edge g of Γ0 can meet the edge f of Γ1: on one surface those before it, but for its
+// neighbours, so that each pair of places counts once.
+static int can_meet(const Cast *cast, int g)
+{
+  const Sigma *sigma = cast->sigma;
+  if (!sigma->turn)
+    return 1;
+  int f = cast->edge / cast->above->num_parts;
+  for (int k = 0; k < NUM_OWN; ++k)
+    if (sigma->own[NUM_OWN * f + k] == g)
+      return 0;
+  return sigma->turn[g] < sigma->turn[f];
+}
+
 // Find what faces an edge of Γ1, and the places along it where something may change: the ends of all
 // that faces it, of what weight ever. Quadrature isn't exact: gaps would jump as a weight comes.
 static void look(Cast *cast, int f)
@@ -253,7 +267,8 @@ static void look(Cast *cast, int f)
   for (int g = 0; g < below->num_edges; ++g)
   {
     int before = cast->num_facing;
-    add_parts(cast, g);
+    if (can_meet(cast, g))
+      add_parts(cast, g);
     for (int k = 0; before < cast->num_facing && k < 2; ++k)
       if (!cast->sigma->goes_on[2 * g + k])
         add_break(cast, along(&cast->frame, node(below, g, k)), below->vertices[2 * g + k]);
@@ -277,12 +292,14 @@ static double height_at(const Frame *frame, const Side *side, int edge, double r
 
 // Depth of a point in Γ0's body by the nearest edge, a chain of straight ones between its nodes;
 // negative outside.
-static double find_foot(const Side *side, const int *order, const double *x, Point *point)
+static double find_foot(const Cast *cast, const double *x, Point *point)
 {
+  const Side *side = cast->below;
+  const int *order = cast->order;
   double nearest = INFINITY, depth = 0;
   point->foot = -1;
   for (int g = 0; g < side->num_edges; ++g)
-    for (int k = 0; k + 1 < side->num_nodes; ++k)
+    for (int k = 0; can_meet(cast, g) && k + 1 < side->num_nodes; ++k)
     {
       const double *a = node(side, g, order[k]), *b = node(side, g, order[k + 1]);
       double c[2] = {b[0] - a[0], b[1] - a[1]}, d[2] = {x[0] - a[0], x[1] - a[1]};
@@ -297,6 +314,9 @@ static double find_foot(const Side *side, const int *order, const double *x, Poi
       }
       if (!(far < nearest))
         continue;
+      int beyond = at == 0 || at == side->num_nodes - 1 ? beside_of(side, g, at > 0) : -1;
+      if (beyond >= 0 && !can_meet(cast, beyond))
+        continue; // where the surface goes on to the point itself
       nearest = far;
       point->foot = g;
       point->nodes[0] = order[at < 0 ? k : at], point->nodes[1] = order[at < 0 ? k + 1 : at];
@@ -386,8 +406,10 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
     double cos = cosine(frame, cast->below, hit.sheet.edge, hit.sheet.r);
     if (cos <= 0)
       continue;
+    if (sigma->turn && hit.height < -sigma->depths[cast->edge / cast->above->num_parts])
+      continue;
     if (hit.height < 0 && isnan(depth))
-      depth = find_foot(cast->below, cast->order, x.x[0], point) + sigma->slack * frame->size;
+      depth = find_foot(cast, x.x[0], point) + sigma->slack * frame->size;
     weigh(cast, cos, depth, &hit);
     if (hit.weight <= 0)
       continue;

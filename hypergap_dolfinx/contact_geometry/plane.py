@@ -3,7 +3,7 @@
 """Contact segments in the plane: what the edges of Γ1 see of Γ0."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, override
 
@@ -54,12 +54,19 @@ class PlaneSegments(Segments[_Seen]):
 
     held: Sequence[npt.NDArray[np.bool_]] = ()
     """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each; none without it."""
+    itself: bool = field(default=False, kw_only=True)
+    """True if both sides are one surface, which meets itself."""
 
     @cached_property
     def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Both sides for C, without their positions."""
         below, above = self.sides
         return rays.side_of(below, 0), rays.side_of(above, len(below.dofs))
+
+    @cached_property
+    def _own(self) -> dict[str, Any] | None:
+        """The order in which one surface meets itself."""
+        return rays.own_of(self.sides[0].reference) if self.itself else None
 
     @cached_property
     def _walls(self) -> list[_Wall]:
@@ -93,10 +100,11 @@ class PlaneSegments(Segments[_Seen]):
     @override
     def _find(self, u: Displacements) -> _Seen:
         surfaces = displaced(self.sides, u)
-        goes_on = [wall.end for wall in self._walls if wall.is_between(surfaces)]
-        found = rays.cast(self._in_c, surfaces, goes_on)
+        walls = [] if self.itself else self._walls
+        goes_on = [wall.end for wall in walls if wall.is_between(surfaces)]
+        found = rays.cast(self._in_c, surfaces, goes_on, self._own)
         if not len(found.points):
-            if self._last is None:
+            if self._last is None and not self.itself:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
         given = surfaces[1].facets, self.beside, self.num_multipliers

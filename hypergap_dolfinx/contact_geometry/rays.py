@@ -68,7 +68,7 @@ from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, 
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
-from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.trace import Surface, lengths
 
 points_an_edge = 4  # room at first; with more they are found anew
 entries_a_row = 32  # likewise
@@ -177,6 +177,47 @@ def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
     }
 
 
+def own_of(surface: Surface) -> dict[str, Any]:
+    """Fields of ``Sigma`` of a surface against itself, undeformed.
+
+    Edges meet those that come before them along their chain, or in a chain before, but for two
+    neighbours on either side. Each pair of places counts once, whichever edges slide past. What lies
+    behind an edge by more than half of the wall behind it is the other side of its own body.
+    """
+    facets, num = surface.facets, len(surface.facets)
+    starts, ends = np.full((2, len(surface.x)), -1)
+    starts[facets[:, 0]] = ends[facets[:, 1]] = np.arange(num)
+    before, behind = ends[facets[:, 0]], starts[facets[:, 1]]
+    turn, count = np.full(num, -1), 0
+    for first in (*np.flatnonzero(before < 0).tolist(), *range(num)):  # open chains, then rings
+        edge = first
+        while edge >= 0 and turn[edge] < 0:
+            turn[edge], count = count, count + 1
+            edge = int(behind[edge])
+    own = [np.arange(num)]
+    for step in (before, behind):
+        own.append(step)
+        own.append(np.where(step >= 0, step[step], -1))
+    near = np.stack(own, axis=1)
+    x = surface.x[facets]
+    chord, middle = x[:, 1] - x[:, 0], x.mean(axis=1)
+    inward = np.stack((-chord[:, 1], chord[:, 0]), axis=1) / lengths(chord)[:, None]
+    to = x[None, :, 0] - middle[:, None]  # (edge, other, 2)
+    det = _cross(inward[:, None], chord[None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far, at = _cross(to, chord[None]) / det, _cross(to, inward[:, None]) / det
+    walls = np.where((far > 0) & (at >= 0) & (at <= 1), far, np.inf)
+    for column in near.T:
+        is_one = column >= 0
+        walls[is_one, column[is_one]] = np.inf
+    return {"turn": ints(turn), "own": ints(near), "depths": doubles(walls.min(axis=1) / 2)}
+
+
+def _cross(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray:
+    """Cross products in the plane."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
 def _dofs_on_parts(surface: Surface) -> npt.NDArray[np.float64]:
     """Reference coordinates of an edge's dofs as seen from its parts, ``(num_parts, num_dofs)``."""
     start, end = surface.on_whole(np.array([[0.0], [1.0]])).swapaxes(0, 1)
@@ -199,6 +240,7 @@ def _placed(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
     goes_on: Sequence[tuple[int, int]],
+    own: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Fields of ``Sigma`` that are given."""
     on = np.zeros((sides[0]["num_edges"], 2), np.int32)
@@ -212,6 +254,7 @@ def _placed(
     fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
     given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
     given["angle"] = surfaces[1].angle
+    given |= own or {"turn": None, "own": None, "depths": None}
     return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}
 
 
@@ -219,6 +262,7 @@ def cast(
     sides: Sequence[dict[str, Any]],
     surfaces: tuple[Surface, Surface],
     goes_on: Sequence[tuple[int, int]] = (),
+    own: dict[str, Any] | None = None,
 ) -> PlaneRays:
     """Find the rays between two surfaces where they are.
 
@@ -226,9 +270,10 @@ def cast(
         sides: Γ0 and Γ1, from :func:`side_of`.
         surfaces: The same where they are.
         goes_on: Edges and ends (0 or 1) of Γ0 beyond which it goes on, as mirrored at a wall.
+        own: From :func:`own_of` if both sides are one surface.
     """
     room = points_an_edge * sum(len(surface.facets) for surface in surfaces)
-    fields = _placed(sides, surfaces, goes_on)
+    fields = _placed(sides, surfaces, goes_on, own)
     while True:
         points, sheets = np.empty(room, dtype("Point")), np.empty(room, dtype("Sheet"))
         given = {"points": points, "sheets": sheets, "max_points": room, "max_sheets": room}

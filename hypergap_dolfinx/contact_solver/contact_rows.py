@@ -170,6 +170,11 @@ class ContactRows:
         return look_up(self._comm, mask, start, side.dofs).astype(bool)
 
     @property
+    def meets_itself(self) -> bool:
+        """True if both sides are one surface."""
+        return self._contact.itself
+
+    @property
     def on_rigid_body(self) -> bool:
         """True if a side is on a rigid body that forces move."""
         return self._rigid is not None
@@ -771,7 +776,8 @@ def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface])
         list(map(ending, tie.components, map(MovingSurface, tie.surfaces))) for tie in interfaces
     ]
     for rows, found in zip(contacts, condensations(sides, tied), strict=True):
-        rows.condensed_to = found
+        if not rows.meets_itself:  # else each end lies opposite of itself
+            rows.condensed_to = found
 
 
 @dataclass(frozen=True)

@@ -174,6 +174,10 @@ class ContactInterface(Protocol):
         """Γ0 and Γ1."""
 
     @property
+    def itself(self) -> bool:
+        """True if both sides are one surface."""
+
+    @property
     def friction(self) -> Coulomb | None:
         """Friction, if there is any."""
 
