@@ -107,7 +107,8 @@ class Contact:
             side0: Γ0: a pair ``(V, facets)`` of a Lagrange space of displacements and local indices
                 of exterior facets of its mesh, as given by ``facet_tags.find(tag)``; in a mixed
                 space (Taylor–Hood) ``(W.sub(0), facets)``.
-            side1: Γ1, which carries the pressures: the same.
+            side1: Γ1, which carries the pressures: the same. In the plane both sides may be one
+                surface, with the same facets, which meets itself.
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and the derivatives of the
                 gaps are those of the start, so that the constraints are linear.
             friction: Coulomb's coefficient μ ≥ 0: a number, a ``fem.Constant``, or a scalar

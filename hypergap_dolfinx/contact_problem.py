@@ -332,7 +332,7 @@ class ContactProblem(ContactSystem):
             self._path.interpolate(s)
             try:
                 self._newton()
-                self._hooks("accepted", s)
+                self._accept(s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
                 self._restore(before)
@@ -370,6 +370,25 @@ class ContactProblem(ContactSystem):
                     self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()
         self._react()
+
+    def _accept(self, s: float):
+        """Call ``accepted``; raise if it changed a value that the load step sets back. Collective.
+
+        Args:
+            s: Part of the load step that is reached.
+        """
+        if not self._hooks.has("accepted"):
+            return
+        before = self._path.copies()
+        self._hooks("accepted", s)
+        kind = self._path.changed_since(before)
+        raise_on_all(
+            self._comm,
+            kind
+            and f"accepted changed {kind}, which the load step sets back: give what it changes as "
+            "internal_variables.",
+            ValueError,
+        )
 
     def _react(self):
         """Find the reactions of what is held of rigid bodies."""

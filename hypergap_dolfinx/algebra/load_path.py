@@ -87,6 +87,15 @@ class LoadPath:
         for a, start, end in zip(self._arrays, self.start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
 
+    def copies(self) -> list[npt.NDArray]:
+        """Copies of this rank's present values."""
+        return [np.array(a) for a in self._arrays]
+
+    def changed_since(self, copies: Sequence[npt.NDArray]) -> str | None:
+        """Kind of this rank's values that aren't what they were, or None."""
+        each = zip(self._kinds, self._arrays, copies, strict=True)
+        return next((kind for kind, a, before in each if not np.array_equal(a, before)), None)
+
     def commit(self, s: float = 1.0):
         """Start the next path here, and set the values of the end.
 

@@ -181,8 +181,8 @@ def own_of(surface: Surface) -> dict[str, Any]:
     """Fields of ``Sigma`` of a surface against itself, undeformed.
 
     Edges meet those that come before them along their chain, or in a chain before, but for two
-    neighbours on either side. Each pair of places counts once, whichever edges slide past. What lies
-    behind an edge by more than half of the wall behind it is the other side of its own body.
+    neighbours on either side. Each pair of places counts once, whichever edges slide past. What
+    lies behind an edge by more than half of the wall there is the other side of its own body.
     """
     facets, num = surface.facets, len(surface.facets)
     starts, ends = np.full((2, len(surface.x)), -1)

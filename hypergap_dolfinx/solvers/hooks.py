@@ -64,6 +64,10 @@ class Hooks:
         if hook is not None:
             run_on_all(self.comm, f"{name} failed", lambda: hook(*args))
 
+    def has(self, name: str) -> bool:
+        """True if there is a hook of this name."""
+        return self._hooks[name] is not None
+
     @property
     def _arrays(self) -> list[npt.NDArray]:
         every = self.internal_variables

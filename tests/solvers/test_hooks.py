@@ -132,6 +132,11 @@ def test_wrong(kind):
     for name in ("before_step", "accepted", "taken_back"):
         with raises(ValueError, f"{name} is a str; give a function"):
             made(kind, scene, scene.F, **{name: "update"})
+    if kind == "contact":
+        problem = made(kind, scene, scene.F, accepted=lambda _: scene.load.value.__imul__(2))
+        scene.load.value[1] = -0.01
+        with raises(ValueError, "accepted changed a prescribed.*give what it changes as internal_vari"):
+            problem.solve()
     with raises(ValueError, "internal_variables has a ndarray; give functions and constants that"):
         made(kind, scene, scene.F, internal_variables=[np.zeros(3)])
 
