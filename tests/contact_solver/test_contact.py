@@ -291,7 +291,7 @@ def test_bad_input():
     with raises(InterfaceError, "contact is between displacements"):
         Contact((scalar, f0), (V1, f1))
     with raises(InterfaceError, "share facets"):
-        Contact((V0, f0), (V0, f0))
+        Contact((V0, f0), (V0, f0[1:]))
     with raises(ValueError, "not solved yet"):
         blocks.contact.force(blocks.problem)
     with raises(ValueError, "contacts has a str"):

@@ -60,7 +60,7 @@ def test_sides():
     with raises(InterfaceError, "Γ1 has no facets on any rank"):
         Contact(side0, (side1[0], side1[1][:0]))
     with raises(InterfaceError, "share facets"):
-        Contact(side0, side0)
+        Contact(side0, (side0[0], side0[1][1:]))
     with raises(ValueError, 'sliding is "finite" or "small", not \'large\''):
         Contact(side0, side1, sliding="large")
     with raises(ValueError, r"a contact's side is \(function space, facets\), not \(Mesh"):
