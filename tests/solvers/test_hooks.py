@@ -135,7 +135,7 @@ def test_wrong(kind):
     if kind == "contact":
         problem = made(kind, scene, scene.F, accepted=lambda _: scene.load.value.__imul__(2))
         scene.load.value[1] = -0.01
-        with raises(ValueError, "accepted changed a prescribed.*give what it changes as internal_vari"):
+        with raises(ValueError, "accepted changed a prescribed.*as internal_variables"):
             problem.solve()
     with raises(ValueError, "internal_variables has a ndarray; give functions and constants that"):
         made(kind, scene, scene.F, internal_variables=[np.zeros(3)])
