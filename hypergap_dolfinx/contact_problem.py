@@ -158,7 +158,6 @@ class ContactProblem(ContactSystem):
                     f"{name} has a {type(wrong).__name__}: make each with "
                     f"{kind.__name__}(side0, side1)."
                 )
-        _check_apart(contacts, ties)
         hooks = Hooks(
             internal_variables,
             before_step=before_step,
@@ -166,7 +165,8 @@ class ContactProblem(ContactSystem):
             taken_back=taken_back,
         )
         rigid = {i: one for i, one in enumerate(F) if isinstance(one, RigidBody)}
-        _check_rigid(rigid, u, contacts)
+        _check_rigid(rigid, u, contacts, ties, bcs)
+        _check_apart(contacts, ties)
         of_bodies = [None if isinstance(form, RigidBody) else form for form in F]
         elastic = [i for i, form in enumerate(of_bodies) if form is not None]
         forms = [form for form in of_bodies if form is not None]
@@ -561,15 +561,30 @@ def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) ->
 
 
 def _check_rigid(
-    rigid: dict[int, RigidBody], u: Sequence[fem.Function], contacts: Sequence[Contact]
+    rigid: dict[int, RigidBody],
+    u: Sequence[fem.Function],
+    contacts: Sequence[Contact],
+    ties: Sequence[Tie],
+    bcs: Sequence[fem.DirichletBC],
 ):
-    """Raise if rigid bodies don't fit to the displacements, or to axisymmetry."""
+    """Raise if rigid bodies don't fit to what else is given."""
     if len(set(map(id, rigid.values()))) < len(rigid):
         raise ValueError("a rigid body is given twice; make one for each body.")
     for i, body in rigid.items():
         if u[i] is not body.u:
             raise ValueError(f"u[{i}] isn't the u of the rigid body in F[{i}]; give that.")
         V = body.u.function_space
+        t = next((t for t, tie in enumerate(ties) if V in tie.spaces), None)
+        if t is not None:
+            raise ValueError(
+                f"tie {t} is on body {i}, a rigid one, which can't be tied: give it contact with "
+                "friction, or a stiff body in its place."
+            )
+        if fem.bcs_by_block([V._cpp_object], [b for b in bcs if isinstance(b, fem.DirichletBC)])[0]:
+            raise ValueError(
+                f"a boundary condition is on body {i}, a rigid one: hold it by held= and "
+                "prescribed instead."
+            )
         swept = any(one.axisymmetric and V in one.spaces for one in contacts)
         if swept and not body.held[[0, 2]].all():
             raise ValueError(

@@ -13,7 +13,7 @@ from helpers import close, raises, two_ranks
 
 import meshes
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Contact, ContactProblem, RigidBody, SolveError
+from hypergap_dolfinx import Contact, ContactProblem, RigidBody, SolveError, Tie
 
 comm = MPI.COMM_WORLD
 BALANCED = 1e-10  # of the load: round-off of a residual with rtol 1e-13, up to 3e-13
@@ -258,6 +258,13 @@ def test_bad_input():
     ):
         with raises(ValueError, match):
             ContactProblem(forms, functions, contacts=[contact], **options)
+    zero = fem.Constant(u[1].function_space.mesh, default_scalar_type((0.0, 0.0)))
+    fixed = fem.dirichletbc(zero, np.array([0], dtype=np.int32), u[1].function_space)
+    with raises(ValueError, "a boundary condition is on body 1, a rigid one: hold it by held="):
+        ContactProblem([F, body], u, bcs=[fixed], contacts=[contact])
+    sides = zip(contact.spaces, contact.facets, strict=True)
+    with raises(ValueError, "tie 0 is on body 1, a rigid one, which can't be tied: give"):
+        ContactProblem([F, body], u, contacts=[contact], ties=[Tie(*sides)])
     body.prescribed[2] = 0.1
     with raises(ValueError, "prescribed for rotation of a rigid body, which isn't held"):
         scene.problem.solve()
