@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The constraints of several ties on several bodies, as blocks of one saddle system."""
+"""The constraints of several ties on several bodies as blocks of one saddle-point system."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -213,7 +213,7 @@ class ConstraintBlocks:
             pairs.check(self._names[t], both, given, size, at)
 
     def _both_prescribed(self, t: int) -> tuple[Coincidences, npt.NDArray[np.bool_]] | None:
-        """Nodes of a tie at one place, and the mask of components that both sides prescribe.
+        """Coincident nodes of a tie, and the mask of components prescribed on both sides.
 
         None without any such component. Collective.
         """

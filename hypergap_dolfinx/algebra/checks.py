@@ -260,7 +260,7 @@ class Coincidences:
     """Nodes of Γ0 and Γ1 at the same place, where both sides may be prescribed."""
 
     def __init__(self, tie: Interface):
-        """Find them, on every rank alike."""
+        """Find the coincident nodes, the same on every rank."""
         x, dofs = [], []
         for surface in tie.domain.surfaces:
             unique, first = np.unique(surface.dofs, return_index=True)

@@ -227,7 +227,7 @@ class RigidBodyDiagnostics:
         return "" if known else f" Only contact holds {', '.join(only)}."
 
     def of(self, bodies: Sequence[int | None]) -> str:
-        """Names of those among some bodies that only contact holds."""
+        """Names of the bodies, among given ones, that only contact holds."""
         some = [self._names[i] for i in bodies if i is not None and self._moves[i]]
         return " or ".join(some) or "a body"
 

@@ -24,7 +24,7 @@ from hypergap_dolfinx.core.sparse import mean_diagonal
 
 
 def nest(blocks: Sequence[Sequence[PETSc.Mat | None]], comm) -> PETSc.Mat:
-    """Blocks as one matrix that takes ordinary vectors. Collective."""
+    """Blocks as one matrix for vectors that aren't nested. Collective."""
     matrix = PETSc.Mat().createNest(blocks, comm=comm)
     matrix.setNestVecType("standard")
     matrix.assemble()
@@ -69,7 +69,7 @@ def _prolongators(K: PETSc.Mat, modes: npt.NDArray[np.float64] | None, prefix: s
 
 
 class Hierarchy:
-    """Prolongators of several bodies, and Galerkin products of what they coarsen."""
+    """Prolongators of several bodies and Galerkin products on all levels."""
 
     OPTIONS = {  # noqa: RUF012
         "pc_type": "gamg",

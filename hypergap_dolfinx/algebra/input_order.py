@@ -76,7 +76,7 @@ class InputOrder:
         return self.comm.scatter(parts)
 
     def fingerprint(self) -> npt.NDArray[np.float64]:
-        """Numbers that tell one mesh, and its order, from another. Collective."""
+        """Fingerprint that distinguishes meshes and their orders. Collective."""
         nodes, topology = compat.geometry_dofmap(self._mesh), self._mesh.topology
         original = topology.original_cell_index[: topology.index_map(topology.dim).size_local]
         x = self._mesh.geometry.x[nodes[: len(original)]]  # (cell, node, 3)

@@ -19,14 +19,14 @@ OF_INTERFACES = "a friction, a compliance or another value of a contact or a tie
 
 
 def array_of(value: Value) -> npt.NDArray:
-    """The array in which a user changes a value."""
+    """Array of a value that a user may change."""
     if isinstance(value, np.ndarray):
         return value
     return value.x.array if hasattr(value, "x") else value.value
 
 
 def _same(value: Value) -> int:
-    """Equal for one object, compiled or not."""
+    """Key that is equal for one object, compiled or not."""
     return id(getattr(value, "_cpp_object", value))
 
 
@@ -38,7 +38,7 @@ def values_of(
     *,
     without: Iterable[Value] = (),
 ) -> list[tuple[str, Value]]:
-    """All values that a user can change, each once, with their kinds.
+    """Values that a user may change, each once, with their kinds.
 
     Args:
         F: Residual forms.
@@ -75,7 +75,7 @@ class LoadPath:
         self._end = self.start
 
     def start_step(self):
-        """Take the present values for the end."""
+        """Set the end of the path to the present values."""
         self._end = [np.array(a) for a in self._arrays]
 
     def interpolate(self, s: float):

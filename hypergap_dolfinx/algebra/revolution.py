@@ -98,7 +98,7 @@ def swept(surface: Surface, angle: float, motion: Motion | None = None) -> Surfa
 
 
 def tell(forms: Sequence[ufl.Form | None], interfaces: Sequence[Revolved], name: str):
-    """Tell of interfaces whose weights don't seem to be those of the forms.
+    """Warn of interfaces whose weights don't seem to match those of the forms.
 
     Args:
         forms: Form of each body, or None.
@@ -116,7 +116,7 @@ def tell(forms: Sequence[ufl.Form | None], interfaces: Sequence[Revolved], name:
 
 
 def _doubt(form: ufl.Form, angle: float) -> str | None:
-    """Doubt about one body's form, in which {} stands for its name."""
+    """Warning about the form of a body, with {} in place of its name."""
     parts = list(_parts(form))
     if not angle:
         if not any(_vanishes(e.ufl_operands[1]) for e in parts if isinstance(e, Division)):

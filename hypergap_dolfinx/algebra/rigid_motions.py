@@ -86,7 +86,7 @@ def rigid_modes(
 def common_modes(
     spaces: Sequence[fem.FunctionSpace], moved: Sequence[npt.NDArray[np.bool_]] | None = None
 ) -> list[npt.NDArray[np.float64]]:
-    """A basis of the motions that several bodies, or parts of them, make as one. Collective.
+    """Basis of the common rigid motions of several bodies or parts. Collective.
 
     Args:
         spaces: Their spaces.
@@ -336,7 +336,7 @@ class Hindrance:
             self._ties.append((np.hstack([self.columns[f] for f in of]), np.hstack(forces)))
 
     def unhindered(self, rows, combinations: npt.NDArray | None = None) -> npt.NDArray:
-        """The combinations of motions that nothing hinders. Collective.
+        """Combinations of motions without any resistance. Collective.
 
         Args:
             rows: Mask of each tie's rows that hinder them.

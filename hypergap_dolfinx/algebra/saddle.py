@@ -96,7 +96,7 @@ class Errors:
     """Errors of solutions with a nested matrix, whose blocks are measured when it has changed."""
 
     def __init__(self, A: PETSc.Mat):
-        """Measure nothing yet."""
+        """Start without measurements."""
         self._A = A
         self._state: int | None = None
         self._sizes: list[dict[int, float]] = []

@@ -115,7 +115,7 @@ def spot(x: npt.NDArray[np.floating]) -> str:
 
 
 def run_on_all(comm: MPI.Comm, what: str, call: Callable[[], Any]):
-    """Call a user's function; an exception on some ranks is one on all. Collective.
+    """Call a user's function; an exception on one rank is raised on all. Collective.
 
     Args:
         comm: Communicator.

@@ -82,7 +82,7 @@ def struct(name: str, **fields) -> Any:
 
 
 def structs(name: str, each: Iterable[dict[str, Any]]) -> Any:
-    """An array of structs, likewise."""
+    """Array of structs. Arrays that they point to live as long as it does."""
     return library(_owner(name)).new(f"{name}[]", name, list(each))
 
 
@@ -206,7 +206,7 @@ class Library:
         return pointer
 
     def _fields(self, name: str, fields: dict[str, Any], kept: list) -> dict[str, Any]:
-        """The fields of a struct for cffi, likewise."""
+        """Fields of a struct for cffi."""
         slots = self._slots.get(name)
         if slots is None:
             members = self.ffi.typeof(name).fields

@@ -54,7 +54,7 @@ class Hosts:
 
     @classmethod
     def concatenate(cls, parts: Sequence["Hosts"]) -> "Hosts":
-        """Hosts of several groups of cells, one behind the other."""
+        """Hosts of several groups of cells, concatenated."""
 
         def side(i, name):
             return np.concatenate([getattr(part, name)[i] for part in parts])

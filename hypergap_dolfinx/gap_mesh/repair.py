@@ -208,7 +208,7 @@ def _swaps(cells, alpha, bad) -> Iterator[Swap]:
 
 
 def _may_be_edge(a: int, b: int, alpha) -> bool:
-    """True if an edge inside of Σ may be: one between both sides, or to a vertex between them."""
+    """True if an inner edge of Σ is admissible: between both sides, or to a vertex between them."""
     return alpha[a] != alpha[b] or 0 < alpha[a] < 1
 
 

@@ -331,7 +331,7 @@ def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> li
 
 
 def _joined(surfaces: tuple[Surface, Surface], patch, slabs: list[Slab]) -> SlabCells:
-    """Σ from its slabs, numbered one after the other; patch is as in :class:`GapCells`."""
+    """Σ from its slabs, numbered consecutively; patch is as in :class:`GapCells`."""
     covered, least = covered_parts(
         surfaces[1],
         np.concatenate([slab.sides[1].facets for slab in slabs]),

@@ -38,7 +38,7 @@ def _length(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Edges of a surface, one behind the other, in the direction of travel along Γ0."""
+    """Consecutive edges of a surface in the direction of travel along Γ0."""
 
     facets: npt.NDArray[np.int32]
     """Facet of each edge, ``(num_edges,)``."""
@@ -72,11 +72,11 @@ class Chain:
 
     @property
     def reversed(self) -> "Chain":
-        """The same edges, travelled the other way."""
+        """The chain with the direction of travel reversed."""
         return replace(self, facets=self.facets[::-1], X=self.X[::-1, ::-1], x=self.x[::-1])
 
     def rolled(self, node: int) -> "Chain":
-        """The same closed chain, starting at another node."""
+        """The closed chain, starting at another node."""
         x = np.roll(self.x[:-1], -node, axis=0)
         return replace(
             self,

@@ -152,7 +152,7 @@ def straighten(cells, alpha, margins: Margins) -> npt.NDArray[np.integer]:
 
 
 def _best(cells, left, edges, margins: Margins) -> npt.NDArray[np.integer]:
-    """For each cell, the one of its remaining edges that helps it most."""
+    """Remaining edge of each cell that improves it most."""
     found = []
     for cell, own in zip(cells, left, strict=True):
         tries = cell[EDGES[own]]

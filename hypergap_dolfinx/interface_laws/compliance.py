@@ -94,7 +94,7 @@ class Weighting:
 
     @property
     def key(self) -> Hashable:
-        """Equal for those that are and stay the same."""
+        """Key that is equal for values that are and remain the same."""
         return self.name, *(
             id(part) if given_values.is_read(part) else float(part)  # type: ignore[arg-type]
             for part in self._parts
@@ -106,7 +106,7 @@ class Weighting:
 
     @property
     def given(self) -> list[fem.Function | fem.Constant]:
-        """Objects in which a user changes it."""
+        """Functions and constants that define the values."""
         return given_values.changing(*self._parts)
 
     def values(self) -> npt.NDArray[np.float64]:

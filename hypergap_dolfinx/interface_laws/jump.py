@@ -21,7 +21,7 @@ from hypergap_dolfinx.surface.trace import Surface
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump as it was given."""
+    """A prescribed jump as given by the user."""
 
     value: given_values.Given
     """Jump of the second side over the first."""
@@ -33,19 +33,19 @@ class Jump:
         given_values.check(self.value, "the jump")
 
     def reversed(self) -> "Jump":
-        """The same jump, with the sides swapped."""
+        """The jump with the sides swapped."""
         return replace(self, sign=-self.sign)
 
     @property
     def key(self) -> Hashable:
-        """Equal for jumps that are and stay the same."""
+        """Key that is equal for jumps that are and remain the same."""
         if given_values.is_read(self.value):
             return self.sign, id(self.value)
         return self.sign, tuple(np.ravel(np.asarray(self.value)).tolist())
 
     @property
     def given(self) -> list[fem.Function | fem.Constant]:
-        """Objects in which a user changes it."""
+        """Functions and constants that define the jump."""
         return given_values.changing(self.value)
 
     def nodal(

@@ -41,7 +41,7 @@ Given = Callable[[Expr, Expr], Any]
 
 @dataclass(frozen=True)
 class Law:
-    """A law as it was given."""
+    """An interface law as given by the user."""
 
     value: Given
     """λ of the second side's jump over the first, with the normal from the first to the second."""
@@ -57,12 +57,12 @@ class Law:
             )
 
     def reversed(self) -> "Law":
-        """The same law, with the sides swapped."""
+        """The law with the sides swapped."""
         return replace(self, turned=not self.turned)
 
     @property
     def key(self) -> Hashable:
-        """Equal for laws that are the same."""
+        """Key that is equal for equal laws."""
         return self.turned, id(self.value)
 
     def traction(self, jump: Expr, normal: Expr) -> Expr:
@@ -162,7 +162,7 @@ class Response:
 
     @property
     def given(self) -> list[fem.Constant]:
-        """Objects in which a user changes it."""
+        """Functions and constants that define the law."""
         return list(self._constants)
 
     def _at_points(self, w: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:

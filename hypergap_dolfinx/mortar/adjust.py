@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Moves Γ1 to where eq. (22) puts it, X_A = P X₀: then the tie knows rigid motions exactly."""
+"""Moves Γ1 onto X_A = P X₀ of eq. (22), which makes rigid motions exact."""
 
 from dataclasses import replace
 
@@ -102,7 +102,7 @@ def _positions(W: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def _set_positions(W: fem.FunctionSpace, x: npt.NDArray[np.float64]):
-    """Move the geometry nodes, on all ranks that have them. Collective."""
+    """Move the geometry nodes on all ranks that share them. Collective."""
     mesh = W.mesh
     f = fem.Function(W)
     for axis in range(x.shape[1]):

@@ -252,7 +252,7 @@ class Recovery(collective.Owner):
         return float(np.sqrt(abs(squares)))
 
     def _recovered(self, forces: npt.NDArray) -> npt.NDArray:
-        """Tractions after the best number of passes; found once for both sides. Collective."""
+        """Tractions after the best number of passes, computed once for both sides. Collective."""
         comm = self._domain.comm
         if comm.allreduce(np.array_equal(forces, self._last[0])) == comm.size:
             return self._last[1]

@@ -24,7 +24,7 @@ from hypergap_dolfinx.surface.trace import Surface
 
 
 class Interface(Protocol):
-    """Two sides with a constraint between them; a tie is one."""
+    """Two sides with a constraint between them, such as a tie."""
 
     @property
     def spaces(self) -> tuple[fem.FunctionSpace, fem.FunctionSpace]:
@@ -109,7 +109,7 @@ class TiedInterfaces(Protocol):
 
     @property
     def ties(self) -> Sequence[Interface]:
-        """The ties as users give them."""
+        """The ties as given by the user."""
 
     @property
     def interfaces(self) -> Sequence[Interface]:
@@ -120,16 +120,16 @@ class TiedInterfaces(Protocol):
         """Names of the interfaces in messages."""
 
     def find(self, tie) -> int:
-        """Number of the interface that a tie is a piece of."""
+        """Number of the interface that contains a tie."""
 
     def of_piece(self, tie, multipliers: npt.NDArray) -> npt.NDArray:
-        """A tie's own multipliers among those of its interface."""
+        """Multipliers of a tie among those of its interface."""
 
     def turned_over(self, interface: int) -> "TiedInterfaces | None":
         """The interfaces with Γ0 and Γ1 of one exchanged, None where users chose. Collective."""
 
     def settle(self):
-        """Keep the sides of all ties from now on."""
+        """Fix the sides of all ties."""
 
     def destroy(self):
         """Destroy the PETSc objects of interfaces that no user has. Collective."""
@@ -147,15 +147,15 @@ class Coulomb(AtVertices, Protocol):
 
     @property
     def elastic_slip(self) -> float:
-        """Slip up to which friction grows to μ p."""
+        """Reversible slip at which friction reaches μ p, a length."""
 
     @property
     def shear_limit(self) -> float:
-        """Traction beyond which friction doesn't grow with pressure."""
+        """Upper bound of the friction traction."""
 
 
 class ContactInterface(Protocol):
-    """Two sides that can touch, with a multiplier for each vertex of Γ1; a contact is one."""
+    """Two sides that can touch, with a multiplier for each vertex of Γ1."""
 
     @property
     def components(self) -> tuple[Component, Component]:
@@ -191,10 +191,10 @@ class ContactInterface(Protocol):
 
     @property
     def depth(self) -> float:
-        """Overlap beyond which a vertex of Γ1 counts as on the other side of Γ0's body."""
+        """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
 
     def show(self, rows: Any) -> None:
-        """Keep the rows of the problem solved last."""
+        """Set the rows of the problem solved last."""
 
     def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
         """Find the gaps where the bodies are, of which some displacements are prescribed."""

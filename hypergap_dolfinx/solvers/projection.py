@@ -158,7 +158,7 @@ class Projection:
             self._hierarchy = None
 
     def _modes(self) -> list[npt.NDArray[np.float64] | None]:
-        """Rigid motions of each body; None for scalars, of which PETSc knows the constants."""
+        """Rigid motions of each body; None for scalars, whose constants PETSc knows."""
         return [
             orthonormal(V.mesh.comm, motions(V)) if K.getBlockSize() > 1 else None
             for K, V in zip(self._bodies, self._spaces, strict=True)
@@ -220,7 +220,7 @@ class Projection:
             self._Ft.multAdd(self._c, r, r)
 
     def work(self, values: npt.NDArray) -> float:
-        """Work of the stiffness on displacements, of which this rank's are given."""
+        """Work of the stiffness on displacements, given this rank's part."""
         x, y = self.b.duplicate(), self.b.duplicate()
         x.array[:] = values
         self._stiffness_times(x, y)

@@ -21,7 +21,7 @@ def times(number: int, what: str) -> str:
 
 @dataclass(frozen=True)
 class NewtonRecord:
-    """State after a Newton step; the first one of a load step is its start."""
+    """State after a Newton step. The first record of a load step is its initial state."""
 
     residual: float
     """Residual over the forces in the bodies."""
@@ -115,7 +115,7 @@ class Recorder:
             LOG.debug("load step %d, Newton step %d: %s", self._number, step, record)
 
     def tell(self, text: str, *, keep: bool = False):
-        """Say in the log what became of a part of the load step; without log on the terminal.
+        """Report on a part of the load step in the log, or else on the terminal.
 
         Args:
             text: One line.

@@ -59,7 +59,7 @@ class Options:
         self._unfit = unfit
 
     def tell_unused(self, comm):
-        """Tell once which of the user's options PETSc hasn't asked for, after a solve."""
+        """Warn once, after a solve, of options that PETSc hasn't used."""
         if self._unused and comm.rank == 0:
             names = ", ".join(sorted(self._unused))
             LOG.warning("PETSc asked for none of these options: %s; are they misspelt?", names)
@@ -132,7 +132,7 @@ class Solver(ABC):
 
     @abstractmethod
     def update(self):
-        """Take the present values of K; does nothing if they are the same."""
+        """Update to the present values of K; does nothing if they are unchanged."""
 
     @abstractmethod
     def solve(self, b: PETSc.Vec, x: PETSc.Vec):
@@ -179,7 +179,7 @@ class _Shell:
 
 
 class KSPSolver(Solver):
-    """A solver with one KSP that takes PETSc options; the base of all named solvers."""
+    """Solver with one KSP that takes PETSc options; base class of all named solvers."""
 
     name: ClassVar[str]
     """Its name for users."""
@@ -234,7 +234,7 @@ class KSPSolver(Solver):
         return self._ksp.getIterationNumber()
 
     def update(self):
-        """Take the present values of K. Collective."""
+        """Update to the present values of K. Collective."""
         state = self._system.A.stateGet()
         if state != self._state:
             with self.options.in_use():
@@ -264,12 +264,12 @@ class KSPSolver(Solver):
         self.retire().destroy()
 
     def retire(self) -> PETSc.KSP:
-        """Destroy all but the KSP, which a user may hold. Collective."""
+        """Destroy everything except the KSP, which a user may hold. Collective."""
         return self._ksp
 
     @abstractmethod
     def _update(self):
-        """Take the values of K, with the options in PETSc's database."""
+        """Update to the values of K, with the options in PETSc's database."""
 
     @abstractmethod
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
@@ -277,7 +277,7 @@ class KSPSolver(Solver):
 
 
 class Substitute(ABC):
-    """A system in the place of the saddle system, which a KSP can iterate on. All is collective."""
+    """System for a KSP in place of the saddle-point system. All methods are collective."""
 
     iterations = 0
     """Number of iterations of the last solve."""
@@ -296,7 +296,7 @@ class Substitute(ABC):
 
 
 class IterativeSolver(KSPSolver):
-    """A solver whose KSP iterates on another system than the one it stands for."""
+    """Solver whose KSP iterates on a substitute of the saddle-point system."""
 
     _substitute: Substitute | None = None
     _failure: str | None = None
@@ -403,7 +403,7 @@ class Direct(KSPSolver):
     REPLACEABLE = True
 
     def __init__(self, system: System, prefix: str, options: dict | None = None):
-        """Create the KSP, which by default refines until the residual is round-off. Collective."""
+        """Create the KSP, by default with refinement up to round-off. Collective."""
         super().__init__(system, prefix, options)
         unnormed = self._ksp.getNormType() == PETSc.KSP.NormType.NONE
         if unnormed and self._ksp.getPC().getType() == PETSc.PC.Type.LU:

@@ -39,7 +39,7 @@ class ExteriorFacets:
 
     @classmethod
     def joined(cls, every: list["ExteriorFacets"]) -> "ExteriorFacets":
-        """Those of all ranks."""
+        """Exterior facets of all ranks."""
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(f, name) for f in every]) for name in names))
 
@@ -106,7 +106,7 @@ class Boundary:
         return np.stack((self.x.min(axis=1) - reach, self.x.max(axis=1) + reach), axis=1)
 
     def __getitem__(self, chosen) -> "Boundary":
-        """Some of the simplices."""
+        """Subset of the simplices."""
         return Boundary(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 

@@ -36,7 +36,7 @@ class Motion:
 
     @property
     def turns(self) -> bool:
-        """True if it is more than a translation."""
+        """True if the motion has a rotation."""
         return bool((self.turn != np.eye(len(self.turn))).any())
 
     def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

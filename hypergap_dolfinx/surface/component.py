@@ -23,7 +23,7 @@ from hypergap_dolfinx.surface.trace import is_mixed, lagrange_element
 
 @dataclass(frozen=True)
 class Component:
-    """Space of one side of a tie: a whole one, or a component such as ``W.sub(0)``."""
+    """Space of one side of a tie, whole or a component such as ``W.sub(0)``."""
 
     given: fem.FunctionSpace
     """The space as given by the user."""
@@ -53,11 +53,11 @@ class Component:
         return cls(V, space, np.ravel(dofs)[:owned].astype(np.int32))
 
     def same(self, other: "Component") -> bool:
-        """True if another one has the same dofs of the same body."""
+        """True if another component has the same dofs of the same body."""
         return self.given.contains(other.given) and other.given.contains(self.given)
 
     def overlaps(self, other: "Component") -> bool:
-        """True if one contains the other."""
+        """True if one component contains the other."""
         return self.given.contains(other.given) or other.given.contains(self.given)
 
     def among(self, spaces: Iterable[fem.FunctionSpace]) -> int | None:
@@ -66,7 +66,7 @@ class Component:
 
     @property
     def of_vector(self) -> bool:
-        """True if it is one component of a vector."""
+        """True for a single component of a vector."""
         of_blocks = self.given.dofmap.index_map_bs > self.space.dofmap.index_map_bs
         return of_blocks or (len(self.given.component()) > 1 and self.given.value_shape == ())
 
@@ -138,7 +138,7 @@ class Component:
         return self.of_body(np.arange(start * block_size, end * block_size))
 
     def columns_of_body(self, B: PETSc.Mat) -> PETSc.Mat:
-        """A matrix on the body's dofs, from one on the field's, which is destroyed. Collective."""
+        """Matrix on the body's dofs from one on the field's, which is destroyed. Collective."""
         if self.dofs is None:
             return B
         dofmap, comm = self.given.dofmap, self.space.mesh.comm

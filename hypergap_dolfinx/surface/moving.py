@@ -118,7 +118,7 @@ class Sparse:
 
     @classmethod
     def of(cls, matrix: PETSc.Mat) -> "Sparse":
-        """Entries of a matrix on one rank, which is destroyed."""
+        """Entries of a matrix on one rank; the matrix is destroyed."""
         found = cls(*(np.array(part) for part in triplets(matrix)))
         matrix.destroy()
         return found
@@ -138,7 +138,7 @@ class Sparse:
         return Sparse(self.j, self.i, self.values)
 
     def __matmul__(self, other: "Sparse") -> "Sparse":
-        """Product, without two entries at one place."""
+        """Matrix product with duplicate entries summed."""
         count = np.bincount(other.i, minlength=self.j.max(initial=-1) + 1)
         (i, j), values = np.empty((2, num := count[self.j].sum()), np.int64), np.empty(num)
         given = (part for of in (self, other) for part in (len(of.i), of.i, of.j, of.values))
@@ -149,7 +149,7 @@ class Sparse:
 
     @property
     def summed(self) -> "Sparse":
-        """The same without two entries at one place, row by row."""
+        """The matrix with duplicate entries summed, row by row."""
         rows = np.arange(self.i.max(initial=-1) + 1)
         return Sparse(rows, rows, np.ones(len(rows))) @ self
 

@@ -94,7 +94,7 @@ class Side:
         )
 
     def in_halves(self) -> "Side":
-        """The same whole facets as halves, to be cut; vertices of facets keep their numbers."""
+        """The whole facets as halves, to be cut; vertices of facets keep their numbers."""
         if self.surface.facets.shape[1] == 3:
             return self
         return Side.of(self.surface, np.unique(self.facets), halves=True)

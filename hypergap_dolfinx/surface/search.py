@@ -42,7 +42,7 @@ class _Parts:
     """Largest angle between it and the normals."""
 
     def halved(self) -> "_Parts":
-        """The next level: each two consecutive parts as one."""
+        """The next level, where each two consecutive parts are joined."""
         even, odd = slice(None, None, 2), slice(1, None, 2)
         middle = (self.middle[even] + self.middle[odd]) / 2
         axis = self.axis[even] + self.axis[odd]
