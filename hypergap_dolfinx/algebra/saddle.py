@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The saddle system [K Bᵀ; B −C] as a PETSc MatNest, its solution by a KSP, and its errors.
+"""The saddle-point system [K Bᵀ; B −C] as a PETSc MatNest, its solution by a KSP, and its errors.
 
 A compliance enters as the block −C in place of the zero; without one a stored diagonal of zeros
 stands there, since factorisations need the entries.

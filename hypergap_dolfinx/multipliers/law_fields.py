@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Compliances and laws of ties as blocks of the saddle system, with λ = E λ' of its multipliers.
+"""Compliances and laws of ties as blocks of the saddle-point system, with λ = E λ' of multipliers.
 
 A compliance enters as the block −C in place of the zero, [K Bᵀ; B −C], with C = Σ_t E_tᵀ C_t E_t.
 A law λ = f(w) makes the jump w a field beside the bodies', with a stiffness ∂F/∂w and a coupling

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The saddle system solved with factors of one body at a time, and an iteration over the ties.
+r"""The saddle-point system solved with factors of each body and an iteration over the ties.
 
 The factors of the bodies are several times cheaper than those of all of them together. The
 preconditioner takes a tie in one direction, from Γ0 to Γ1 (Dirichlet–Neumann). A step
@@ -41,7 +41,7 @@ LU = {
 
 
 class Bodies(IterativeSolver):
-    """``"bodies"``: the saddle system, preconditioned body by body.
+    """``"bodies"``: the saddle-point system, preconditioned body by body.
 
     With two bodies the number of iterations (in 3D about 25) grows neither with the mesh nor with
     the contrast in stiffness as long as Γ1 is the softer side; if Γ1 is 1000 times the stiffer one,
@@ -100,7 +100,7 @@ def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
 
 
 class BodywiseSystem(Substitute):
-    """The saddle system for a KSP that is preconditioned body by body.
+    """The saddle-point system for a KSP that is preconditioned body by body.
 
     Multipliers and constraints are scaled to the size of K: a small residual would hide a large one
     of the constraints otherwise, if that has other units.
@@ -110,7 +110,7 @@ class BodywiseSystem(Substitute):
         """Scale the ties by the present values of K. Collective.
 
         Args:
-            system: The saddle system.
+            system: The saddle-point system.
         """
         self._A, self._K = system.A, system.K
         self.scales = self._scales_now()
@@ -329,7 +329,7 @@ class Substructures:
         """Take the blocks; solvers are made on demand. Collective.
 
         Args:
-            system: The saddle system.
+            system: The saddle-point system.
             B: Its constraints, scaled.
         """
         constraints = system.constraints

@@ -68,7 +68,7 @@ class ProjectedSystem(Substitute):
         """Join the ties' blocks. Collective.
 
         Args:
-            system: The saddle system.
+            system: The saddle-point system.
             prefix: Prefix of the solvers' options.
         """
         self._projection = Projection(system.K, system.spaces, prefix)
@@ -93,7 +93,7 @@ class ProjectedSystem(Substitute):
         return True
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
-        """Solve for nested vectors of the saddle system. Collective.
+        """Solve for nested vectors of the saddle-point system. Collective.
 
         Prescribed displacements of stiff bodies are large loads at first, next to which the forces
         that are left are small: then the solver is called again, to be as exact for those.

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Solvers of the saddle system: their interface, their PETSc options, and the direct one."""
+"""Solvers of the saddle-point system: their interface, their PETSc options, and the direct one."""
 
 import logging
 import weakref
@@ -111,7 +111,7 @@ class System:
 
 
 class Solver(ABC):
-    """A solver of the saddle system for many right-hand sides. All methods are collective.
+    """A solver of the saddle-point system for many right-hand sides. All methods are collective.
 
     Call :meth:`update` when K has new values; then :meth:`solve`, and check :meth:`failure`.
     Options that PETSc refuses raise a SolveError at once.
@@ -394,7 +394,7 @@ class Direct(KSPSolver):
         "pc_type": "lu",
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_cntl_1": 0.1,  # pivots: with 0.01 twice as many solutions need refinement
-        "mat_mumps_icntl_14": 100,  # 20 % of workspace to spare is too little for saddle systems
+        "mat_mumps_icntl_14": 100,  # 20 % more workspace is too little for saddle points
     }
     UNFIT = (
         " The matrix is a MatNest with a block of zeros; "

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The ways to solve the saddle system agree, and each says when it can't."""
+"""The ways to solve the saddle-point system agree, and each says when it can't."""
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -80,7 +80,7 @@ def difference(problem, reference):
 
 
 def residual(problem):
-    """Of the saddle system, relative to its right-hand side."""
+    """Of the saddle-point system, relative to its right-hand side."""
     r = problem.b.duplicate()
     problem.A.mult(problem.x, r)
     r.axpy(-1.0, problem.b)
