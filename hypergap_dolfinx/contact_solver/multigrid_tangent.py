@@ -188,6 +188,7 @@ class MultigridTangent:
         self._equations: list[Linear] | None = None
         self._near, self._states = 0.0, list[int]()
         self._sprung: npt.NDArray[np.bool_] | None = None
+        self._is_stale = False
         self._constraints: Constraints | None = None
         self._more: PETSc.Mat | None = None
         self._last: tuple[Array, Array, float] | None = None
@@ -273,7 +274,7 @@ class MultigridTangent:
         """
         try:
             with self._options.in_use():
-                self._update(equations, shift)
+                self._update(equations, shift, accurate=anew)
         except SolveError as error:  # aggregates and springs need a positive diagonal
             raise IterationFailed(f"{error}".removesuffix(".")) from error
         own = [part.right[rows.mine] for part, rows in zip(equations, self._rows, strict=True)]
@@ -331,7 +332,7 @@ class MultigridTangent:
             norm = of.b.norm()
             size = max(size, norm)
             least = TIGHT * size if alone else max(TIGHT * size, self.floor)
-            goal = least if accurate else max(min(ROUGH * size, norm / 10), least)
+            goal = least if accurate else max(ROUGH * norm, least)
             self.is_rough = not accurate and norm > least
             if norm > goal:
                 ksp.setTolerances(rtol=0.0, atol=goal)
@@ -368,12 +369,13 @@ class MultigridTangent:
 
     # Equations
 
-    def _update(self, equations: Sequence[Linear], shift: tuple[float, float]):
-        """Take the present stiffness, and equations."""
+    def _update(self, equations: Sequence[Linear], shift: tuple[float, float], *, accurate: bool):
+        """Take the present stiffness, and equations; springs are these rows' if it's accurate."""
         self._projection.factor = 1 + shift[0]
         near = shift[1]
         states = [K.stateGet() for K in self._system.K]
         same = self._equations is not None and near == self._near and states == self._states
+        same &= not (accurate and self._is_stale)
         if same and all(map(_is_same, equations, self._equations or ())):
             return
         self._now = now = self._sorted(equations)
@@ -386,7 +388,9 @@ class MultigridTangent:
         self._more = self._matrix(more, near)
         renews = states != self._states or self._sprung is None
         if self._sprung is not None:
-            renews |= bool(2 * (now.held ^ self._sprung).sum() > self._sprung.sum())
+            num = int((now.held ^ self._sprung).sum())
+            renews |= 2 * num > self._sprung.sum() or (accurate and num > 0)
+            self._is_stale = num > 0 and not renews
         self._projection.update(self._ksp, self._constraints, self._more, renews=renews)
         self._sprung = now.held if renews else self._sprung
         self._equations, self._near, self._states = list(equations), near, states
