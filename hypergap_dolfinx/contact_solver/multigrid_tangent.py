@@ -8,8 +8,9 @@ and are eliminated: F isn't G then, and K̃ isn't symmetric. Without friction th
 gradients do; else GMRES with the same preconditioner.
 
 Aggregates are the bodies' own (:mod:`~hypergap_dolfinx.algebra.hierarchy`): they are made once.
-Springs in the preconditioner needn't be those of the present rows, which Π holds exactly: within a
-load step they are made anew where half as many rows as there are have come or gone.
+Springs in the preconditioner needn't be those of the present rows, which Π holds exactly: while
+sets are guessed they are made anew where half as many rows as there are have come or gone, and for
+an accurate solution where any have.
 """
 
 from collections.abc import Sequence
@@ -156,7 +157,8 @@ class MultigridTangent:
             options: The user's.
             symmetric: True if there is no friction.
         """
-        defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200}
+        # As many iterations as with the ties' three sweeps, each of 3/4 of the seconds
+        defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200, "mg_levels_ksp_max_it": 2}
         if not symmetric:
             defaults |= {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 60}
         self._prefix = prefix
@@ -188,7 +190,7 @@ class MultigridTangent:
         self._equations: list[Linear] | None = None
         self._near, self._states = 0.0, list[int]()
         self._sprung: npt.NDArray[np.bool_] | None = None
-        self._is_stale = False
+        self._is_stale = False  # springs are of other rows
         self._constraints: Constraints | None = None
         self._more: PETSc.Mat | None = None
         self._last: tuple[Array, Array, float] | None = None

@@ -167,7 +167,7 @@ class Multigrid(IterativeSolver):
         # Unlike SOR, Jacobi doesn't depend on the ranks. Its largest eigenvalue isn't that from
         # smoothing the aggregates, which is too small with contrasts
         "mg_levels_ksp_type": "chebyshev",
-        "mg_levels_ksp_max_it": 2,
+        "mg_levels_ksp_max_it": 3,
         "mg_levels_esteig_ksp_max_it": 20,
         "mg_levels_pc_type": "jacobi",
         **prefixed("aggregates_", Hierarchy.OPTIONS),
