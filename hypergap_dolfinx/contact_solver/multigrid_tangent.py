@@ -391,7 +391,7 @@ class MultigridTangent:
         renews = states != self._states or self._sprung is None
         if self._sprung is not None:
             num = int((now.held ^ self._sprung).sum())
-            renews |= 2 * num > self._sprung.sum() or (accurate and num > 0)
+            renews |= bool(2 * num > self._sprung.sum()) or (accurate and num > 0)
             self._is_stale = num > 0 and not renews
         self._projection.update(self._ksp, self._constraints, self._more, renews=renews)
         self._sprung = now.held if renews else self._sprung
