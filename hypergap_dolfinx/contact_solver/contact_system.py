@@ -343,7 +343,7 @@ class ContactSystem(NonlinearSystem):
             is_balanced = self._balances(continuation.is_at_kink)
             self._record(step)
             self._interrupts.check()
-            if is_balanced and (step or self._is_exact):
+            if is_balanced and (step or (self._is_exact and not self._hold_too_much())):
                 if polished or all(rows.is_exact for rows in self._rows):
                     self._check_held()
                     return step
@@ -522,13 +522,16 @@ class ContactSystem(NonlinearSystem):
 
     def _check_held(self):
         """Raise if sticking multipliers hold a body with more than friction can."""
-        for rows in self._frictional:
-            if rows.holds_too_much(ROUND_OFF_FORCES * self._largest):
-                raise SolveError(
-                    f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
-                    "more than friction can hold; hold it by boundary conditions, or move it by "
-                    "them."
-                )
+        for rows in self._hold_too_much():
+            raise SolveError(
+                f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
+                "more than friction can hold; hold it by boundary conditions, or move it by them."
+            )
+
+    def _hold_too_much(self) -> list[FrictionRows]:
+        """Contacts with sticking tractions beyond friction, as where its coefficient has fallen."""
+        nothing = ROUND_OFF_FORCES * self._largest
+        return [rows for rows in self._frictional if rows.holds_too_much(nothing)]
 
     def _assemble_what_moved(self):
         """Assemble the stiffness of bodies but for those that the last steps hardly moved."""

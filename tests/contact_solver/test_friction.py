@@ -206,6 +206,27 @@ def test_floor_turns_back(sliding):
         close(contact.dissipation(problem), 0.01 * force[1] * (0.4 if x < 0 else 0.2), 0.05)
 
 
+@pytest.mark.parametrize("sliding", ("small", "finite"))
+def test_coefficient_falls(sliding):
+    """What sticks all over slips where the coefficient of friction becomes smaller."""
+    block, floor = rectangle((4, 3), (1, 0), (2, 1)), rectangle((2, 1), (0, -1), (3, 0))
+    body, u, top = Elastic.on(block.V), fem.Function(floor.V), fem.Function(block.V)
+    bcs = [fem.dirichletbc(top, fem.locate_dofs_topological(block.V, 1, block.facets(meshes.TOP)))]
+    sides = (floor.V, floor.facets(meshes.TOP)), (block.V, block.facets(meshes.BOTTOM))
+    mu = fem.Constant(block.mesh, 50.0)
+    contact = Contact(*sides, friction=mu, sliding=sliding)
+    problem = ContactProblem([None, body.F], [u, body.u], bcs=bcs, contacts=[contact])
+    top.x.array[1::2] = -0.05
+    problem.solve()
+    top.x.array[::2] = 0.03
+    problem.solve()
+    assert contact.sticking.all()
+    mu.value = 0.05
+    problem.solve()
+    force = contact.force(problem)
+    close(force[0], -0.05 * force[1], 1e-9)
+
+
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("mu", (0.02, 0.001))
 def test_symmetry(mu):
