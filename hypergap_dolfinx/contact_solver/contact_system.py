@@ -74,6 +74,7 @@ class ContactSystem(NonlinearSystem):
 
            residual is no number ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to BACK times
+           four steps along one line ───────────→ it is taken as far as they tell
            STEPS steps ─────────────────────────→ the load step fails
            no solution, RAYS times in a row ────→ it fails: a body leaves
 
@@ -328,7 +329,7 @@ class ContactSystem(NonlinearSystem):
             self._evaluate(self._x, self._b)
             if not self._is_finite():
                 share *= SHORTENED
-                if way is None or share < SHORTENED**TRIALS:
+                if way is None or abs(share) < SHORTENED**TRIALS:
                     raise SolveError(self._inverted())
                 self._go(*way, share)
                 continue
@@ -362,11 +363,11 @@ class ContactSystem(NonlinearSystem):
                 self._carry()
                 continue
             way, work = self._step(jump, stiffness)
-            share = 1.0
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            if continuation.goes_back(moves, work):
-                self._go(*way, -1.0)
+            share = continuation.share(moves, work)
+            if share != 1:
+                self._go(*way, share)
 
     def _record(self, step: int):
         """Record a Newton step."""

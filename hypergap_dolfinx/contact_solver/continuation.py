@@ -1,11 +1,17 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton steps that are taken backwards.
+"""Newton steps that are taken backwards, in part, or farther.
 
 Forces between bodies are continuous, with kinks where nodes pass. At a kink a branch of equilibria
 can end: where a corner ploughs with friction, bodies snap to another branch, which Newton steps
 from both sides of the kink never find. Beyond such an end the tangent does negative work on the
 Newton step, which leads back to it: then a step of the same length is taken backwards.
+
+Steps along one line, to and fro or slowly on, are a sequence whose limit two of them tell (Aitken's
+Δ² process): where d changes by a factor r as α of the step before it was taken, it vanishes at
+α / (1 − r). So steps that repeat each other backwards are halved, as where stiffness changes within
+them, and steps that creep on, as with stiffness added where a tangent isn't positive, are
+lengthened.
 
 Bodies can also be in equilibrium at a kink, as where symmetric meshes lie edge on edge: forces on
 its both sides differ, and steps go to and fro over it. They are as long as that difference makes
@@ -19,7 +25,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import BACK, OSCILLATES
+from hypergap_dolfinx.contact_solver.tolerances import BACK, IN_LINE, LONGER, OSCILLATES
 
 
 class Continuation:
@@ -34,7 +40,8 @@ class Continuation:
         """
         self._comm, self._num_back, self._square = comm, 0, 0.0
         self._least = least
-        self._num_turned = 0
+        self._num_turned = self._num_in_line = 0
+        self._share = 1.0
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
 
     @property
@@ -42,8 +49,8 @@ class Continuation:
         """True if three steps go to and fro, and don't become shorter."""
         return self._num_turned > 1
 
-    def goes_back(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> bool:
-        """True if a step is to be taken backwards. Collective.
+    def share(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> float:
+        """Part of a step that is to be taken; negative if backwards. Collective.
 
         Args:
             moves: This rank's increments of each body's displacements.
@@ -52,12 +59,20 @@ class Continuation:
         last = moves if self._last is None else self._last
         sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
-        product, square = sums
-        turned = product < OSCILLATES * self._square
-        to_and_fro = product < OSCILLATES * max(square, self._square)
+        (product, square), before = sums, self._square
+        turned = product < OSCILLATES * before
+        of_last = before / self._share**2  # a whole step
+        to_and_fro = product / abs(self._share) < OSCILLATES * max(square, of_last)
         self._num_turned = self._num_turned + 1 if to_and_fro else 0
+        in_line = abs(product) > IN_LINE * np.sqrt(square * before)
+        self._num_in_line = self._num_in_line + 1 if in_line else 0
         moves_on = square > self._least**2
-        back = bool(moves_on and turned and work < 0 and self._num_back < BACK)
-        self._last, self._square = [(1 - 2 * back) * part for part in moves], square
-        self._num_back += back
-        return back
+        share = 1.0
+        if moves_on and turned and work < 0 and self._num_back < BACK:
+            share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
+        elif moves_on and self._num_in_line > 2:
+            falls = 1 / self._share - product / before  # over a whole step
+            share = min(1 / falls, LONGER * self._share) if falls > 0 else 1.0
+        self._last, self._square = [share * part for part in moves], share**2 * square
+        self._share = share
+        return share

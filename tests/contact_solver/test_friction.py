@@ -283,11 +283,19 @@ def test_steps_backwards():
         for _ in range(30):
             F, slope = force(x)
             dx = F / slope
-            back = continuation.goes_back([np.array([dx])], slope * dx**2 if tells else 1.0)
-            x += dx if back else -dx
+            x -= dx * continuation.share([np.array([dx])], slope * dx**2 if tells else 1.0)
             found.append(x)
         assert (abs(found[-1] - 1.55) <= 1e-12) == tells
     assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
+
+
+@pytest.mark.parametrize("slope", (0.05, 1.99, 2.0))
+def test_steps_in_line(slope):
+    """Steps with a tangent that is twenty times too stiff, or too soft by half: none is in vain."""
+    x, continuation = np.array([1.0, 0.5]), Continuation(MPI.COMM_SELF, 1e-12)
+    for _ in range(10):
+        x = x - continuation.share([slope * x], 1.0) * slope * x
+    assert np.linalg.norm(x) <= 1e-9
 
 
 def test_slides_off():

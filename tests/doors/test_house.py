@@ -70,7 +70,7 @@ def test_thresholds():
             assert not numbers, (file, numbers)
     made = runpy.run_path(str(FOLDER / ".ci" / "thresholds"))
     rows = list(made["rows"]())
-    assert len(rows) <= 165
+    assert len(rows) <= 166
     assert not [name for _, name, _, _, measured in rows if measured in ("", "–")]
     text = (FOLDER / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert made["table"]() in text, "run .ci/thresholds"
