@@ -15,7 +15,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
-from hypergap_dolfinx.algebra.checks import name_of_body
+from hypergap_dolfinx.algebra.checks import name_of_body, turned_over
 from hypergap_dolfinx.algebra.load_path import LoadPath, Value, values_of
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_geometry.status import table
@@ -223,7 +223,7 @@ class ContactProblem(ContactSystem):
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
-        self._told_far: set[int] = set()
+        self._told_far, self._told_over = set[tuple[int, int]](), set[int]()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
@@ -310,6 +310,7 @@ class ContactProblem(ContactSystem):
             if self._num_steps == 1:
                 self._warn_of_reach(self._comm)
             self._warn_of_distance(self._comm)
+            self._warn_of_cells(self._comm)
             self._interrupts.check()
         return self._every
 
@@ -518,17 +519,42 @@ class ContactProblem(ContactSystem):
                 )
 
     def _warn_of_distance(self, comm):
-        """Warn, once for each contact, of a pressure on surfaces that are far apart."""
+        """Warn, once for each contact, of what means of gaps don't see."""
+        kinds = (
+            (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
+            (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets"),
+        )
         for c, rows in enumerate(self._rows):
-            far, at = (0.0, None) if c in self._told_far else rows.far_pressure()
-            if far > FAR_PRESSURE:
-                self._told_far.add(c)
+            left = [k for k in range(len(kinds)) if (c, k) not in self._told_far]
+            found = rows.reaches(FAR_PRESSURE / 2) if left else []
+            for k, (size, at) in enumerate(found):
+                bound, words = kinds[k]
+                if k not in left or size <= bound:
+                    continue
+                self._told_far.add((c, k))
                 if comm.rank == 0:
                     LOG.warning(
-                        f"contact {c}: at {spot(at[None])} a pressure acts on surfaces up to "
-                        f"{far:.1f} facets apart: a gap is the mean over the facets of Γ1 at a "
-                        "vertex, and these are too coarse for a corner or step there; refine them."
+                        f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
+                        "over the facets of Γ1 at a vertex, and these are too coarse for a corner "
+                        "or step there; refine them."
                     )
+
+    def _warn_of_cells(self, comm):
+        """Warn, once for each body, of cells that are turned over as it slides far. Collective."""
+        follow = zip(self._contacts, self._rows, strict=True)
+        moved = {b for contact, rows in follow if contact.follows for b in rows.bodies}
+        for b in sorted((moved & set(range(self._num_elastic))) - self._told_over):
+            u = self._moving[b].own_function(self._u[b])
+            places = [x for part in comm.allgather(turned_over(u)) for x in part]
+            if not places:
+                continue
+            self._told_over.add(b)
+            if comm.rank == 0:
+                LOG.warning(
+                    f"{self._names[b]}: cells are turned over at a corner, the first around "
+                    f"{spot(places[0][None])} (before displacements), where no point of the "
+                    "residual sees it: results there are wrong; refine, or round sharp corners."
+                )
 
     def _warn_of_reach(self, comm):
         """Warn of surfaces with nothing opposite."""

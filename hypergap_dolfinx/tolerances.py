@@ -62,5 +62,6 @@ Measured: 1e9 changes nothing in test_pieces, test_mixed, test_periodic, test_cr
 test_solids_pieces."""
 
 FAR_PRESSURE = 1.0
-"""Distance of surfaces on which a pressure acts, in facet sizes of Γ1, from which it is told.
+"""Distance of surfaces on which a pressure acts, and twice their overlap, from which it is told, in
+facet sizes of Γ1.
 Measured: 300 random scenes of the plane, with sharp corners on coarse facets: told in 53."""

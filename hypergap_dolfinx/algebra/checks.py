@@ -25,7 +25,7 @@ from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.tolerances import SAME_PLACE
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
-from hypergap_dolfinx.surface.trace import extents
+from hypergap_dolfinx.surface.trace import extents, lagrange_element
 
 LOG = logging.getLogger("hypergap_dolfinx")
 UNNAMED = "", "mesh"
@@ -121,6 +121,25 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
             "at %s: stresses beside it are wrong; mend its mesh.",
             *(name, len(places), "s"[: len(places) > 1], places[0]),
         )
+
+
+def turned_over(u: fem.Function) -> npt.NDArray[np.float64]:
+    """Middles of this rank's cells that displacements turn over at a corner, ``(num, n)``.
+
+    There is no Gauss point in corners: residuals are balanced even so. Places are those before
+    displacements; cells that were turned over already aren't among them.
+    """
+    V, mesh = u.function_space, u.function_space.mesh
+    n, num = mesh.geometry.dim, mesh.topology.index_map(mesh.topology.dim).size_local
+    corners = basix.geometry(getattr(basix.CellType, mesh.topology.cell_name()))
+    element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
+    given = element, V.dofmap.list[:num], corners, corners[:0]
+    both = (_determinants(x, *given) for x in (start, start + u.x.array.reshape(-1, n)))
+    found = [start[:0]]
+    for (x, before, _), (_, after, _) in zip(*both, strict=True):
+        over = (np.sign(before) * after < 0).any(axis=1)
+        found.append(x[over].mean(axis=1))
+    return np.concatenate(found)
 
 
 def _cells_at(mesh: Mesh, facets: Sequence[npt.ArrayLike]) -> npt.NDArray[np.bool_]:

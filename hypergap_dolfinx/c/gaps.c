@@ -14,14 +14,14 @@
 #include "rays.h"
 #include "vectors.h"
 
-#define MOST_LOCAL (MOST_DOFS * (3 * MOST_SHEETS + 2) + 2)
+#define MOST_LOCAL (MOST_DOFS * (3 * MOST_SHEETS + 4) + 2)
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
 typedef struct {
   int num, dofs[MOST_LOCAL];
   // Numbers among them
   int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_foot[MOST_DOFS], of_end[2];
-  int of_beside[MOST_SHEETS][2][MOST_DOFS];
+  int of_beside[MOST_SHEETS][2][MOST_DOFS], of_fade[2][MOST_DOFS];
 } Local;
 
 // A point where it is, as jets. Lengths are in chords |c| of its edge, or times them.
@@ -91,6 +91,8 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
   for (int e = 0; e < 2; ++e)
   {
     int v = point->ends[e];
+    if (point->fades[e] >= 0)
+      number_edge(local, below, point->fades[e], local->of_fade[e]);
     if (v < 0)
       continue;
     int end, edge = edge_at(below, v, &end);
@@ -196,6 +198,27 @@ static Jet cosine_of(Tape *tape, const Ray *ray, const Curve *curve, int num, co
   return product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
 }
 
+// Place along a chord where an edge of Γ0 has the cosine that it has at r. Newton's method, as above.
+static Jet fade_at(Tape *tape, const Ray *ray, const Curve *curve, int num, const int *numbers,
+                   double r, Jet const *a)
+{
+  Jet found = constant(tape, r), level = NULL, x[2];
+  const double *t = curve->x[1], *bent = curve->x[2], c[2] = {ray->c[0][0], ray->c[1][0]};
+  double square = t[0] * t[0] + t[1] * t[1], along = (t[0] * bent[0] + t[1] * bent[1]) / square;
+  double slope = (along * t[0] - bent[0]) * c[0] + (along * t[1] - bent[1]) * c[1];
+  slope /= sqrt(square * ray->square[0]);
+  for (int k = 0; k < tape->order; ++k)
+  {
+    Jet cos = cosine_of(tape, ray, curve, num, numbers, found);
+    level = level ? level : constant(tape, cos[0]);
+    found = combined(tape, 1, found, -1 / slope, combined(tape, 1, cos, -1, level));
+    found[0] = r;
+  }
+  for (int i = 0; i < 2; ++i)
+    x[i] = combined(tape, 1, on_curve(tape, curve, num, numbers, found, 0, i), -1, a[i]);
+  return quotient(tape, dotted(tape, x, ray->c), ray->square);
+}
+
 // Weight by a cosine.
 //
 // height  times |c|
@@ -257,9 +280,15 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
   for (int e = 0; e < 2; ++e)
   {
     int v = point->ends[e];
+    if (point->fades[e] >= 0)
+    {
+      Curve curve = curve_at(below, point->fades[e], point->at_fades[e], origin);
+      xi[e] = fade_at(tape, &ray, &curve, below->num_dofs, local->of_fade[e], point->at_fades[e], a);
+      continue;
+    }
     if (v < 0)
     {
-      xi[e] = constant(tape, sigma->fixed[-1 - v]);
+      xi[e] = constant(tape, point->places[e]);
       continue;
     }
     Jet d[2];
@@ -275,7 +304,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
   Jet to = product(tape, at, ray.square);
   if (point->part == 2)
   {
-    double from = sigma->fixed[1], size = sigma->fixed[2] - from;
+    double from = sigma->shared[0], size = sigma->shared[1] - from;
     ray.share = combined(tape, 1 / size, at, -from / size, constant(tape, 1));
   }
   ray.curve = curve_at(above, point->edge, point->s, origin);

@@ -34,7 +34,10 @@ typedef struct {
 // along the chord, from 0 to 1, lies between those of both ends of a piece of the edge.
 typedef struct {
   int edge, part;   // of Γ1; that of its start (0), of its end (1), or the middle, shared by both (2)
-  int ends[2];      // vertices of Γ0 opposite of the piece's ends, or numbers of fixed places
+  int ends[2];      // vertices of Γ0 opposite of the piece's ends, or −1
+  double places[2]; // of these ends along the chord
+  int fades[2];     // edges of Γ0 whose weights begin or end to fade there, or −1
+  double at_fades[2]; // and where on them
   double at, width; // where on the piece, from 0 to 1, and the weight of the quadrature there
   double s;         // reference coordinate
   int foot;         // edge of Γ0 that is nearest; −1 where that needn't be known
@@ -64,8 +67,9 @@ typedef struct {
   const int *own;        // those around each of Γ0's edges that don't meet it, or −1, (…, NUM_OWN)
   const double *depths;  // overlap beyond which a sheet is the other side of Γ1's own body, (…)
   double angle;          // by which bodies of revolution are swept about x = 0; 0 for others
-  double fixed[4];       // places along chords of the numbers −1 … −4: ends, and of what is shared
-  int num_rule;          // points of the quadrature rule
+  double shared[2];      // places along chords between which ends share what is there
+  int ends_of_rules[2];  // of quadrature, one behind the other: any, and for straight edges that
+                         // face each other fully
   const double *rule_at, *rule_weights;
   int max_points, num_points, max_sheets, num_sheets;
   Point *points;
@@ -83,6 +87,7 @@ typedef struct {
 
 int cast_rays(Sigma *sigma);
 void find_columns(const Sigma *sigma, double *x, int *shown);
+void find_depths_in(const Sigma *sigma, int side, int num, const double *x, double *depths);
 int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
               Entries *by_covered);
 int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H);

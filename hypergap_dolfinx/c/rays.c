@@ -20,6 +20,7 @@
 #define STEPS 60 // to where a ray meets a curved edge: by bisection at most
 #define LAST_STEP 1e-15
 #define TINY 1e-12 // part of a chord that is round-off
+#define NUM_FADES 3 // cosines at which weights begin or end to fade
 
 // The chord of an edge of Γ1.
 typedef struct {
@@ -34,10 +35,12 @@ typedef struct {
   double low, high; // places there along Γ1's chord
 } Facing;
 
-// A place along a chord that is a vertex of Γ0, or stays.
+// A place along a chord: that of a vertex of Γ0, or of a point of its edge where its weight begins
+// or ends to fade; or −1 each.
 typedef struct {
   double xi;
-  int vertex;
+  int vertex, edge;
+  double r;
 } Break;
 
 // A sheet where a ray meets it.
@@ -237,10 +240,31 @@ static int by_place(const void *a, const void *b)
   return (one->vertex > two->vertex) - (one->vertex < two->vertex);
 }
 
-static void add_break(Cast *cast, double xi, int vertex)
+static void add_break(Cast *cast, double xi, int vertex, int edge, double r)
 {
   if (xi > 0 && xi < 1)
-    cast->breaks[cast->num_breaks++] = (Break){xi, vertex};
+    cast->breaks[cast->num_breaks++] = (Break){xi, vertex, edge, r};
+}
+
+// Add the places where the weight of what faces an edge of Γ1 begins or ends to fade as it turns.
+static void add_fades(Cast *cast, const Facing *facing)
+{
+  const Side *below = cast->below;
+  const double *levels = cast->sigma->cosines;
+  for (int k = 0; below->num_nodes > 2 && k < NUM_FADES; ++k)
+  {
+    double level = k == 0 ? 0.5 * levels[0] : levels[k - 1], slope;
+    double lo = facing->from, hi = facing->to;
+    int rises = cosine(&cast->frame, below, facing->edge, lo) < level;
+    if ((cosine(&cast->frame, below, facing->edge, hi) < level) == rises)
+      continue;
+    for (int it = 0; it < STEPS; ++it)
+    {
+      double middle = 0.5 * (lo + hi);
+      *((cosine(&cast->frame, below, facing->edge, middle) < level) == rises ? &lo : &hi) = middle;
+    }
+    add_break(cast, place(&cast->frame, below, facing->edge, lo, &slope), -1, facing->edge, lo);
+  }
 }
 
 // Whether an edge g of Γ0 can meet the edge f of Γ1: on one surface those before it, but for its
@@ -269,12 +293,15 @@ static void look(Cast *cast, int f)
     int before = cast->num_facing;
     if (can_meet(cast, g))
       add_parts(cast, g);
+    for (int k = before; k < cast->num_facing; ++k)
+      add_fades(cast, cast->facing + k);
     for (int k = 0; before < cast->num_facing && k < 2; ++k)
       if (!cast->sigma->goes_on[2 * g + k])
-        add_break(cast, along(&cast->frame, node(below, g, k)), below->vertices[2 * g + k]);
+        add_break(cast, along(&cast->frame, node(below, g, k)), below->vertices[2 * g + k], -1, 0);
   }
+  const double fixed[] = {0, cast->sigma->shared[0], cast->sigma->shared[1], 1};
   for (int k = 0; k < 4; ++k)
-    cast->breaks[cast->num_breaks++] = (Break){cast->sigma->fixed[k], -1 - k};
+    cast->breaks[cast->num_breaks++] = (Break){fixed[k], -1, -1, 0};
   qsort(cast->breaks, cast->num_breaks, sizeof(Break), by_place);
 }
 
@@ -459,45 +486,51 @@ static int add_point(Cast *cast, Sigma *sigma, Point *point, double xi, Hit *hit
   return num;
 }
 
-// Points of one piece of an edge: one point, if it is exact.
+// Points of one piece of an edge: those of the short rule, if it is exact. (Rules that aren't may
+// not take turns: forces would jump.)
 static void add_piece(Cast *cast, Sigma *sigma, const Break *from, const Break *to)
 {
   Hit hits[MOST_SHEETS];
-  int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2;
-  int part = to->xi <= sigma->fixed[1] ? 0 : from->xi >= sigma->fixed[2] ? 1 : 2;
-  int one = straight && part < 2 && sigma->angle == 0, sheet = -1;
-  int num_points = sigma->num_points, num_sheets = sigma->num_sheets;
+  int part = to->xi <= sigma->shared[0] ? 0 : from->xi >= sigma->shared[1] ? 1 : 2;
+  int num_points = sigma->num_points, num_sheets = sigma->num_sheets, one = 1, sheet = -1;
   double width = to->xi - from->xi;
-  Point point = {
-      .edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex}, .is_first = 1};
-  for (int k = 0; k < sigma->num_rule; ++k)
+  Point point = {.edge = cast->edge, .part = part, .ends = {from->vertex, to->vertex},
+                 .places = {from->xi, to->xi},
+                 .fades = {from->edge, to->edge},
+                 .at_fades = {from->r, to->r}};
+  int straight = cast->below->num_nodes == 2 && cast->above->num_nodes == 2;
+  for (int rule = 0, k = 0; rule <= straight && one; ++rule)
   {
-    point.at = sigma->rule_at[k], point.width = sigma->rule_weights[k];
-    int num = add_point(cast, sigma, &point, from->xi + width * point.at, hits);
-    one &= num == 1 && hits[0].weight >= 1 && (k == 0 || hits[0].sheet.edge == sheet);
-    sheet = num ? hits[0].sheet.edge : -1;
+    sigma->num_points = num_points, sigma->num_sheets = num_sheets, point.is_first = 1;
+    for (; k < sigma->ends_of_rules[rule]; ++k)
+    {
+      point.at = sigma->rule_at[k], point.width = sigma->rule_weights[k];
+      int num = add_point(cast, sigma, &point, from->xi + width * point.at, hits);
+      one &= num == 1 && hits[0].weight >= 1 && (sheet < 0 || hits[0].sheet.edge == sheet);
+      sheet = num ? hits[0].sheet.edge : -1;
+    }
   }
-  if (!one)
-    return;
-  sigma->num_points = num_points, sigma->num_sheets = num_sheets;
-  point.at = 0.5, point.width = 1, point.is_first = 1;
-  add_point(cast, sigma, &point, from->xi + width * point.at, hits);
+}
+
+// Find the order of an edge's nodes, from start to end.
+static void sort_nodes(const Side *side, int *order)
+{
+  for (int k = 0; k < side->num_nodes; ++k)
+  {
+    int at = 0;
+    for (int other = 0; other < side->num_nodes; ++other)
+      at += side->node_at[other] < side->node_at[k];
+    order[at] = k;
+  }
 }
 
 static int start(Cast *cast, const Sigma *sigma)
 {
   int num = sigma->sides[0].num_edges;
   *cast = (Cast){.sigma = sigma, .below = sigma->sides, .above = sigma->sides + 1};
-  const Side *below = cast->below;
-  for (int k = 0; k < below->num_nodes; ++k)
-  {
-    int at = 0;
-    for (int other = 0; other < below->num_nodes; ++other)
-      at += below->node_at[other] < below->node_at[k];
-    cast->order[at] = k;
-  }
+  sort_nodes(cast->below, cast->order);
   cast->facing = malloc((2 * num + 1) * sizeof(Facing));
-  cast->breaks = malloc((2 * num + 4) * sizeof(Break));
+  cast->breaks = malloc(((2 + 2 * NUM_FADES) * num + 4) * sizeof(Break));
   return cast->facing && cast->breaks;
 }
 
@@ -521,7 +554,7 @@ int cast_rays(Sigma *sigma)
     for (int k = 1; k < cast.num_breaks; ++k)
     {
       const Break *next = cast.breaks + k;
-      if (next->vertex != last->vertex)
+      if (next->xi > last->xi || next->vertex < 0 || next->vertex != last->vertex)
         add_piece(&cast, sigma, last, next); // of length 0 too: derivatives aren't zero
       last = next;
     }
@@ -545,8 +578,7 @@ void find_columns(const Sigma *sigma, double *x, int *shown)
     const Sheet *sheet = sigma->sheets + point->first + point->num - 1;
     for (int e = 0; e < 2; ++e)
     {
-      int v = point->ends[e];
-      double xi = v >= 0 ? along(&frame, position(sides, v)) : sigma->fixed[-1 - v], slope, other;
+      double xi = point->places[e], slope, other;
       double s = meet(&frame, sides + 1, point->edge, 0, 1, xi), r = sheet->r;
       // From where it was met to the piece's end
       for (int it = 0; it < 4; ++it)
@@ -560,4 +592,16 @@ void find_columns(const Sigma *sigma, double *x, int *shown)
       memcpy(x + 8 * p + 6 - 2 * e, x0.x[0], sizeof(x0.x[0]));
     }
   }
+}
+
+// Depths of points in the body of Γ0 (side 0) or of Γ1, negative outside.
+void find_depths_in(const Sigma *sigma, int side, int num, const double *x, double *depths)
+{
+  Point point;
+  Sigma every = *sigma;
+  every.turn = NULL; // of one surface all edges count, also those that a point is on
+  Cast cast = {.sigma = &every, .below = sigma->sides + side};
+  sort_nodes(cast.below, cast.order);
+  for (int k = 0; k < num; ++k)
+    depths[k] = find_foot(&cast, x + 2 * k, &point);
 }

@@ -152,12 +152,20 @@ class PlaneSegments(Segments[_Seen]):
         return self._at(u).gaps.given_over(values, gone)
 
     @override
-    def reaches(self, u: Displacements) -> npt.NDArray[np.float64]:
-        gaps, result = self._at(u).gaps, np.zeros(self.num_multipliers)
+    def reaches(
+        self, u: Displacements, least: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        gaps = self._at(u).gaps
+        far, deep = np.zeros((2, self.num_multipliers))
         x, halves = gaps.rays.columns()
-        far = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
-        np.fmax.at(result, gaps.facets.ravel()[halves], far)
-        return result
+        vertices = gaps.facets.ravel()[halves]
+        apart = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
+        on = apart > least[vertices]
+        x, vertices = x[on], vertices[on]
+        np.fmax.at(far, vertices, apart[on])
+        for k in range(4):  # two corners of a column on Γ1, two on Γ0
+            np.fmax.at(deep, vertices, gaps.rays.depths(k // 2, x[:, k]))
+        return far, deep
 
     @override
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -197,12 +197,20 @@ class Segments[State: Found](ABC):
         """
         return np.where(gone, np.zeros_like(values), values)
 
-    def reaches(self, u: Displacements) -> npt.NDArray[np.float64]:
-        """Largest distance of the sides in the part of Σ that a vertex has, ``(num_multipliers,)``.
+    def reaches(
+        self, u: Displacements, least: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """How far apart and how deep in each other the sides are within what vertices have.
 
-        0 where it isn't known.
+        Args:
+            u: Displacements.
+            least: Lengths from which these are looked for, ``(num_multipliers,)``.
+
+        Returns:
+            Largest distances and largest overlaps, ``(num_multipliers,)`` each; 0 where they are
+            shorter, or not known.
         """
-        return np.zeros(self.num_multipliers)
+        return np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
 
     @abstractmethod
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

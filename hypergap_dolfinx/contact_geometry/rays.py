@@ -43,7 +43,8 @@ that a ray's column sweeps, exactly, and pressures act on what they are on in sp
 
 Where ends of both sides slide along one wall, as one of symmetry, Γ0 goes on beyond it.
 
-Quadrature is exact on straight edges with one sheet of weight 1; derivatives are those of the
+Quadrature is exact on straight edges with one sheet of weight 1, and of a higher degree where
+weights aren't 1: forces would jump as pieces' ends pass each other. Derivatives are those of the
 quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 """
 
@@ -133,6 +134,12 @@ class PlaneRays:
         on = shown > 0
         halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
         return x[on], halves[on].astype(np.intp)
+
+    def depths(self, side: int, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Depths of points, ``(num, 2)``, in a side's body by its nearest edge, < 0 outside."""
+        depths = np.empty(len(x))
+        call("find_depths_in", self.sigma, side, len(x), doubles(x), depths)
+        return depths
 
     @property
     def _num_dofs(self) -> int:
@@ -225,15 +232,17 @@ def _dofs_on_parts(surface: Surface) -> npt.NDArray[np.float64]:
 
 
 @cache
-def _rule(num_nodes: int) -> dict[str, Any]:
-    """Fields of ``Sigma`` with the quadrature rule; cached, as Basix is slow here.
+def _rules(num_nodes: int) -> dict[str, Any]:
+    """Fields of ``Sigma`` with the quadrature rules; cached, as Basix is slow here.
 
     Args:
         num_nodes: Of an edge, an arc's as a parabola's.
     """
-    degree = FADING_DEGREE if num_nodes == 2 else 3 * num_nodes - 1
-    points, weights = basix.make_quadrature(basix.CellType.interval, degree)
-    return {"num_rule": len(weights), "rule_at": doubles(points), "rule_weights": doubles(weights)}
+    degrees = max(FADING_DEGREE, 3 * num_nodes - 1), 3
+    rules = [basix.make_quadrature(basix.CellType.interval, degree) for degree in degrees]
+    ends = np.cumsum([len(weights) for _, weights in rules]).tolist()
+    points, weights = map(np.concatenate, zip(*rules, strict=True))
+    return {"ends_of_rules": ends, "rule_at": doubles(points), "rule_weights": doubles(weights)}
 
 
 def _placed(
@@ -250,9 +259,9 @@ def _placed(
         {**side, "nodes": doubles(surface.nodes)}
         for side, surface in zip(sides, surfaces, strict=True)
     ]
-    rule = _rule(max(min(side["num_nodes"], max(side["num_dofs"], 3)) for side in sides))
-    fixed = [0.0, 0.5 - SHARED / 2, 0.5 + SHARED / 2, 1.0]
-    given = {"sides": placed, "goes_on": on, "fixed": fixed, **rule}
+    rules = _rules(max(min(s["num_nodes"], max(s["num_dofs"], 3)) for s in sides))
+    shared = [0.5 - SHARED / 2, 0.5 + SHARED / 2]
+    given = {"sides": placed, "goes_on": on, "shared": shared, **rules}
     given["angle"] = surfaces[1].angle
     given |= own or {"turn": None, "own": None, "depths": None}
     return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}

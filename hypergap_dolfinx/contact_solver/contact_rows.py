@@ -503,20 +503,24 @@ class ContactRows:
                 "of each other, or the facets on those of the bodies."
             )
 
-    def far_pressure(self) -> tuple[float, npt.NDArray[np.float64]]:
-        """Largest distance over which a pressure acts, in facet sizes of Γ1, and where.
+    def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:
+        """Largest distance over which a pressure acts, and largest overlap; and where they are.
 
-        A gap is a mean: a corner may touch within what a vertex has, and the rest be far away.
+        A gap is a mean: a corner may touch, or be inside, within what a vertex has, and the rest be
+        far away.
+
+        Args:
+            least: Length from which these are looked for; all are in facet sizes of Γ1.
         """
         at = self.sides[1].displaced(self.u[1]).x
         if self.state.opening is None or not self._follows:
-            return 0.0, at[0]
-        acts = self.spread(np.where(self.state.active, self.state.p, 0)) > 0
-        far = np.where(acts, self.state.opening.reaches(self.u), 0)
+            return []
         facets, size = self.sides[1].reference.facets, np.zeros(len(at))
         np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
-        far = far / np.where(size > 0, size, 1)
-        return float(far.max(initial=0)), at[int(far.argmax())]
+        far, deep = self.state.opening.reaches(self.u, least * size)
+        acts = self.spread(np.where(self.state.active, self.state.p, 0)) > 0
+        found = [part / np.where(size > 0, size, 1) for part in (np.where(acts, far, 0), deep)]
+        return [(float(part.max(initial=0)), at[int(part.argmax())]) for part in found]
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

@@ -222,6 +222,50 @@ def test_pressure_far_away(caplog, monkeypatch):
     assert contact.active.any() and (told or comm.rank > 0)
 
 
+def lowered(places, cells, down, shrink=0.0):
+    """A block lowered onto another one, both mapped; its top shrinks around x = 0."""
+    u, F, bcs, sides = [], [], [], []
+    for i, (n, place) in enumerate(zip(cells, places, strict=True)):
+        mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body, value = Elastic.on(V), fem.Function(V)
+        u.append(body.u)
+        F.append(body.F)
+        value.interpolate(lambda x, i=i: i * np.stack((-shrink * x[0], -down + 0 * x[0])))
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, away)))
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    return solve(F, u, bcs, sides, False)
+
+
+@pytest.mark.ranks(2)
+def test_overlap_of_a_corner(caplog):
+    """A ridge inside a facet, whose vertices have positive mean gaps: told without a pressure."""
+    places = (
+        lambda x: np.column_stack((4 * x[:, 0] - 2, x[:, 1] * (5 - 2 * abs(4 * x[:, 0] - 2)) - 5)),
+        lambda x: np.column_stack((3 * x[:, 0] - 1.5, x[:, 1] + 0.01)),
+    )
+    with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+        contact, problem = lowered(places, ((16, 4), (3, 1)), 0.81)
+    assert not contact.active.any() and (problem.rows(contact).g > 0).all()
+    told = [record.message for record in caplog.records if "overlap" in record.message]
+    assert len(told) == (comm.rank == 0)
+    assert all("surfaces overlap by 0.8 facets" in message for message in told), told
+
+
+@pytest.mark.ranks(2)
+def test_cells_turned_over(caplog):
+    """A block whose top is turned over: its forces balance, as they are linear."""
+    places = (lambda x: x - [0.5, 1]), lambda x: x - [0.5, 0]
+    for shrink in (0.5, 1.5):
+        caplog.clear()
+        with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+            lowered(places, ((3, 3), (2, 2)), 0.01, shrink)
+        told = [record.message for record in caplog.records if "turned over" in record.message]
+        assert len(told) == (shrink > 1 and comm.rank == 0)
+        assert all("body 1: cells are turned over at a corner" in message for message in told)
+
+
 def test_slender_body():
     """A beam forty times as long as thick, bent far by a stiff round one: one or two nodes touch.
 
