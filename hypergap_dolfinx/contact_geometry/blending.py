@@ -35,8 +35,6 @@ class Blended:
 
     rays: Any
     """What has gaps of halves: :class:`PlaneRays` in the plane, :class:`SpaceColumns` in space."""
-    facets: npt.NDArray[np.int32]
-    """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
     beside: npt.NDArray[np.int64]
     """Vertices and others beside them, ``(2, num_all_pairs)``."""
     num: int
@@ -44,6 +42,8 @@ class Blended:
 
     def __post_init__(self):
         """Find gaps and weights."""
+        self.facets = self.rays.facets
+        """Vertices of Γ1's facets, around them, ``(num_facets1, num_corners)``."""
         halves, self.covered, self.areas, self._slopes, self._by_covered = self.rays.gaps()
         left = np.ones(self.num)
         np.multiply.at(left, self.facets, 1 - self.covered)
@@ -138,36 +138,54 @@ class Blended:
         return joined(H, M, M.T, B, B.T)
 
     @cached_property
-    def slips(self) -> Sparse:
-        """L T: slips of vertices are L T Δu."""
-        return self.L @ self._T
-
-    @cached_property
     def parting(self) -> Sparse:
-        """What Δu adds to gaps of points that stay opposite to each other, as :attr:`slips`."""
-        return self.L @ self._by_vertex(self.rays.slips(across=True))
+        """What Δu adds to gaps of points that stay opposite to each other."""
+        return self.L @ self.rays.parting()
 
     @cached_property
     def _T(self) -> Sparse:
-        """T of vertices."""
-        return self._by_vertex(self.rays.slips())
+        """T with the slips T Δu of vertices: vectors, one behind the other."""
+        return self.rays.slips(np.ones(self.num, dtype=bool))
 
-    def slip_slopes(self, moved: Floats) -> Sparse:
+    def _along(self, target: npt.NDArray[np.intp]) -> Sparse:
+        """L of slips along the directions of vertices' targets, from slips as vectors."""
+        (a, b), e = self.pairs, self.rays.directions[target]
+        every, (num, across, n) = np.arange(self.num), e.shape
+        rows, vertices = np.append(every, a), np.append(every, b)
+        values = np.concatenate((e, self.shares[:, None, None] * e[a]))
+        i = np.broadcast_to(rows[:, None, None] + num * np.arange(across)[:, None], values.shape)
+        j = np.broadcast_to(n * vertices[:, None, None] + np.arange(n), values.shape)
+        return Sparse(i.ravel(), j.ravel(), values.ravel())
+
+    def slips(self, target: npt.NDArray[np.intp]) -> Sparse:
+        """T with ŝ = T Δu, along the directions of vertices' targets, ``(num,)``."""
+        return self._along(target) @ self._T
+
+    def slip_slopes(self, target, moved: Floats, on: npt.NDArray[np.bool_]) -> Sparse:
         """∂ŝ/∂u if Δu moves with u.
 
         Args:
-            moved: Δu by both sides' dofs, all components.
+            target: As for :meth:`slips`.
+            moved: Δu by both sides' dofs, ``(num_dofs, n)``.
+            on: Mask of the vertices that count, ``(num,)``.
         """
-        slopes, T = self._by_vertex(self.rays.slips(moved)), self._T
-        s = np.bincount(T.i, T.values * moved[T.j], self.num)
-        return joined(self.L @ slopes, self.by_weights(s[self.pairs[1]]))
+        (a, b), e = self.pairs, self.rays.directions[target]
+        parts = [self._along(target) @ self.rays.slips(on | self.near, moved)]
+        s = self._T.times([moved], self.num * e.shape[2]).reshape(self.num, -1)
+        for way in range(e.shape[1]):
+            by = self.by_weights((e[a, way] * s[b]).sum(axis=1))
+            parts.append(Sparse(self.num * way + by.i, by.j, by.values))
+        return joined(*parts)
 
-    def slip_curvature(self, q: Floats) -> Sparse:
-        """∂((L T)ᵀq)/∂u from tractions, ``(num,)``; it isn't symmetric."""
-        H = self.rays.slip_curvature(self.pressures(q)[self.facets])
-        if not q[self.pairs[0]].any():
+    def slip_curvature(self, target, q: Floats) -> Sparse:
+        """∂((L T)ᵀq)/∂u from tractions, ``(n - 1, num)``; it isn't symmetric."""
+        traction = np.einsum("ka,aki->ai", q, self.rays.directions[target])
+        H, num = self.rays.slip_curvature(self.pressures(traction)), traction.shape[1]
+        if not traction[self.pairs[0]].any():
             return H
-        return joined(H, self._T.T @ self.pressure_slopes(q))
+        parts = [self.pressure_slopes(each) for each in traction.T]
+        by = joined(*(Sparse(num * S.i + i, S.j, S.values) for i, S in enumerate(parts)))
+        return joined(H, self._T.T @ by)
 
     def pressure_slopes(self, p: Floats) -> Sparse:
         """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""

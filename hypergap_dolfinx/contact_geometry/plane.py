@@ -11,21 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry import rays
-from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
-from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
+from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.tolerances import END
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
-from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
+from hypergap_dolfinx.surface.moving import Displacements, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
-
-
-@dataclass
-class _Seen(Found):
-    """Rays, and what vertices have of them."""
-
-    gaps: Blended
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ class _Wall:
 
 
 @dataclass
-class PlaneSegments(Segments[_Seen]):
+class PlaneSegments(Segments):
     """Contact segments in the plane."""
 
     held: Sequence[npt.NDArray[np.bool_]] = ()
@@ -98,7 +90,7 @@ class PlaneSegments(Segments[_Seen]):
         return self.held[i][np.searchsorted(side.dofs, side.vertex_dofs[vertex])]
 
     @override
-    def _find(self, u: Displacements) -> _Seen:
+    def _find(self, u: Displacements) -> rays.PlaneRays:
         surfaces = displaced(self.sides, u)
         walls = [] if self.itself else self._walls
         goes_on = [wall.end for wall in walls if wall.is_between(surfaces)]
@@ -107,55 +99,13 @@ class PlaneSegments(Segments[_Seen]):
             if self._last is None and not self.itself:
                 mesh_strip(*surfaces)  # raises an error that says why
             raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
-        given = surfaces[1].facets, self.beside, self.num_multipliers
-        return _Seen(u, Blended(found, *given))
-
-    @override
-    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.C
-
-    @override
-    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.parting
-
-    @override
-    def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
-        return self._at(u).gaps.curvature(p)
-
-    @override
-    def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
-        return self._at(u).gaps.slips
-
-    @override
-    def slip_slopes(
-        self,
-        u: Displacements,
-        since: Displacements,
-        target: npt.NDArray[np.intp],
-        on: npt.NDArray[np.bool_],
-    ) -> Sparse:
-        moved = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
-        return self._at(u).gaps.slip_slopes(moved.ravel())
-
-    @override
-    def slip_curvature(
-        self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
-    ) -> Sparse:
-        return self._at(u).gaps.slip_curvature(q[0])
-
-    @override
-    def given_over(
-        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
-    ) -> npt.NDArray:
-        return self._at(u).gaps.given_over(values, gone)
+        return found
 
     @override
     def reaches(
         self, u: Displacements, least: npt.NDArray[np.float64]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        gaps = self._at(u).gaps
+        gaps = self._at(u)
         far, deep = np.zeros((2, self.num_multipliers))
         x, halves = gaps.rays.columns()
         vertices = gaps.facets.ravel()[halves]
@@ -168,22 +118,8 @@ class PlaneSegments(Segments[_Seen]):
         return far, deep
 
     @override
-    def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        # Each edge has a cell of Σ on itself, half as large as what is covered of both its halves,
-        # with the mean pressure of its vertices; what else stands on a half has its vertex'
-        gaps = self._at(u).gaps
-        p = gaps.pressures(p)
-        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
-            return p
-        p = p[gaps.facets]
-        shared = gaps.areas.min(axis=1, keepdims=True)
-        forces = gaps.areas * p + shared / 2 * (p.mean(axis=1, keepdims=True) - p)
-        total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)
-        return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
-
-    @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        gaps = self._at(u).gaps
+        gaps = self._at(u)
         x, halves = gaps.rays.columns()
         a, b, c, d = np.moveaxis(x, 1, 0)
         width, up = b - a, (c + d - a - b) / 2

@@ -5,11 +5,12 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse
@@ -39,14 +40,7 @@ def check(status: int, most: int = 0):
 
 
 @dataclass
-class Found:
-    """Contact segments at given displacements."""
-
-    u: Displacements
-
-
-@dataclass
-class Segments[State: Found](ABC):
+class Segments(ABC):
     """Contact segments: Σ between two surfaces, with weights for each vertex of Γ1.
 
     A vertex a of Γ1 has the weighted gap g_a, the volume of its part of Σ, and the area m_a. Σ is
@@ -69,7 +63,7 @@ class Segments[State: Found](ABC):
     """Number of vertices of Γ1, in reach of Γ0 or not."""
     num_dofs: int = field(init=False)
     """Number of dofs of both sides."""
-    _last: State | None = field(default=None, init=False, repr=False)
+    _last: tuple[Displacements, Blended] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
         """Count."""
@@ -104,22 +98,22 @@ class Segments[State: Found](ABC):
         segments._at(u)
         return segments
 
-    def _at(self, u: Displacements) -> State:
-        """Segments where the bodies are, the last ones if they haven't moved."""
+    def _at(self, u: Displacements) -> Blended:
+        """Gaps where the bodies are, the last ones if they haven't moved."""
         last = self._last
-        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last.u, strict=True)):
-            self._last = last = self._find((u[0].copy(), u[1].copy()))
-        return last
+        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last[0], strict=True)):
+            u = u[0].copy(), u[1].copy()
+            last = self._last = u, Blended(self._find(u), self.beside, self.num_multipliers)
+        return last[1]
 
     @abstractmethod
-    def _find(self, u: Displacements) -> State:
-        """Find segments at displacements, which are kept.
+    def _find(self, u: Displacements) -> Any:
+        """Find what has gaps of halves, :attr:`Blended.rays`.
 
         Raises:
-            NotFacingError: There are none.
+            NotFacingError: There is nothing.
         """
 
-    @abstractmethod
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap.
 
@@ -127,19 +121,21 @@ class Segments[State: Found](ABC):
             g and m, ``(num_multipliers,)``, and C = ∂g/∂u,
             ``(num_multipliers, n num_dofs)``.
         """
+        gaps = self._at(u)
+        return gaps.g, gaps.m, gaps.C
 
     def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap for small sliding, as :meth:`gap`.
 
         C is what displacements add to it if points that are opposite to each other stay so.
         """
-        return self.gap(u)
+        gaps = self._at(u)
+        return gaps.g, gaps.m, gaps.parting
 
-    @abstractmethod
     def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
         """H = Σ_a p_a ∂²g_a/∂u², of the size of u, from p, ``(num_multipliers,)``."""
+        return self._at(u).curvature(p)
 
-    @abstractmethod
     def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
         """T with the weighted slips of Γ1 on Γ0, s = T (u − u_since).
 
@@ -154,8 +150,8 @@ class Segments[State: Found](ABC):
         Returns:
             T with n − 1 rows for each vertex of Γ1.
         """
+        return self._at(u).slips(target)
 
-    @abstractmethod
     def slip_slopes(
         self,
         u: Displacements,
@@ -172,8 +168,9 @@ class Segments[State: Found](ABC):
             on: Mask of the vertices whose rows are needed, ``(num_multipliers,)``; others may be
                 there.
         """
+        moved = np.concatenate([a - b for a, b in zip(u, since, strict=True)])
+        return self._at(u).slip_slopes(target, moved, on)
 
-    @abstractmethod
     def slip_curvature(
         self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
     ) -> Sparse:
@@ -184,6 +181,7 @@ class Segments[State: Found](ABC):
             q: Tractions, ``(n - 1, num_multipliers)``.
             target: As for :meth:`slip`.
         """
+        return self._at(u).slip_curvature(target, q)
 
     def given_over(
         self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
@@ -195,7 +193,7 @@ class Segments[State: Found](ABC):
             values: ``(..., num_multipliers)``; of masks, who takes over is in them too.
             gone: Mask of those, ``(num_multipliers,)``.
         """
-        return np.where(gone, np.zeros_like(values), values)
+        return self._at(u).given_over(values, gone)
 
     def reaches(
         self, u: Displacements, least: npt.NDArray[np.float64]
@@ -212,14 +210,27 @@ class Segments[State: Found](ABC):
         """
         return np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
 
-    @abstractmethod
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures to look at, which have the force of p and less of its scatter between nodes.
+
+        Half of what each facet has of a vertex keeps the vertex' pressure, the other half has the
+        mean of the facet.
 
         Args:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
+        gaps = self._at(u)
+        p = gaps.pressures(p)
+        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
+            return p
+        p = p[gaps.facets]
+        size = gaps.areas.sum(axis=1, keepdims=True)
+        force = (gaps.areas * p).sum(axis=1, keepdims=True)
+        mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)
+        forces = 0.5 * gaps.areas * (mean + p)
+        total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)
+        return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
     @abstractmethod
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:

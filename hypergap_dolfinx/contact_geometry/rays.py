@@ -50,7 +50,7 @@ quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -87,6 +87,16 @@ class PlaneRays:
     """Γ1 where it is."""
 
     @property
+    def facets(self) -> npt.NDArray[np.int32]:
+        """Vertices of Γ1's edges, ``(num_edges1, 2)``."""
+        return self.above.facets
+
+    @cached_property
+    def directions(self) -> npt.NDArray[np.float64]:
+        """Factors of slips, which are along the edges, ``(num, 1, 1)``."""
+        return np.ones((len(self.above.x), 1, 1))
+
+    @property
     def num_halves(self) -> int:
         """Number of halves of Γ1's edges."""
         return 2 * self.sigma.sides[1].num_edges
@@ -96,30 +106,39 @@ class PlaneRays:
         g, covered, areas = np.empty((3, self.num_halves))
         given = self.sigma, g, covered, areas
         C, by_covered = _filled(self.num_halves, 2, lambda C, K: call("find_gaps", *given, C, K))
-        C = Sparse(self.above.facets.ravel().astype(np.int64)[C.i], C.j, C.values)
         g, covered, areas = (part.reshape(-1, 2) for part in (g, covered, areas))
-        return g, covered, areas, C, by_covered
+        return g, covered, areas, self._by_vertex(C), by_covered
 
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
         given = self.sigma, doubles(p), doubles(by_covered)
         return _filled(self._num_dofs, 1, lambda H: call("gap_curvature", *given, H))[0]
 
-    def slips(
-        self, moved: npt.NDArray[np.float64] | None = None, *, across: bool = False
-    ) -> Sparse:
-        """T with the slips s = T Δu of halves; ∂s/∂u if Δu moves with u.
+    def _by_vertex(self, halves: Sparse) -> Sparse:
+        """Sums over halves of vertices."""
+        return Sparse(self.facets.ravel().astype(np.int64)[halves.i], halves.j, halves.values)
+
+    def slips(self, on=None, moved: npt.NDArray[np.float64] | None = None) -> Sparse:
+        """T with the slips s = T Δu of vertices; ∂s/∂u if Δu moves with u.
 
         Args:
-            moved: Δu by both sides' dofs, all components, if it moves with u.
-            across: True for what Δu adds to gaps of points that stay opposite to each other.
+            on: Vertices that count; here all do.
+            moved: Δu by both sides' dofs, ``(num_dofs, 2)``, if it moves with u.
         """
-        given = self.sigma, across, None if moved is None else doubles(moved)
-        return _filled(self.num_halves, 1, lambda T: call("find_slips", *given, T))[0]
+        return self._slips(False, None if moved is None else doubles(moved))
+
+    def parting(self) -> Sparse:
+        """What displacements add to gaps of vertices if opposite points stay so."""
+        return self._slips(True, None)
+
+    def _slips(self, across: bool, moved) -> Sparse:
+        given = self.sigma, across, moved
+        found = _filled(self.num_halves, 1, lambda T: call("find_slips", *given, T))[0]
+        return self._by_vertex(found)
 
     def slip_curvature(self, q: npt.NDArray) -> Sparse:
-        """Σ q ∂T/∂u, with values of halves; it isn't symmetric."""
-        given = self.sigma, doubles(q)
+        """Σ q ∂T/∂u, with tractions of vertices, ``(num, 1)``; it isn't symmetric."""
+        given = self.sigma, doubles(q[self.facets, 0])
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
     def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:

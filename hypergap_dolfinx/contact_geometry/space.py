@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.heights import (
     EdgeRays,
     Rays,
@@ -37,7 +36,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     find_pieces,
     parts_of,
 )
-from hypergap_dolfinx.contact_geometry.protocol import Found, Segments
+from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
@@ -94,6 +93,11 @@ class SpaceColumns:
     def facets(self) -> npt.NDArray[np.int32]:
         """Vertices around Γ1's facets, ``(num_facets1, num_corners)``."""
         return self.frames.surfaces[1].polygons
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Directions in which vertices slip, ``(num, 2, 3)``."""
+        return directions(self.frames)
 
     @cached_property
     def vertex(self) -> npt.NDArray[np.intp]:
@@ -264,19 +268,11 @@ class SpaceColumns:
 
 
 @dataclass
-class _Opposite(Found):
-    """SpaceColumns and faded parts, and what vertices have of them."""
-
-    columns: SpaceColumns
-    gaps: Blended
-
-
-@dataclass
-class SpaceSegments(Segments[_Opposite]):
+class SpaceSegments(Segments):
     """Contact segments in space."""
 
     @override
-    def _find(self, u: Displacements) -> _Opposite:
+    def _find(self, u: Displacements) -> SpaceColumns:
         found = SpaceColumns.between(self.sides, u)
         if found is None or not len(found.shown[1]):
             below, above = displaced(self.sides, u)
@@ -284,100 +280,13 @@ class SpaceSegments(Segments[_Opposite]):
                 f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
-        given = found.facets, self.beside, self.num_multipliers
-        return _Opposite(u, found, Blended(found, *given))
-
-    @override
-    def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.C
-
-    @override
-    def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
-        gaps = self._at(u).gaps
-        return gaps.g, gaps.m, gaps.L @ gaps.rays.parting()
-
-    @override
-    def curvature(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
-        return self._at(u).gaps.curvature(p)
-
-    @override
-    def slip(self, u: Displacements, target: npt.NDArray[np.intp]) -> Sparse:
-        return self._slips(self._at(u), target)
-
-    @override
-    def slip_slopes(
-        self,
-        u: Displacements,
-        since: Displacements,
-        target: npt.NDArray[np.intp],
-        on: npt.NDArray[np.bool_],
-    ) -> Sparse:
-        state = self._at(u)
-        moved = np.concatenate([a - b for a, b in zip(state.u, since, strict=True)])
-        return self._slips(state, target, on, moved)
-
-    def _slips(
-        self,
-        state: _Opposite,
-        target,
-        on: npt.NDArray[np.bool_] | bool = True,
-        moved: Floats | None = None,
-    ) -> Sparse:
-        """T, or ∂s/∂u if Δu moves with u, of some vertices."""
-        columns, gaps, num = state.columns, state.gaps, self.num_multipliers
-        e = directions(columns.frames)[target]
-        every, (a, b) = np.arange(num), gaps.pairs
-        others = gaps.shares[:, None, None] * e[a]
-        A = joined(_projection(num, every, every, e), _projection(num, a, b, others))
-        parts = [A @ columns.slips(on | gaps.near, moved)]
-        if moved is not None and len(a):
-            s = columns.slips(gaps.near).times([moved], 3 * num).reshape(num, 3)
-            for way in range(2):
-                by = gaps.by_weights((e[a, way] * s[b]).sum(axis=1))
-                parts.append(Sparse(num * way + by.i, by.j, by.values))
-        return joined(*parts)
-
-    @override
-    def slip_curvature(
-        self, u: Displacements, q: npt.NDArray[np.float64], target: npt.NDArray[np.intp]
-    ) -> Sparse:
-        state = self._at(u)
-        columns, gaps = state.columns, state.gaps
-        traction = np.einsum("ka,aki->ai", q, directions(columns.frames)[target])
-        H = columns.slip_curvature(gaps.pressures(traction))
-        if not traction[gaps.pairs[0]].any():
-            return H
-        parts = [gaps.pressure_slopes(traction[:, i]) for i in range(3)]
-        by = joined(*(Sparse(3 * S.i + i, S.j, S.values) for i, S in enumerate(parts)))
-        return joined(H, columns.slips(gaps.near).T @ by)
-
-    @override
-    def given_over(
-        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
-    ) -> npt.NDArray:
-        return self._at(u).gaps.given_over(values, gone)
-
-    @override
-    def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        # Half of each part has its vertex' pressure, half the mean of its facet
-        gaps = self._at(u).gaps
-        p = gaps.pressures(p)
-        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
-            return p
-        p = p[gaps.facets]
-        size = gaps.areas.sum(axis=1, keepdims=True)
-        force = (gaps.areas * p).sum(axis=1, keepdims=True)
-        mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)
-        forces = 0.5 * gaps.areas * (mean + p)
-        total = np.bincount(gaps.facets.ravel(), forces.ravel(), self.num_multipliers)
-        return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
+        return found
 
     @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
         # Three tetrahedra for each triangle of a piece
-        state = self._at(u)
-        columns = state.columns
+        gaps = self._at(u)
+        columns = gaps.rays
         pieces, surfaces = columns.shown[0], columns.frames.surfaces
         piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
         facets = tuple(facet[piece] for facet in pieces.facets)
@@ -394,22 +303,8 @@ class SpaceSegments(Segments[_Opposite]):
             x=x,
             rank=surfaces[1].owner[pieces.facets[1][cell]],
             gap=columns.shown[1][cell],
-            pressure=state.gaps.pressures(p)[vertex[cell]],
+            pressure=gaps.pressures(p)[vertex[cell]],
         )
-
-
-def _projection(num: int, rows, vertices, e) -> Sparse:
-    """Slips of rows from vectors of vertices.
-
-    Args:
-        num: Number of vertices.
-        rows: Of which slips in two directions are, ``(num_pairs,)``.
-        vertices: Whose vectors are taken, likewise.
-        e: Factors of their components, ``(num_pairs, 2, 3)``.
-    """
-    i = np.broadcast_to(rows[:, None, None] + num * np.arange(2)[:, None], e.shape)
-    j = np.broadcast_to(3 * vertices[:, None, None] + np.arange(3), e.shape)
-    return Sparse(i.ravel(), j.ravel(), e.ravel())
 
 
 def _cast(frames: Frames, pieces: FacetPieces):

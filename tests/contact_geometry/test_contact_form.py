@@ -145,7 +145,7 @@ def test_value(options):
     close(g[m > 0] / m[m > 0], np.full((m > 0).sum(), 0.07), 1e-11)
     spans = options.get("spans", ((0, 2), (0, 2)))
     width = min(b for _, b in spans) - max(a for a, _ in spans)
-    covered = segments._at(u).gaps.sizes.sum()
+    covered = segments._at(u).sizes.sum()
     assert abs(covered - width) <= 0.1  # ends that don't match are cut at their feet
 
 
@@ -244,7 +244,7 @@ def test_cut_ends():
         g, m, _ = opening.gap((u0, u[1]))
         assert (g >= 0).all()
         assert np.abs(g[m > 0] / m[m > 0] - 0.05).max() <= 1e-12
-        found.append(opening._at((u0, u[1])).gaps.sizes)
+        found.append(opening._at((u0, u[1])).sizes)
     sizes = np.array(found)
     assert np.abs(np.diff(sizes.sum(axis=1))).max() <= 0.006
     assert np.abs(np.diff(sizes, axis=0)).max() <= 0.006 and sizes.min() == 0

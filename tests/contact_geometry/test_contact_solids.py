@@ -185,7 +185,7 @@ def _positions(side, u):
 def seen(two, u):
     """Segments, and gaps and areas of all parts, before rows of rims are blended."""
     segments = SpaceSegments.between(two, u)
-    gaps = segments._at(u).gaps
+    gaps = segments._at(u)
     return segments, gaps.rays.gaps()[0], gaps.areas
 
 

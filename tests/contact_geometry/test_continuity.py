@@ -73,7 +73,7 @@ def evaluated(sides, u):
     segments = segments_of(sides, u)
     if segments is None:
         return np.zeros(len(M)), np.zeros(size)
-    gaps = segments._at(u).gaps
+    gaps = segments._at(u)
     halves, _, _, C, _ = gaps.rays.gaps()
     g = np.bincount(gaps.facets.ravel(), halves.ravel(), gaps.num)
     p = np.maximum(0, -g / M)
@@ -385,7 +385,7 @@ def test_derivatives_in_space(cell, monkeypatch):
     for t in np.linspace(0.2, 0.8, 6):
         u = tuple(u + 0.01 * rng.standard_normal(u.shape) for u in path.u(t))
         with monkeypatch.context() as patch:
-            fixed = columns.directions(segments_of(path.sides, u)._at(u).columns.frames)
+            fixed = columns.directions(segments_of(path.sides, u)._at(u).rays.frames)
             patch.setattr(columns, "directions", lambda *_, fixed=fixed: fixed)
             found.append(errors_of_derivatives(path.sides, u, rng))
     smooth = [errors for errors in found if errors is not None]

@@ -183,7 +183,7 @@ def test_flat_punch(cut, wide):
     contact, problem, mean = press_punch(cut, wide)
     rows = problem.rows(contact)
     x, p = contact.surfaces[1].x[:, 0], contact.pressures(problem) / mean
-    sizes = rows.state.opening._at(rows.u).gaps.sizes
+    sizes = rows.state.opening._at(rows.u).sizes
     on = rows.state.active
     bound = 2 * 2 / np.pi / np.sqrt(sizes[on])  # twice that
     assert (rows.state.p[on] <= bound * mean).all() and problem.iterations <= 5

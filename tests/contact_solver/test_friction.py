@@ -83,7 +83,7 @@ def test_slip_in_space(monkeypatch):
     """Vertices have two directions, which are taken as they are."""
     sides, u, rng = space.rough()
     opening = SpaceSegments.between(sides, u)
-    fixed = columns.directions(opening._at(u).columns.frames)
+    fixed = columns.directions(opening._at(u).rays.frames)
     monkeypatch.setattr(columns, "directions", lambda *_: fixed)
     slip_of(opening, sides, u, rng, space._positions)
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
