@@ -63,8 +63,7 @@ class ContactSystem(NonlinearSystem):
 
     1. *Predictor*, before the first step (:mod:`~hypergap_dolfinx.contact_solver.predictor`).
        Bodies that are prescribed to move far or to turn together follow as rigid ones
-       (:meth:`_lead`). Those in contact that slide farther than their facets are long move under
-       their last forces, which are then forgotten: that is the first step (:meth:`_carry`).
+       (:meth:`_lead`).
     2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The problem that
        is linear in displacements, with its inequalities and the tangent at the last pressures, is
        solved exactly: u ← u + d, p ← q, sets are its. The sets before, with what overlaps, are
@@ -359,9 +358,6 @@ class ContactSystem(NonlinearSystem):
                 except ValueError as error:  # points of the residual needn't see cells inverted
                     raise SolveError(self._inverted()) from error
             step, self._iterations = step + 1, self._iterations + 1
-            if step == 1 and self._slides(jump):
-                self._carry()
-                continue
             way, work = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
@@ -727,20 +723,6 @@ class ContactSystem(NonlinearSystem):
         for part, field, x, u, motion in zip(parts, self._moving, self._free.places, now, motions):
             part.array[:] += field.into_body(motion.shift(x + u.reshape(x.shape)).ravel())
         self._assign(self._x)
-
-    def _carry(self):
-        """Move prescribed bodies under the present forces, and forget those. Collective.
-
-        Gaps at a body's old place say nothing about its new one.
-        """
-        equations = [rows.without_forces() for rows in self._rows]
-        left = self._forces_left()[0]
-        solution, _ = self._falling_back(lambda: self._tangent.solve(left, equations, anew=True))
-        for x, dx in zip(self._x.getNestSubVecs(), solution, strict=True):
-            x.array[:] -= dx
-        self._assign(self._x)
-        for rows in self._rows:
-            rows.forget()
 
     def _stiffness(self) -> float:
         """Mean diagonal of the softest body; lengths of matrix rows with it. Collective."""
