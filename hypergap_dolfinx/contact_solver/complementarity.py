@@ -10,8 +10,8 @@ from hypergap_dolfinx.contact_solver.tolerances import PIVOT, TRIALS
 Array = npt.NDArray[np.float64]
 
 
-def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
-    """Solve the problem, by block pivoting or, where that meets a singular matrix, by Lemke's.
+def solved(M: Array, b: Array, zero: Array) -> Array | None:
+    """Solve the problem, by block pivoting or, where that doesn't end, by Lemke's method.
 
     Args:
         M: ``(num, num)``, of numbers around 1; z is unique if each principal minor is positive (a
@@ -20,24 +20,20 @@ def solved(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_
         zero: Sizes treated as zero, of z and w alike, ``(num,)``.
 
     Returns:
-        z, and the mask where w = 0; None if there is no solution (a ray).
+        z; None if there is no solution (a ray).
     """
     size = np.sqrt(np.maximum(np.diag(M), 1))
     scaled = M / size / size[:, None], b / size, zero / size
-    found = _by_blocks(*scaled) or _by_lemke(*scaled)
-    return found and (found[0] / size, found[1])
+    z = _by_blocks(*scaled)
+    z = _by_lemke(*scaled) if z is None else z
+    return None if z is None else z / size
 
 
-def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
-    """Block pivoting with the safeguard of Júdice and Pires (1994); None where that fails.
-
-    All that is wrong is exchanged at once; where that hasn't made less of it for some rounds, only
-    the last one, until there is less (Murty's rule, finite for a P-matrix).
-    """
-    num = len(b)
-    on, fewest, left = b < -zero, num + 1, TRIALS
-    for _ in range(TRIALS * (num + 1)):
-        z, part = np.zeros(num), M[np.ix_(on, on)]
+def _by_blocks(M: Array, b: Array, zero: Array) -> Array | None:
+    """Block pivoting: all that is wrong is exchanged at once; None where that doesn't end."""
+    on, fewest, left = b < -zero, len(b) + 1, TRIALS
+    while left:
+        z, part = np.zeros(len(b)), M[np.ix_(on, on)]
         try:
             z[on], probe = np.linalg.solve(
                 part, np.stack((-b[on], np.cos(np.arange(on.sum()))), 1)
@@ -52,22 +48,18 @@ def _by_blocks(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.b
         if not np.isfinite(z).all():
             return None
         if not count:
-            return np.maximum(z, 0), on
-        if count < fewest:
-            fewest, left = count, TRIALS
-        elif left:
-            left -= 1
-        else:
-            wrong[: np.flatnonzero(wrong)[-1]] = False
+            return np.maximum(z, 0)
+        left = TRIALS if count < fewest else left - 1
+        fewest = min(count, fewest)
         on ^= wrong
     return None
 
 
-def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bool_]] | None:
+def _by_lemke(M: Array, b: Array, zero: Array) -> Array | None:
     """Lemke's method; None on a ray. It needs no regular matrices, but a pivot for each change."""
     num = len(b)
     if (b >= -zero).all():
-        return np.zeros(num), b <= zero
+        return np.zeros(num)
     # Columns: w, z, the artificial variable, right-hand side
     table = np.hstack((np.eye(num), -M, -np.ones((num, 1)), b[:, None]))
     basis, enters, extra = np.arange(num), 2 * num, 2 * num
@@ -81,7 +73,7 @@ def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, npt.NDArray[np.bo
         if leaves == extra:
             z = np.zeros(2 * num + 1)
             z[basis] = table[:, -1]
-            return np.maximum(z[num : 2 * num], 0), ~np.isin(np.arange(num), basis)
+            return np.maximum(z[num : 2 * num], 0)
         enters = leaves + num if leaves < num else leaves - num
         column = table[:, enters]
         can = column > PIVOT * max(np.abs(column).max(), 1)

@@ -56,7 +56,6 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
-        self._carried = False
         self.T = Sparse.empty()
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
@@ -77,7 +76,7 @@ class FrictionRows(ContactRows):
         """Go on from arrays that were kept. Collective."""
         super().resume(kept, start)
         self._elastic, self.slipped = kept["elastic"].copy(), kept["slipped"].copy()
-        self.dissipated, self._carried = float(kept["dissipated"]), False
+        self.dissipated = float(kept["dissipated"])
 
     def start_step(self):
         """Start a load step: read the coefficient of friction too. Collective."""
@@ -194,13 +193,7 @@ class FrictionRows(ContactRows):
         now = self.state
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)
-        if self._carried:  # slip beyond a facet's size
-            size = lengths(self.slip.T)
-            slips = size > self._size
-            now.sticks &= ~slips
-            now.way = np.where(slips, -self.slip / np.where(slips, size, 1), now.way)
-            self._carried = False
-        elif self._soft or self._n > 2:
+        if self._soft or self._n > 2:
             every = np.arange(len(self.g))
             _, sticks, way = self._states(self._scaled(self._lengths), self._forces, every)
             now.sticks = sticks if self._soft else now.sticks
@@ -330,7 +323,6 @@ class FrictionRows(ContactRows):
     def forget(self):
         """Set all pressures and tractions to zero."""
         super().forget()
-        self._carried = True
         self.state.q = np.zeros_like(self.state.q)
 
     def _curvature(self) -> Sparse:

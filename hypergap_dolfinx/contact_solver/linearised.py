@@ -29,6 +29,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
+from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
 
@@ -168,10 +169,11 @@ class LinearisedContact:
         if guesses.allow(len(more)):
             return replace(self._found(changes, y, f, more, f), is_guess=True)
         y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
-        gaps, forces, loads = self._watched()
+        factors = self._tangent.factors()
+        gaps, forces, loads = self._watched(factors)
         A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
         while len(more):
-            by_f, by_y = self._columns(gaps, forces, loads, more)
+            by_f, by_y = self._columns(factors.responses(loads, more), gaps, forces, more)
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
             z = np.append(z, np.zeros(len(more)))
             small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
@@ -184,21 +186,28 @@ class LinearisedContact:
             more = more[~np.isin(more, of)]
         unknowns = np.zeros(len(y))
         unknowns[of] = z
-        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
+        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], factors.num_local)
         changes, _, now = self._base(right, shift, beside=beside, anew=True)
         return self._found(changes, y, np.where(self._on, now, f), of, f0)
 
-    def _watched(self):
+    def _watched(self, factors: Tangent) -> list[Sparse]:
         """Gaps and multipliers by this rank's unknowns of the matrix, and right-hand sides."""
         sizes = [part.num_unknowns for part in self._rows]
         return [
-            self._tangent.watch([getattr(p, name)() for p in self._rows], sizes)
+            factors.watch([getattr(p, name)() for p in self._rows], sizes)
             for name in ("watched_gaps", "watched_forces", "loads")
         ]
 
-    def _columns(self, gaps, forces, loads, of) -> tuple[Array, Array]:
-        """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each."""
-        x, num = self._tangent.responses(loads, of), len(self._on)
+    def _columns(self, x: Array, gaps: Sparse, forces: Sparse, of) -> tuple[Array, Array]:
+        """Derivatives of multipliers and of gaps by new unknowns, ``(num, len(of))`` each.
+
+        Args:
+            x: Solutions for these, ``(len(of), num_local)``.
+            gaps: Gaps by this rank's unknowns.
+            forces: Multipliers, likewise.
+            of: Numbers of the new unknowns.
+        """
+        num = len(self._on)
         both = np.stack([-forces.products(x, num), gaps.products(x, num)])
         self._comm.Allreduce(MPI.IN_PLACE, both)
         by_f, by_y = both.swapaxes(1, 2)
@@ -211,8 +220,7 @@ class LinearisedContact:
         on = self._on[of]
         least = np.concatenate([p.least() for p in self._rows])[of]
         M, b = np.where(on[:, None], A[of], B[of]), np.where(on, f0[of], y0[of])
-        found = complementarity.solved(M, b, least)
-        return None if found is None else found[0]
+        return complementarity.solved(M, b, least)
 
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.

@@ -101,9 +101,9 @@ bodies a growth by 2, 4, 16 takes 360, 360, 356 Newton steps."""
 TRIALS = 6
 """Times that a step is shortened, or halved in the small problem, or an added share increased;
 half the number of compliances along a path; rounds of block pivoting without fewer wrong signs
-before they are exchanged one by one, and, for each row, before it is given up.
-Measured: shortened up to 3 and 12 times, halved up to 4 and 30 times, rounds 3 and 40: nothing
-changes in the same tests and scenes; without a share that grows one of the scenes fails."""
+before Lemke's method, and its pivots over the square of the rows.
+Measured: shortened up to 3 and 12 times, halved up to 4 and 30 times: nothing changes in the same
+tests and scenes; without a share that grows one of the scenes fails."""
 
 ADDED = 0.05
 """First share of the stiffness without stress that is added where a tangent isn't positive.
