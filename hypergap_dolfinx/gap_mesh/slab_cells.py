@@ -212,14 +212,13 @@ class Slab:
             # Seeds depend on the point's vertices alone, so all cells that share it agree
             seed = self.seeds[i][v].max(axis=1)
             away = ~on & ~off & ~wall
-            triangle[away], xi[away] = side.project(
-                x[away], np.where(seed >= 0, seed, triangle)[away]
-            )
             if wall.any():
                 first = np.where(alpha[wall] == i, v[wall], -1).max(axis=1) - self.offsets[i]
                 triangle[wall], xi[wall] = self._outlines[i].project(x[wall], first)
-            found.facets[i][:, some] = side.facets[triangle][which].reshape(shape)
-            found.X[i][:, some] = side.in_facets(triangle, xi)[which].reshape(*shape, 2)
+            facet, X = side.facets[triangle], side.in_facets(triangle, xi)
+            facet[away], X[away] = side.hosts(x[away], np.where(seed >= 0, seed, triangle)[away])
+            found.facets[i][:, some] = facet[which].reshape(shape)
+            found.X[i][:, some] = X[which].reshape(*shape, 2)
 
     def _own_facet(self, i: int, vertices, weights):
         """Triangles and coordinates in them of points between vertices of Γ_i itself."""

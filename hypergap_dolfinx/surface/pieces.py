@@ -93,6 +93,30 @@ class Side:
             places[flat].reshape(-1, 3, 2),
         )
 
+    @cached_property
+    def uncut(self) -> "Side":
+        """The whole facets that host the triangles: narrow triangles are no place to walk."""
+        halves = self.surface.facets.shape[1] == 4
+        if self.is_whole or (halves and self.degree == self.surface.element.degree):
+            return self  # quarters aren't cut
+        return Side.of(self.surface, np.unique(self.facets), halves)
+
+    @cached_property
+    def _first_uncut(self) -> npt.NDArray[np.intp]:
+        """For each triangle, the first of :attr:`uncut` in its facet."""
+        return np.searchsorted(self.uncut.facets, self.facets)
+
+    def hosts(self, points, seed) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """Facets that points project into, whole ones, and the reference coordinates there.
+
+        Args:
+            points: ``(num_points, 3)``.
+            seed: Triangle where the search starts, ``(num_points,)``.
+        """
+        seed = seed if self.uncut is self else self._first_uncut[seed]
+        triangle, xi = self.uncut.project(points, seed)
+        return self.uncut.facets[triangle], self.uncut.in_facets(triangle, xi)
+
     def in_halves(self) -> "Side":
         """The whole facets as halves, to be cut; vertices of facets keep their numbers."""
         if self.surface.facets.shape[1] == 3:
