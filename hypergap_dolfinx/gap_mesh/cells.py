@@ -124,6 +124,8 @@ class GapCells:
     straight: npt.NDArray[np.bool_] | None = None
     """Mask of the tetrahedra's edges that stay straight, ``(num_cells, 6)``; None if there are
     none."""
+    excess: float = 0.0
+    """Area by which edges that stay straight enlarge Σ."""
     overhang: Overhang | None = None
     """Excess of Σ over the common part of both sides; None if there is none."""
 

@@ -102,8 +102,8 @@ def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
     return GapElement.with_quadrature(element, element, degree)
 
 
-def _curved_margins(slab: Slab, nodes) -> npt.NDArray[np.float64]:
-    """Least N · n of each cell with curved geometry, over its longest edge².
+def _areas(slab: Slab, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Least N · n of each cell with curved geometry, over its longest edge², and its integral.
 
     Its nodes, ``(num_cells, num_nodes, 3)``, are given as if no edges were straight.
     """
@@ -116,7 +116,8 @@ def _curved_margins(slab: Slab, nodes) -> npt.NDArray[np.float64]:
     tables = _tables(element, curved_rule(3, k, element.degree))
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
-    return np.einsum("cpi,ci->cp", N, slab.normal).min(axis=1) / scale
+    along = np.einsum("cpi,ci->cp", N, slab.normal)
+    return along.min(axis=1) / scale, along @ tables.weights
 
 
 class _Margins:
@@ -138,8 +139,21 @@ class _Margins:
         moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
         if len(moved):
             slab = _slab(self.sides, filling.with_cells(filling.cells[moved]))
-            values[moved] = _curved_margins(slab, self._nodes[at[moved]])
+            values[moved] = _areas(slab, self._nodes[at[moved]])[0]
         return values
+
+    def excess(self, filling: Filling) -> float:
+        """Area by which straight edges enlarge the cells."""
+        moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
+        if not len(moved):
+            return 0.0
+        some = filling.with_cells(filling.cells[moved])
+        nodes = self._nodes[self._find(some)]
+        curved, straight = (
+            _areas(_slab(self.sides, part), nodes)[1].sum()
+            for part in (replace(some, straight=NONE), some)
+        )
+        return float(straight - curved)
 
     def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
         """Numbers of cells in the cache; cells that aren't there yet are added."""
@@ -158,7 +172,7 @@ class _Margins:
             nodes = interpolate_geometry([side.surface for side in self.sides], self._hosts[-1])
             at[new] = len(self._nodes) + np.arange(len(new))  # a cell may be among them twice
             self._nodes = np.concatenate((self._nodes, nodes))
-            self._values = np.concatenate((self._values, _curved_margins(slab, nodes)))
+            self._values = np.concatenate((self._values, _areas(slab, nodes)[0]))
             self._number.update((keys[i], at[i]) for i in new)
         return at
 
@@ -209,7 +223,7 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     if len(filling.straight):
         for side in sides:
             _check_folded(side)
-    slab = _slab(sides, filling)
+    slab = replace(_slab(sides, filling), excess=margins.excess(filling))
     margins.hand_over(slab, filling)
     return slab
 
@@ -313,7 +327,7 @@ def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> li
             slabs = make()
             arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
             result = [
-                (*part, slab.cells, slab.inner, slab.straight, slab.walls)
+                (*part, slab.cells, slab.inner, slab.straight, slab.walls, slab.excess)
                 for part, slab in zip(arrays, slabs, strict=True)
             ]
         except (InterfaceError, RuntimeError) as e:
@@ -364,6 +378,7 @@ def _joined(surfaces: tuple[Surface, Surface], patch, slabs: list[Slab]) -> Slab
         degree=degree,
         hosts=hosts,
         straight=straight if straight.any() else None,
+        excess=sum(slab.excess for slab in slabs),
         overhang=overhang(slabs, degree),
         slabs=slabs,
     )

@@ -29,6 +29,8 @@ class Slab:
     """Edges that are straight though the surfaces are curved, ``(num_edges, 2)``."""
     walls: npt.NDArray[np.integer] = field(default_factory=lambda: NO_WALLS)
     """Triangles along the curved outlines of both sides, ``(num_walls, 3)``."""
+    excess: float = 0.0
+    """Area by which straight edges enlarge the slab."""
     known: dict[bytes, Hosts] = field(default_factory=dict, init=False)
     """Cached hosts of all cells' points, by :func:`key_of` points."""
 

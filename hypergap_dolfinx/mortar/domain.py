@@ -71,6 +71,8 @@ class GapDomain:
     :mod:`~hypergap_dolfinx.gap_mesh.cells`."""
     create_mesh: Callable[[], tuple[Mesh, npt.NDArray[np.intp]]]
     """Makes the mesh and tells the order of its cells, as :func:`distributed` does."""
+    excess: float = 0.0
+    """Area by which edges that are straight, lest cells be inverted, enlarge Σ."""
     overhang: Overhang | None = None
     """Parts of cells beyond what both sides have in common, to be subtracted from integrals; None
     without any. See :mod:`~hypergap_dolfinx.gap_mesh.overhang`."""
@@ -142,14 +144,19 @@ class GapDomain:
 
     def distance(self) -> float:
         """Mean distance of Γ0 and Γ1: the volume between them over their area. Collective."""
+        area, volume = self._extent()
+        return volume / area
+
+    def _extent(self) -> tuple[float, float]:
+        """Area and volume. Collective."""
         n = self.x.shape[2]
         vertices = self.x[:, : n + 1]
         volume = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])).sum()
         element = self.quadrature(1)
         N, _ = kernel.geometry_at_points(element, self.x, self.alpha_vertices)
         area = (element.weights * np.linalg.norm(N, axis=2)).sum()
-        total = self.comm.allreduce(np.array((volume / math.factorial(n), area)))
-        return float(total[0] / total[1])
+        total = self.comm.allreduce(np.array((area, volume / math.factorial(n))))
+        return float(total[0]), float(total[1])
 
     def quadrature(self, degree: int) -> kernel.GapElement:
         """Tables of the gap element at the points of a Gauss rule."""
@@ -292,6 +299,7 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         covered=gap.covered,
         least=gap.least,
         create_mesh=partial(distributed, comm, cells, x, gap.rank, coordinates),
+        excess=gap.excess,
         overhang=gap.overhang and gap.overhang.at(mine, len(gap.cells)),
     )
 
@@ -443,6 +451,7 @@ def doubts(domain: GapDomain, sides: Sequence[Side], moments: bool) -> list[str]
     """
     found = (
         _far_apart(domain, moments),
+        _made_straight(domain),
         _straight_facets(domain.surfaces),
         _uneven_facets(domain, sides),
     )
@@ -465,6 +474,19 @@ def _far_apart(domain: GapDomain, moments: bool) -> str | None:
         f"Γ0 and Γ1 are {apart:.3g} apart on average: forces through the tie balance, moments "
         "don't, by the force times that distance. adjust=True moves Γ1's nodes to Γ0; or mend the "
         "meshes."
+    )
+
+
+def _made_straight(domain: GapDomain) -> str | None:
+    """Curved cells at the outlines, straight lest they be inverted, that change the tied area."""
+    share = domain.excess / domain._extent()[0] if domain.excess else 0.0
+    percent = f"{100 * abs(share):.1f}"
+    if percent == "0.0":
+        return None
+    way = "large" if share > 0 else "small"
+    return (
+        f"the tied area is {percent} % too {way}: facets at its outline are too "
+        "coarse for their curvature, and cells of Σ are straight there; refine the coarser side."
     )
 
 

@@ -14,6 +14,7 @@ from hypergap_dolfinx import InvertedCellError, Tie
 from hypergap_dolfinx.gap_mesh import repair, tetrahedra
 from hypergap_dolfinx.gap_mesh.cells import geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
+from hypergap_dolfinx.surface.pieces import Side
 from hypergap_dolfinx.surface.trace import create_surface
 from hypergap_dolfinx.surface.triangulation import kinks, neighbours
 
@@ -128,3 +129,31 @@ def test_curved_facets_turn_inside():
     box, tags = meshes.block(comm, (1, 1, 1), cell="hexahedron", degree=2)
     surface = create_surface(fem.functionspace(box, ("Lagrange", 2)), tags.indices, "Γ0")
     assert len(kinks(surface, neighbours(surface.polygons, "Γ0", surface.x))[0]) == 12
+
+
+@pytest.mark.serial
+def test_points_beside_narrow_pieces():
+    """Their hosts don't depend on how facets are cut: Newton's method goes astray in strips."""
+    mesh, ft = meshes.block(
+        comm,
+        (2, 2, 1),
+        lambda x: np.column_stack((x[:, :2], x[:, 2] + 0.3 * np.sin(2.5 * x[:, 0] + x[:, 1]))),
+        cell="tetrahedron",
+        degree=2,
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 2))
+    surface = create_surface(V, ft.find(meshes.BACK), "Γ0")
+    whole = Side.of(surface, np.arange(len(surface.facets)))
+    strips = np.array([((0, 0), (1, 0), (1 - y, y)) for y in (1e-4, 1.0)])
+    strips[1, 1] = strips[0, 2]  # a strip along an edge, and the rest of the facet
+    X = np.tile(strips, (len(surface.facets), 1, 1))
+    facets = np.repeat(np.arange(len(surface.facets)), 2)
+    x = surface.points(np.repeat(facets, 3), X.reshape(-1, 2))
+    x, vertex = np.unique(np.round(x, 12), axis=0, return_inverse=True)
+    cut = Side(surface, x, vertex.reshape(-1, 3), facets, X)
+    inside = np.full((len(facets), 2), 1 / 3)
+    points = cut.points(np.arange(len(facets)), inside) + 0.05 * cut.normals
+    found, expected = cut.hosts(points, np.arange(len(facets))), whole.project(points, facets)
+    close(surface.points(*found), whole.points(*expected), 1e-10)
+    astray = cut.points(*cut.project(points, np.arange(len(facets)))) - whole.points(*expected)
+    assert np.abs(astray).max() > 1e-3

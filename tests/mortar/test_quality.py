@@ -4,13 +4,14 @@
 
 import logging
 
+import any_assemblies
 import numpy as np
 import pytest
 from helpers import comm, two_blocks, two_rings
 
 import meshes
 from dolfinx import fem
-from hypergap_dolfinx import Tie
+from hypergap_dolfinx import Tie, find_touching
 from meshes import BACK, FRONT, INNER, LEFT, OUTER, RIGHT
 
 
@@ -191,3 +192,21 @@ def test_rims_of_holes(h, caplog):
 def test_same_outline(caplog):
     assert not warnings(caplog, *plates(1.0))
     assert not warnings(caplog, *two_rings())
+
+
+@pytest.mark.ranks(2)
+def test_cells_made_straight_at_the_outline(caplog):
+    """Two boxes of a bent cube, a coarse one and a narrow one: the tied area is off, and told."""
+    scene = any_assemblies.Scene(49, 3)
+    low, high = (4, 6)
+    spaces = [fem.functionspace(scene.mesh(i)[0], ("Lagrange", scene.degree)) for i in (low, high)]
+    (sides,) = find_touching(spaces)
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        tie = Tie(*sides)
+    (said,) = comm.bcast([record.getMessage() for record in caplog.records])
+    percent = float(said.split("tied area is ")[1].split(" %")[0])
+    axis, area = scene.faces()[low, high]
+    q = tie.quadrature(2 * scene.degree + 2)
+    flux = scene.area(axis, q.x.reshape(-1, 3), q.weights.ravel(), q.normal.reshape(-1, 3))
+    off = abs(comm.allreduce(flux)) / area - 1
+    assert "too large" in said and abs(100 * off - percent) < 0.2 * percent
