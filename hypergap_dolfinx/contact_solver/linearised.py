@@ -169,11 +169,10 @@ class LinearisedContact:
         if guesses.allow(len(more)):
             return replace(self._found(changes, y, f, more, f), is_guess=True)
         y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
-        factors = self._tangent.factors()
-        gaps, forces, loads = self._watched(factors)
+        gaps, forces, loads = self._watched()
         A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
         while len(more):
-            by_f, by_y = self._columns(factors.responses(loads, more), gaps, forces, more)
+            by_f, by_y = self._columns(self._tangent.responses(loads, more), gaps, forces, more)
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
             z = np.append(z, np.zeros(len(more)))
             small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
@@ -186,15 +185,15 @@ class LinearisedContact:
             more = more[~np.isin(more, of)]
         unknowns = np.zeros(len(y))
         unknowns[of] = z
-        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], factors.num_local)
+        beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
         changes, _, now = self._base(right, shift, beside=beside, anew=True)
         return self._found(changes, y, np.where(self._on, now, f), of, f0)
 
-    def _watched(self, factors: Tangent) -> list[Sparse]:
+    def _watched(self) -> list[Sparse]:
         """Gaps and multipliers by this rank's unknowns of the matrix, and right-hand sides."""
         sizes = [part.num_unknowns for part in self._rows]
         return [
-            factors.watch([getattr(p, name)() for p in self._rows], sizes)
+            self._tangent.watch([getattr(p, name)() for p in self._rows], sizes)
             for name in ("watched_gaps", "watched_forces", "loads")
         ]
 

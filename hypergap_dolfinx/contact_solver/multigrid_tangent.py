@@ -15,7 +15,6 @@ an accurate solution where any have.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NoReturn
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -178,8 +177,8 @@ class MultigridTangent:
         self._num_tied = self._ties.B.getLocalSize()[0] if self._ties is not None else 0
         num_mine = [len(part.mine) for part in rows]
         ends = self._num_dofs + self._num_tied + np.cumsum([0, *num_mine])
-        self._starts = ends[:-1]
-        """First place of each contact's among this rank's unknowns."""
+        self._starts, self.num_local = ends[:-1], int(ends[-1])
+        """First place of each contact's among this rank's unknowns; the number of these."""
         self._first = np.cumsum([0, *(part.num_unknowns for part in rows)])
         self._dofs = [self._dofs_of(part, numbering) for part in rows]
         self.iterations = 0
@@ -243,10 +242,6 @@ class MultigridTangent:
         """Rule for guesses of a step's working set: each costs as much as a column or two."""
         return Guesses(0, STEPS)
 
-    def factors(self) -> NoReturn:
-        """What the small problem is solved with: none, as each of its columns is an iteration."""
-        raise IterationFailed("guesses of what is in contact don't end")
-
     def improves(self, num_wrong: int) -> bool:
         """True if the last solution is to be solved for accurately.
 
@@ -263,6 +258,7 @@ class MultigridTangent:
         equations: Sequence[Linear],
         *,
         shift: tuple[float, float] = (0.0, 0.0),
+        beside: npt.NDArray | None = None,
         anew: bool = False,
     ) -> tuple[list[npt.NDArray], list[Array]]:
         """Solve with the present stiffness; arguments and results are those of ``Tangent.solve``.
@@ -272,6 +268,7 @@ class MultigridTangent:
             equations: Equations of each contact.
             shift: Share of the bodies' stiffness, and of its diagonal without stress, that is
                 added.
+            beside: What is subtracted from the right-hand side, in this rank's unknowns.
             anew: True for an accurate solution, False for one that shows signs.
 
         Raises:
@@ -289,7 +286,7 @@ class MultigridTangent:
         if self._comm.allreduce(again, MPI.LAND):
             assert self._last is not None
             _, start, size = self._last
-        x, size = self._solved(flat, start, size, anew)
+        x, size = self._solved(flat if beside is None else flat - beside, start, size, anew)
         self._last = loads, x[: self._num_dofs], size
         self._options.tell_unused(self._comm)
         ends = np.cumsum([len(part) for part in (*right, *own)])
@@ -298,7 +295,16 @@ class MultigridTangent:
             rows.gathered(part) for rows, part in zip(self._rows, found[len(right) :], strict=True)
         ]
 
-    def _solved(self, flat: Array, start, size: float, accurate: bool):
+    def responses(self, loads: Sparse, of: npt.NDArray[np.intp]) -> Array:
+        """Solutions for several right-hand sides; as ``Tangent.responses``."""
+        found = np.zeros((len(of), self.num_local))
+        for k, number in enumerate(of.tolist()):
+            at = loads.i == number
+            flat = np.bincount(loads.j[at], loads.values[at], self.num_local).astype(float)
+            found[k], _ = self._solved(flat, None, 0.0, True, alone=True)
+        return found
+
+    def _solved(self, flat: Array, start, size: float, accurate: bool, *, alone=False):
         """This rank's solution for its right-hand side, and the size of the residual at first.
 
         Args:
@@ -306,12 +312,13 @@ class MultigridTangent:
             start: This rank's displacements to start with, or None.
             size: Size of the first residual, if it is known.
             accurate: False for a solution that shows signs.
+            alone: True for a right-hand side that isn't that of the equations.
         """
         now = self._now
         loads, tied, rest = np.split(flat, (self._num_dofs, self._starts[0]))
         parts = np.split(rest, self._starts[1:] - self._starts[0])
         c = np.concatenate([rows.gathered(b) for rows, b in zip(self._rows, parts, strict=True)])
-        c += now.moved
+        c = c if alone else c + now.moved
         slipping = now.forces.T @ (now.inverse @ _column(c))
         loads = loads - self._of_rank(slipping)
         of, ksp, u = self._projection, self._ksp, self._projection.b.duplicate()
@@ -326,7 +333,7 @@ class MultigridTangent:
             of.load(loads, u, of.b)
             norm = of.b.norm()
             size = max(size, norm)
-            least = max(TIGHT * size, self.floor)
+            least = TIGHT * size if alone else max(TIGHT * size, self.floor)
             goal = least if accurate else max(ROUGH * norm, least)
             self.is_rough = not accurate and norm > least
             if norm > goal:
@@ -477,6 +484,24 @@ class MultigridTangent:
             i, j = np.append(i, every), np.append(j, every)
             values = np.append(values, near * self._at_rest.array_r.real)
         return coo_matrix(self._system.K[0].comm, (self._num_dofs,) * 2, i, j, values)
+
+    # As for factors
+
+    def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> Sparse:
+        """Rows of numbers of contacts' unknowns, for this rank's unknowns; as ``Tangent.watch``."""
+        found, before = [], 0
+        first, end = self._range
+        for start, dofs, rows, part, size in zip(
+            self._starts, self._dofs, self._rows, entries, sizes, strict=True
+        ):
+            places = np.where((first <= dofs) & (dofs < end), dofs - first, -1)
+            own = np.full(rows.num_unknowns, -1)
+            own[rows.mine] = start + np.arange(len(rows.mine))
+            column = np.append(places, own)[part.j]
+            use = column >= 0
+            found.append(Sparse(before + part.i[use], column[use], part.values[use]))
+            before += size
+        return joined(*found)
 
     def work(self, changes: Sequence[npt.NDArray]) -> float:
         """Work of the last matrix on changes of the bodies; as ``Tangent.work``."""

@@ -395,10 +395,6 @@ class Tangent:
         """Rule for guesses of a step's working set: each costs a factorisation."""
         return Guesses(GUESSED)
 
-    def factors(self) -> "Tangent":
-        """What the small problem is solved with."""
-        return self
-
     def improves(self, num_wrong: int) -> bool:
         """True if a solution is to be solved for with new factors, the last ones being old.
 

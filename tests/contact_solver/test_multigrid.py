@@ -197,24 +197,17 @@ def test_iterations(counted):
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("reason", ("DIVERGED_MAX_IT", "guesses of what is in contact don't end"))
-def test_gives_up(caplog, monkeypatch, reason):
+def test_gives_up(caplog, monkeypatch):
     """What multigrid doesn't solve is solved with factors from then on, and told."""
-    options = {}
-    if reason == "DIVERGED_MAX_IT":
-        monkeypatch.setattr(Multigrid, "OPTIONS", {**Multigrid.OPTIONS, "ksp_rtol": 1e-10})
-        options = {"petsc_options": {"ksp_max_it": 2}}
-    else:
-        none = contact_system.active_set.Guesses(1000)
-        monkeypatch.setattr(contact_system.MultigridTangent, "guesses", lambda _: none)
-    scene = Pressed(3, solver="iterative", **options)
+    monkeypatch.setattr(Multigrid, "OPTIONS", {**Multigrid.OPTIONS, "ksp_rtol": 1e-10})
+    scene = Pressed(3, solver="iterative", petsc_options={"ksp_max_it": 2})
     reference = Pressed(3, solver="direct")
     with caplog.at_level(logging.WARNING):
         scene.solve(DOWN)
     reference.solve(DOWN)
     assert isinstance(scene.problem._tangent, Tangent)
     told = [r.getMessage() for r in caplog.records if "given up" in r.getMessage()]
-    assert len(told) == (comm.rank == 0) and (reason in told[0] if told else True)
+    assert len(told) == (comm.rank == 0) and ("DIVERGED_MAX_IT" in told[0] if told else True)
     for u, v in zip(scene.u, reference.u, strict=True):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
 
