@@ -7,6 +7,7 @@ from functools import cache
 
 from mpi4py import MPI
 
+import helpers
 import numpy as np
 import pytest
 from outlines import (
@@ -31,7 +32,7 @@ from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
-STEPS = (100, 200, 400, 800)
+STEPS = (100, 200, 400, 800)[: 4 if helpers.thorough else 3]
 
 
 def segments_of(sides, u):
