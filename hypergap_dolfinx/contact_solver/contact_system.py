@@ -73,7 +73,7 @@ class ContactSystem(NonlinearSystem):
 
            residual is no number ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to BACK times
-           four steps along one line ───────────→ it is taken as far as they tell
+           five steps along one line ───────────→ it is taken as far as they tell
            STEPS steps ─────────────────────────→ the load step fails
            no solution, RAYS times in a row ────→ it fails: a body leaves
 

@@ -70,7 +70,7 @@ class Continuation:
         share = 1.0
         if moves_on and turned and work < 0 and self._num_back < BACK:
             share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
-        elif moves_on and self._num_in_line > 2:
+        elif moves_on and self._num_in_line > 3:
             falls = 1 / self._share - product / before  # over a whole step
             share = min(1 / falls, LONGER * self._share) if falls > 0 else 1.0
         self._last, self._square = [share * part for part in moves], share**2 * square
