@@ -83,31 +83,6 @@ def rigid_modes(
     return orthonormal(V.mesh.comm, modes)
 
 
-def common_modes(
-    spaces: Sequence[fem.FunctionSpace], moved: Sequence[npt.NDArray[np.bool_]] | None = None
-) -> list[npt.NDArray[np.float64]]:
-    """Basis of the common rigid motions of several bodies or parts. Collective.
-
-    Args:
-        spaces: Their spaces.
-        moved: Mask of each body's owned nodes that move, ``(num_nodes,)``; all if not given.
-
-    Returns:
-        For each body this rank's owned rows, ``(num_dofs, num_modes)``; columns that are
-        orthonormal over all bodies.
-    """
-    comm, x = spaces[0].mesh.comm, [places(V) for V in spaces]
-    if moved is None:
-        moved = [np.ones(len(part), dtype=bool) for part in x]
-    centre = mean(comm, [part[mask] for part, mask in zip(x, moved, strict=True)])
-    modes = [
-        np.where(np.repeat(mask, V.dofmap.index_map_bs)[:, None], motions(V, centre), 0)
-        for V, mask in zip(spaces, moved, strict=True)
-    ]
-    together = orthonormal(comm, np.vstack(modes))
-    return np.split(together, np.cumsum([len(part) for part in modes])[:-1])
-
-
 def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Orthonormal columns that span those of R, with rows on all ranks. Collective."""
     R = R / np.sqrt(np.maximum(comm.allreduce((R**2).sum(axis=0)), 1e-300))

@@ -239,7 +239,7 @@ class MultigridTangent:
         return self._made
 
     def guesses(self) -> Guesses:
-        """Rule for guesses of a step's working set: each costs as much as a column or two."""
+        """Rule for guesses of a step's working set: each costs far less than a column."""
         return Guesses(0, STEPS)
 
     def improves(self, num_wrong: int) -> bool:
