@@ -45,7 +45,9 @@ class Coefficient:
             whole = create_surface(V, facets, "Γ1")
             return whole.split if split else whole
 
-        self._comm, self._what = V.mesh.comm, what
+        self._comm = V.mesh.comm
+        self.what = what
+        """Its name in messages."""
         self._at: MovingSurface | None = None
         self._value: npt.NDArray | fem.Constant | fem.Function
         if isinstance(value, fem.Function):
@@ -89,17 +91,15 @@ class Coefficient:
         wrong = found[~(np.isfinite(found) & (found >= 0))]
         bad = None
         if len(wrong):
-            bad = f"{self._what} is {wrong[0]:.6g} on Γ1; it is a number from 0 on."
+            bad = f"{self.what} is {wrong[0]:.6g} on Γ1; it is a number from 0 on."
         raise_on_all(self._comm, bad, ValueError)
         return found
 
 
 def is_number(value) -> bool:
-    """True for a real number or a 0-dimensional array of one."""
+    """True for a real number or a 0-dimensional array of one; truth values are none."""
     kinds = int | float | np.number | np.ndarray
-    return (
-        isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "biuf"
-    )
+    return isinstance(value, kinds) and not np.ndim(value) and np.asarray(value).dtype.kind in "iuf"
 
 
 def _unfit(f: fem.Function, name: str, what: str, V: fem.FunctionSpace) -> str | None:

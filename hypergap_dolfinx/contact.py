@@ -31,6 +31,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
+from hypergap_dolfinx.interface_laws.given_values import as_numbers
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.component import Component
@@ -154,7 +155,9 @@ class Contact:
             )
         for i, V in enumerate(self._spaces):
             if V.value_shape != (V.mesh.geometry.dim,):
-                advice = ": give its displacements, W.sub(0) for example" if is_mixed(V) else ""
+                advice = ": give its displacements, W.sub(0) for example"
+                part = self._components[i]
+                advice = advice if is_mixed(V) or part.dofs is not None else ""
                 raise InterfaceError(
                     f"contact is between displacements; the space of Γ{i} has the value shape "
                     f"{V.value_shape} in {V.mesh.geometry.dim} dimensions{advice}."
@@ -239,8 +242,11 @@ class Contact:
         ]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
-            moduli = np.asarray(stiffness, dtype=float)
-            if moduli.shape != (2,) or not (np.isfinite(moduli) & (moduli > 0)).all():
+            try:
+                moduli = as_numbers(stiffness, (2,), "stiffness")
+            except ValueError:
+                moduli = np.zeros(2)
+            if not (moduli > 0).all():
                 raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
             contrast = moduli[1] / moduli[0]
         if max(contrast, 1 / contrast) >= STIFF:

@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import name_of_body, turned_over
-from hypergap_dolfinx.algebra.load_path import LoadPath, Value, values_of
+from hypergap_dolfinx.algebra.load_path import OF_RIGID, OF_TIE, LoadPath, Value, values_of
 from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_geometry.status import table
 from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows, SystemState
@@ -152,14 +152,15 @@ class ContactProblem(ContactSystem):
         ties = [ties] if isinstance(ties, Tie) else list(ties or ())
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         for name, given, kind in (("contacts", contacts, Contact), ("ties", ties, Tie)):
-            wrong = next((one for one in given if not isinstance(one, kind)), None)
-            if wrong is not None:
+            wrong = [one for one in given if not isinstance(one, kind)]
+            if wrong:
                 raise ValueError(
-                    f"{name} has a {type(wrong).__name__}: make each with "
+                    f"{name} has a {type(wrong[0]).__name__}: make each with "
                     f"{kind.__name__}(side0, side1)."
                 )
         hooks = Hooks(
             internal_variables,
+            unknowns=u,
             before_step=before_step,
             accepted=accepted,
             taken_back=taken_back,
@@ -217,9 +218,15 @@ class ContactProblem(ContactSystem):
         )
         self._contacts = list(contacts)
         moved = [f for f, form in zip(u, F, strict=True) if form is None]
-        told = [part for one in contacts for part in (one.friction, one.compliance) if part]
-        values = [*(v for tie in ties for v in tie.given), *(part.given for part in told)]
-        values += [value for body in self._rigid for value in body.given]
+        values: list[tuple[str, Value]] = [
+            (OF_TIE.format(t), v) for t, tie in enumerate(ties) for v in tie.given
+        ]
+        for c, one in enumerate(contacts):
+            parts = (part for part in (one.friction, one.compliance) if part)
+            values += [(f"{part.what} of contact {c}", part.given) for part in parts]
+        for i, body in rigid.items():
+            names = (f"{what} of body {i}, a rigid one," for what in OF_RIGID)
+            values += list(zip(names, body.given, strict=True))
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
@@ -270,7 +277,10 @@ class ContactProblem(ContactSystem):
         """
         c = next((c for c, other in enumerate(self._contacts) if other is contact), None)
         if c is None:
-            raise ValueError("the contact is not one of this problem's.")
+            what = "the contact" if isinstance(contact, Contact) else f"a {type(contact).__name__}"
+            raise ValueError(
+                f"{what} is not one of this problem's contacts: give one of problem.contacts."
+            )
         if not self._solved:
             raise ValueError("the problem is not solved yet: call solve() first.")
         return self._rows[c]
@@ -318,7 +328,8 @@ class ContactProblem(ContactSystem):
         """Solve one load step, halved where necessary. Collective."""
         self._path.start_step()
         wrong = self._path.wrong
-        raise_on_all(self._comm, wrong and f"{wrong} is no number.", SolveError)
+        message = wrong and f"{wrong} is no number: it is NaN or infinite; set it before solve()."
+        raise_on_all(self._comm, message, SolveError)
         for body in self._rigid:
             raise_on_all(self._comm, body.wrong(), ValueError)
         changes = self._comm.allreduce(self._path.changes, MPI.LOR)

@@ -42,10 +42,10 @@ class Joined:
         Raises:
             ValueError: Something that isn't a tie.
         """
-        wrong = next((tie for tie in ties if not isinstance(tie, Tie)), None)
-        if wrong is not None:
+        wrong = [tie for tie in ties if not isinstance(tie, Tie)]
+        if wrong:
             raise ValueError(
-                f"ties has a {type(wrong).__name__}: make each with Tie(side0, side1) first."
+                f"ties has a {type(wrong[0]).__name__}: make each with Tie(side0, side1) first."
             )
         self.ties = list(ties)
         self.interfaces: list[Tie] = []
@@ -116,7 +116,8 @@ class Joined:
         """A tie's number among the ties."""
         t = next((t for t, other in enumerate(self.ties) if other is tie), None)
         if t is None:
-            raise ValueError("the tie is not one of this problem's.")
+            what = "the tie" if isinstance(tie, Tie) else f"a {type(tie).__name__}"
+            raise ValueError(f"{what} is not one of this problem's ties: give one of problem.ties.")
         return t
 
 

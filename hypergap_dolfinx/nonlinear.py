@@ -104,6 +104,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         hooks = Hooks(
             internal_variables,
+            unknowns=u,
             before_step=before_step,
             accepted=accepted,
             taken_back=taken_back,

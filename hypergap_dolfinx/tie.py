@@ -23,7 +23,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
-from hypergap_dolfinx.interface_laws.given_values import Given
+from hypergap_dolfinx.interface_laws.given_values import Given, as_numbers
 from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
 from hypergap_dolfinx.mortar import fields
 from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
@@ -572,9 +572,9 @@ class Tie(collective.Owner):
             ValueError: A function that is on the space of no side.
         """
         us = []
-        if all(isinstance(u, fem.Function) for u in (u0, u1)) and all(
-            part.own_function(u) is None for u, part in zip((u0, u1), self.components)
-        ):
+        if not all(isinstance(u, fem.Function) for u in (u0, u1)):
+            raise ValueError("gap(u0, u1) takes the displacements of both bodies, as functions.")
+        if all(part.own_function(u) is None for u, part in zip((u0, u1), self.components)):
             u0, u1 = u1, u0
         for i, (u, part) in enumerate(zip((u0, u1), self.components, strict=True)):
             own = part.own_function(u)
@@ -615,7 +615,7 @@ class Tie(collective.Owner):
         """
         if on not in ("sigma", "side0", "side1"):
             raise ValueError(f'on is "sigma", "side0" or "side1", not {on!r}.')
-        multipliers = problem.multipliers(self)
+        multipliers = self._multipliers(problem)
         shape = self._spaces[0].value_shape
         if on == "sigma":
             return fields.traction(self._domain, self.constraint, shape, multipliers)
@@ -669,9 +669,7 @@ class Tie(collective.Owner):
             raise ValueError(f"a moment needs displacements; the value shape is {V.value_shape}.")
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
-        point = np.asarray(about, dtype=float)
-        if point.shape != (n,):
-            raise ValueError(f"about is a point, ({n},), not of shape {point.shape}.")
+        point = as_numbers(about, (n,), "about, a point,")
         forces = self._nodal_forces(problem, side)
         arm = V.tabulate_dof_coordinates()[: len(forces), :n] - point
         if n == 3:
@@ -684,16 +682,27 @@ class Tie(collective.Owner):
         """The side of a body, by its displacement; the second one as given. Collective."""
         if on is None:
             return 0 if self._swapped else 1
-        found = [i for i, part in enumerate(self.components) if part.own_function(on) is not None]
+        of_function = isinstance(on, fem.Function)
+        parts = self.components if of_function else ()
+        found = [i for i, part in enumerate(parts) if part.own_function(on) is not None]
         if not found:
-            raise ValueError("on= takes the displacement of one of the tie's bodies.")
+            raise ValueError(
+                "on= takes the displacement of one of the tie's bodies"
+                f"{'' if of_function else f', a function, not a {type(on).__name__}'}."
+            )
         if len(found) == 2:
             raise ValueError("both sides are on this body; without on= it is the second side's.")
         return found[0]
 
+    def _multipliers(self, problem) -> npt.NDArray:
+        """Multipliers of this tie in a solved problem. Collective."""
+        if not hasattr(problem, "multipliers"):
+            raise ValueError(f"give the problem with this tie, not a {type(problem).__name__}.")
+        return problem.multipliers(self)
+
     def _nodal_forces(self, problem, side: int) -> npt.NDArray:
         """Forces at this rank's dofs of a side's space, ``(num_dofs, block_size)``. Collective."""
-        forces = fields.nodal_forces(self.constraint, side, problem.multipliers(self))
+        forces = fields.nodal_forces(self.constraint, side, self._multipliers(problem))
         return forces @ self.turn if side == 0 and self.turn is not None else forces
 
     @cached_property

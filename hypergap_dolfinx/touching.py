@@ -3,7 +3,7 @@
 """Search for touching bodies and their facets, the sides of an assembly's ties."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -224,6 +224,11 @@ def find_touching(
         >>> len(ties)
         3
     """
+    if isinstance(spaces, fem.FunctionSpace) or not isinstance(spaces, Iterable):
+        raise ValueError(
+            "find_touching takes a list of spaces, one for each body, not a "
+            f"{type(spaces).__name__}."
+        )
     spaces = list(spaces)
     comm = _check(spaces, distance)
     here, bodies, starts = [], [], []

@@ -15,7 +15,8 @@ Value = Any
 """A function, a constant, a compiled one as boundary conditions have, or an array."""
 PRESCRIBED = "a prescribed displacement"
 LOAD = "a load or another value in a form"
-OF_INTERFACES = "a friction, a compliance or another value of a contact or a tie"
+OF_RIGID = "the force", "the torque", "what is prescribed", "a spring", "an anchor"
+OF_TIE = "a jump, a compliance or another value of tie {}"
 
 
 def array_of(value: Value) -> npt.NDArray:
@@ -34,7 +35,7 @@ def values_of(
     F: Sequence[ufl.Form],
     bcs: Sequence[fem.DirichletBC],
     moved: Sequence[fem.Function] = (),
-    given: Sequence[Value] = (),
+    given: Sequence[tuple[str, Value]] = (),
     *,
     without: Iterable[Value] = (),
 ) -> list[tuple[str, Value]]:
@@ -44,14 +45,14 @@ def values_of(
         F: Residual forms.
         bcs: Boundary conditions.
         moved: Displacements that the user prescribes as a whole.
-        given: Values of ties and contacts.
+        given: Values of ties, contacts and rigid bodies, with their kinds.
         without: Values in forms that are none of these, as the solution.
     """
     found = [(PRESCRIBED, value) for value in (*moved, *(bc.g for bc in bcs))]
     for form in F:
         parts = (*form.constants(), *form.coefficients())
         found += [(LOAD, f) for f in parts if isinstance(f, fem.Constant | fem.Function)]
-    found += [(OF_INTERFACES, value) for value in given]
+    found += given
     known = {_same(f) for f in without}
     each = {_same(value): (kind, value) for kind, value in reversed(found)}  # its first kind
     return [pair for same, pair in reversed(each.items()) if same not in known]

@@ -44,6 +44,30 @@ def check(value: Any, what: str):
         )
 
 
+def as_numbers(value: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[np.float64]:
+    """Finite numbers of a shape; a single one without a list too.
+
+    Args:
+        value: The numbers.
+        shape: Their shape.
+        what: Their name in the message.
+
+    Raises:
+        ValueError: Something else.
+    """
+    try:
+        found = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        found = np.full(0, np.nan)
+    if found.size == np.prod(shape) == 1:
+        found = found.reshape(shape)
+    if found.shape != shape or not np.isfinite(found).all():
+        num = int(np.prod(shape))
+        wanted = "one finite number" if num == 1 else f"{num} finite numbers"
+        raise ValueError(f"{what} is {wanted}, not {value!r}.".replace("\n", ""))
+    return found
+
+
 def at_points(function: Callable[[npt.NDArray], Any], x: npt.NDArray) -> Any:
     """Values of a callable at points x, ``(num_points, n)``.
 

@@ -51,8 +51,9 @@ class State:
 
         Raises:
             OSError: The file can't be written; raised on all ranks.
+            ValueError: Something that isn't a name.
         """
-        path, error = Path(path), None
+        path, error = _path(path, "save"), None
         if self.comm.rank == 0:
             part = path.with_name(path.name + ".part")
             try:
@@ -76,8 +77,11 @@ class State:
 
         Raises:
             OSError: The file can't be read, or has no state; raised on all ranks.
+            ValueError: Something that isn't a name, or isn't a communicator.
         """
-        arrays, error = dict[str, npt.NDArray](), None
+        path, arrays, error = _path(path, "load"), dict[str, npt.NDArray](), None
+        if not isinstance(comm, MPI.Comm):
+            raise ValueError(f"load takes a file and a communicator, not {comm!r}: give mesh.comm.")
         if comm.rank == 0:
             try:
                 with np.load(path) as file:
@@ -291,6 +295,17 @@ class Checkpoint:
         raise_on_all(self.comm, error, ValueError)
         for part in parts:
             part.take(state.arrays.get(part.name))
+
+
+def _path(path: str | os.PathLike, call: str) -> Path:
+    """The path of a file.
+
+    Raises:
+        ValueError: Something that isn't a name.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError(f"{call} takes the name of a file, not a {type(path).__name__}.")
+    return Path(path)
 
 
 def _difference(given: dict[str, npt.NDArray], now: dict[str, npt.NDArray]) -> str | None:

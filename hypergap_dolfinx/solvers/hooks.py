@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Bodies with a history: callbacks around Newton steps, and internal variables."""
 
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,6 +14,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.core.collective import run_on_all
 
+CALLED = {"before_step": "()", "accepted": "(share)", "taken_back": "()"}
+"""Arguments with which each callback is called."""
+
 
 class Hooks:
     """Callbacks of a problem and internal variables of its state."""
@@ -21,6 +25,7 @@ class Hooks:
         self,
         internal_variables: Sequence[fem.Function | fem.Constant] = (),
         *,
+        unknowns: Sequence[fem.Function] = (),
         before_step: Callable[[], Any] | None = None,
         accepted: Callable[[float], Any] | None = None,
         taken_back: Callable[[], Any] | None = None,
@@ -29,12 +34,14 @@ class Hooks:
 
         Args:
             internal_variables: Functions and constants that the callbacks change.
+            unknowns: The solution of each body.
             before_step: Called before a residual is evaluated at new displacements.
             accepted: Called with the part of the load step that is reached.
             taken_back: Called after a failed part of a load step.
 
         Raises:
-            ValueError: A callback that isn't callable; internal variables of another type.
+            ValueError: A callback that isn't callable, or with other arguments; internal variables
+                of another type.
         """
         hooks = {"before_step": before_step, "accepted": accepted, "taken_back": taken_back}
         for name, hook in hooks.items():
@@ -42,13 +49,24 @@ class Hooks:
                 raise ValueError(
                     f"{name} is a {type(hook).__name__}; give a function, which is called."
                 )
-        single = isinstance(internal_variables, fem.Function | fem.Constant)
+            if hook is not None and not _takes(hook, len(CALLED[name][1:-1].split())):
+                raise ValueError(
+                    f"{name} takes other arguments than those it is called with: make it a "
+                    f"function {name}{CALLED[name]}."
+                )
+        single = not isinstance(internal_variables, Sequence)
         variables: list[Any] = [internal_variables] if single else list(internal_variables)
         wrong = [v for v in variables if not isinstance(v, fem.Function | fem.Constant)]
         if wrong:
             raise ValueError(
                 f"internal_variables has a {type(wrong[0]).__name__}; give functions and constants "
                 "that are in the forms."
+            )
+        solved = next((i for i, u in enumerate(unknowns) if any(u is v for v in variables)), None)
+        if solved is not None:
+            raise ValueError(
+                f"internal_variables has u[{solved}], which the problem finds and keeps by itself: "
+                "leave it out."
             )
         self.comm, self._hooks = MPI.COMM_SELF, hooks
         self.internal_variables: list[fem.Function | fem.Constant] = variables
@@ -81,3 +99,14 @@ class Hooks:
         """Set the internal variables to copies."""
         for array, copy in zip(self._arrays, copies, strict=True):
             array[...] = copy
+
+
+def _takes(hook: Callable, num: int) -> bool:
+    """True if a function can be called with so many arguments, or doesn't say."""
+    try:
+        inspect.signature(hook).bind(*range(num))
+    except TypeError:
+        return False
+    except ValueError:  # compiled ones have no signature
+        pass
+    return True

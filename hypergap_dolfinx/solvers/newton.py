@@ -315,7 +315,7 @@ class NonlinearSystem(TiedSystem):
 
     def _values(self) -> Sequence[Value]:
         """Values set by the user."""
-        given = [value for tie in self.ties for value in tie.given]
+        given = [("", value) for tie in self.ties for value in tie.given]
         without = (*self._u, *self._hooks.internal_variables)
         found = values_of(self._forms, self._given_bcs, (), given, without=without)
         return [value for _, value in found]

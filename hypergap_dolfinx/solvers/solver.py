@@ -31,7 +31,15 @@ def prefixed(prefix: str, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def names_types(options: dict | None) -> bool:
-    """True if PETSc options name a type of solver, not only tolerances."""
+    """True if PETSc options name a type of solver, not only tolerances.
+
+    Raises:
+        ValueError: Options that are no dictionary.
+    """
+    if not isinstance(options, dict | None):
+        raise ValueError(
+            f'petsc_options is a dictionary such as {{"ksp_rtol": 1e-9}}, not {options!r}.'
+        )
     return bool({"ksp_type", "pc_type"} & set(options or {}))
 
 

@@ -93,10 +93,10 @@ class TiedSystem(collective.Owner):
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = collective.enter(self._u[0].function_space.mesh.comm)
-        wrong = next((bc for bc in bcs if not isinstance(bc, fem.DirichletBC)), None)
-        if wrong is not None:
+        wrong = [bc for bc in bcs if not isinstance(bc, fem.DirichletBC)]
+        if wrong:
             raise ValueError(
-                f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong).__name__}."
+                f"bcs is one flat list of Dirichlet conditions; it has a {type(wrong[0]).__name__}."
             )
         checks.check_scalars((), self._u, bcs)
         # DOLFINx compares compiled spaces here
