@@ -38,7 +38,8 @@ help:
 	@echo "make test-all  the same with the slow ones, the serial ones with BLAS for other processors,"
 	@echo "               and some with complex scalars"
 	@echo "make docs      set up and build the site, docs/_build/html/index.html, and check its links"
-	@echo "make package   build sdist and wheel, install the wheel in a new environment and try it"
+	@echo "make package   build sdist and wheel, install the wheel in a new environment and try it;"
+	@echo "               build the conda package and run its tests"
 	@echo "make env       set up alone: everything goes into $(VENV)"
 	@echo "make test-container  build the Dockerfile and run its tests, on one rank and on two, with docker,"
 	@echo "               podman or buildah, whichever is there"
@@ -89,7 +90,8 @@ docs: $(VENV)/docs
 	$(BIN)/python docs/_ext/links.py docs/_build/html
 	@echo "The site: docs/_build/html/index.html"
 
-# The wheel is made from the sdist, and installed with PyPI's DOLFINx in an environment of its own
+# The wheel is made from the sdist, and installed with PyPI's DOLFINx in an environment of its own.
+# rattler-build builds the conda package, with stand-ins for conda-forge's packages
 package: env
 	rm -rf build/package
 	$(BIN)/python -m build --outdir build/package/dist
@@ -98,6 +100,9 @@ package: env
 		"hypergap-dolfinx[dolfinx] @ file://$$(echo $(CURDIR)/build/package/dist/*.whl)"
 	cd build/package && PATH=$(CURDIR)/build/package/venv/bin:$$PATH \
 		venv/bin/python $(CURDIR)/conda/try_installed.py
+	build/package/venv/bin/python -m pip install --quiet --disable-pip-version-check \
+		py-rattler-build==0.73.0
+	build/package/venv/bin/python .ci/recipe $(CURDIR)/$(VENV)
 
 demo: env
 	$(BIN)/python demos/pressurised_cylinder.py $(DEMO_ARGS)
