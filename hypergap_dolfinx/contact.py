@@ -671,17 +671,50 @@ class Contact:
             ValueError: A contact that isn't one of the problem's, a problem that isn't solved, a
                 function of neither body, or one of both sides.
         """
-        rows, side = self._solved_rows(problem), 0 if self._swapped else 1
-        if on is not None:
-            sides = [i for i, u in enumerate(rows.fields) if u is on]
-            if not sides:
-                raise ValueError("force takes on=u, the displacement of one of its bodies.")
-            if len(sides) == 2:
-                raise ValueError(
-                    "both sides are on this body; force(problem) is that on the second side."
-                )
-            side = sides[0]
-        return rows.contact_forces()[side].sum(axis=0)
+        rows = self._solved_rows(problem)
+        return rows.contact_forces()[self._side(rows, on)].sum(axis=0)
+
+    def moment(
+        self, problem, about: npt.ArrayLike, *, on: fem.Function | None = None
+    ) -> npt.NDArray[np.float64]:
+        """Moment of pressure and friction on a body about a point, Σ (x − x₀) × f. Collective.
+
+        Positions are displaced ones; with small sliding, where Σ is that of the start, they are
+        those of the start. The moments on both bodies about one point are opposite.
+
+        Args:
+            problem: A solved problem with this contact.
+            about: The point x₀, ``(n,)``; any point of an axis for the torque about it.
+            on: Displacement of the body, as in :meth:`force`.
+
+        Returns:
+            Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
+
+        Raises:
+            ValueError: As :meth:`force`; bodies of revolution; a point of the wrong shape.
+        """
+        rows, n = self._solved_rows(problem), self._spaces[0].mesh.geometry.dim
+        side = self._side(rows, on)
+        if self.axisymmetric:
+            raise ValueError("a body of revolution has no moment; take force().")
+        point = as_numbers(about, (n,), "about, a point,")
+        arms, forces = rows.places()[side] + rows.at[side] - point, rows.contact_forces()[side]
+        if n == 3:
+            return np.cross(arms, forces).sum(axis=0)
+        return (arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]).sum(axis=0)
+
+    def _side(self, rows: ContactRows, on: fem.Function | None) -> int:
+        """The side of a body, by its displacement; the second one as given."""
+        if on is None:
+            return 0 if self._swapped else 1
+        sides = [i for i, u in enumerate(rows.fields) if u is on]
+        if not sides:
+            raise ValueError(
+                "force takes on=u, the displacement of one of its bodies, and so does moment."
+            )
+        if len(sides) == 2:
+            raise ValueError("both sides are on this body; without on= it is the second side's.")
+        return sides[0]
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""

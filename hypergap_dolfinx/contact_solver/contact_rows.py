@@ -146,13 +146,18 @@ class ContactRows:
         """The sides on rigid bodies that forces move; None without any. Collective."""
         if not any(pair.rigid):
             return None
-        arms = []
-        for body, side, V in zip(pair.rigid, self.sides, self.spaces, strict=True):
+        points = [body.point if body else 0.0 for body in pair.rigid]
+        arms = [x - point for x, point in zip(self.places(), points, strict=True)]
+        return RigidSides(pair.rigid, arms)
+
+    def places(self) -> list[npt.NDArray[np.float64]]:
+        """Initial positions of both sides' dofs, ``(num_dofs_i, n)`` each. Collective."""
+        found = []
+        for side, V in zip(self.sides, self.spaces, strict=True):
             at = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : self._n]
             start = V.dofmap.index_map.local_range[0]
-            found = look_up(self._comm, np.ascontiguousarray(at), start, side.dofs)
-            arms.append(found - (body.point if body else 0.0))
-        return RigidSides(pair.rigid, arms)
+            found.append(look_up(self._comm, np.ascontiguousarray(at), start, side.dofs))
+        return found
 
     @property
     def has_compliance(self) -> bool:

@@ -91,6 +91,10 @@ def test_balance(dim, friction):
         scene.problem.solve()
         assert np.abs(unbalanced(scene)).max() < BALANCED * 0.3
         assert not body.reaction[:dim][~body.held[:dim]].any() and abs(body.angles).any()
+        about, given = body.point + body.displacement, (scene.bed.u, scene.u)
+        below, above = (scene.contact.moment(scene.problem, about, on=u) for u in given)
+        assert np.abs(above + body.torque + body.reaction[dim:]).max() < BALANCED * 0.3
+        assert np.abs(below + above).max() < BALANCED * 0.3
         body.force = 1.5 * body.force
     force = scene.contact.force(scene.problem, on=scene.u)
     close(force[-1], 0.45)
