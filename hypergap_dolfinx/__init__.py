@@ -24,6 +24,7 @@ from hypergap_dolfinx.contact import Contact
 from hypergap_dolfinx.contact_problem import ContactProblem
 from hypergap_dolfinx.core import compat, progress
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
 from hypergap_dolfinx.nonlinear import NonlinearTiedProblem
 from hypergap_dolfinx.problem import TiedProblem
@@ -34,6 +35,7 @@ from hypergap_dolfinx.touching import find_touching
 __all__ = [
     "Contact",
     "ContactProblem",
+    "Coupling",
     "InterfaceError",
     "InvertedCellError",
     "NonlinearTiedProblem",

@@ -453,7 +453,7 @@ class ContactProblem(ContactSystem):
         if not self._strays.num_left(every[0]):
             return []
         only = self._strays.moving(owned, every[0])
-        found = [f"only contact can hold {only}; otherwise hold it by boundary conditions."]
+        found = [f"only contact can hold {only}; otherwise hold it by {self._strays.remedy}."]
         for rows in found_rows:
             moves = self._free_moves(rows, modes)
             every.append(rows.holds(moves)[rows.valid])
@@ -463,8 +463,8 @@ class ContactProblem(ContactSystem):
         if self._strays.num_left(holds):
             what = self._strays.moving(owned, holds)
             found.append(
-                f"nothing holds {what}, even if all that faces something touches; hold it by "
-                "boundary conditions."
+                f"nothing holds {what}, even if all that faces something touches; hold it "
+                f"by {self._strays.remedy}."
             )
         return found
 

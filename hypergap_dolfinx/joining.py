@@ -16,6 +16,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra.checks import name_of_tie
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.mortar.constraint import Multipliers, smooth_pieces
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
@@ -45,7 +46,8 @@ class Joined:
         wrong = [tie for tie in ties if not isinstance(tie, Tie)]
         if wrong:
             raise ValueError(
-                f"ties has a {type(wrong[0]).__name__}: make each with Tie(side0, side1) first."
+                f"ties has a {type(wrong[0]).__name__}: make each with Tie(side0, side1) first"
+                f"{'; couplings go into couplings=' * isinstance(wrong[0], Coupling)}."
             )
         self.ties = list(ties)
         self.interfaces: list[Tie] = []

@@ -14,6 +14,7 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks, revolution
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.system import TiedSystem
@@ -36,6 +37,11 @@ def _load(i: int, a: ufl.Form, L: ufl.Form | None) -> ufl.Form:
     if [argument.ufl_function_space() for argument in L.arguments()] != [V]:
         raise ValueError(f"a[{i}] and L[{i}] are on different function spaces; same order in both?")
     return L
+
+
+def _space(L: ufl.Form) -> fem.FunctionSpace:
+    """Space of a linear form."""
+    return L.arguments()[0].ufl_function_space()
 
 
 class TiedProblem(TiedSystem):
@@ -70,6 +76,7 @@ class TiedProblem(TiedSystem):
         *,
         bcs: Sequence[fem.DirichletBC] | None = None,
         ties: Sequence[Tie] = (),
+        couplings: Sequence[Coupling] = (),
         u: Sequence[fem.Function] | None = None,
         solver: str | None = None,
         petsc_options_prefix: str = "hypergap_",
@@ -85,12 +92,14 @@ class TiedProblem(TiedSystem):
             bcs: Dirichlet conditions of all bodies, in any order.
             ties: The ties. They find their bodies by the function spaces: neither the order of the
                 bodies nor the sides of a tie matter here.
+            couplings: Couplings of surfaces with points that are loaded by forces and torques, or
+                held.
             u: Solution function of each body; created by default.
             solver: ``"direct"`` factorises the whole system. ``"bodies"`` factorises each body and
                 iterates over the ties. ``"iterative"`` is conjugate gradients with algebraic
                 multigrid, for symmetric positive definite forms on large meshes, best of degree 1.
                 The default is ``"bodies"`` for large bodies in 3D, else ``"direct"``. Mixed spaces,
-                free interior nodes, compliances and conductances need ``"direct"``.
+                free interior nodes, compliances, conductances and couplings need ``"direct"``.
             petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
             petsc_options: Options of the KSP, in addition to those of the solver. They replace
                 those of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a
@@ -119,20 +128,53 @@ class TiedProblem(TiedSystem):
                 raise ValueError(
                     f"a and L are UFL forms, not {type(form).__name__}; they are compiled here."
                 )
+        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
+        check_couplings(couplings)
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
         checks.check_scalars((*a, *loads), u or ())
+        solutions = list(u) if u is not None else [fem.Function(_space(L)) for L in loads]
+        revolution.tell_couplings(a, couplings)
+        loads += [one.L for one in couplings]
         self._L = create_forms(loads, form_compiler_options, jit_options)
-        spaces = [form.arguments()[0].ufl_function_space() for form in loads]
-        solutions = u if u is not None else [fem.Function(V) for V in spaces]
-        compiled = create_forms(a, form_compiler_options, jit_options)
-        super().__init__(compiled, bcs or (), Joined(ties), solutions)
+        compiled = create_forms([*a, *(c.a for c in couplings)], form_compiler_options, jit_options)
+        bcs = [*(bcs or ()), *(bc for one in couplings for bc in one.bcs)]
+        solutions += [one.q for one in couplings]
+        super().__init__(compiled, bcs, Joined(ties), solutions, couplings)
         self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
         revolution.tell(a, self._pieces.ties, "tie")
+
+    def assemble_matrix(self):
+        """Assemble stiffness, springs and compliances into A. Collective."""
+        self._read_couplings()
+        super().assemble_matrix()
+
+    def _read_couplings(self):
+        """Set the constants of couplings' forms from what the user has set."""
+        for k, one in enumerate(self._couplings):
+            wrong = one.wrong()
+            if wrong:
+                raise ValueError(f"coupling {k}: {wrong}")
+            one.read()
+
+    def _take_couplings(self):
+        """Give couplings their solution and reactions. Collective."""
+        rows = self._constraints.full[len(self._constraints.full) - len(self._couplings) :]
+        parts = self._x.getNestSubVecs()
+        multipliers = parts[len(parts) - len(self._couplings) :]
+        bodies = (own for _, own in self._constraints.coupled)
+        for one, row, own, part in zip(self._couplings, rows, bodies, multipliers, strict=True):
+            B = row[own]
+            assert B is not None
+            force = B.createVecRight()
+            B.multTranspose(part, force)
+            one.take(-force.array_r)
+            force.destroy()
 
     def assemble_vector(self):
         """Assemble loads and prescribed displacements into b. Collective."""
         prescribed = []
+        self._read_couplings()
         bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)
         for i, (b, a, L, bcs) in enumerate(bodies):
             with b.localForm() as local:
@@ -191,18 +233,19 @@ class TiedProblem(TiedSystem):
             raise SolveError(failure)
         self._check_constants()
         self._assign(self._x)
+        self._take_couplings()
         self._solved = True
-        return self._u
+        return self.u
 
     @property
     def a(self) -> list[fem.Form]:
         """The compiled bilinear forms."""
-        return self._a
+        return self._a[: self._num_own]
 
     @property
     def L(self) -> list[fem.Form]:
         """The compiled linear forms."""
-        return self._L
+        return self._L[: self._num_own]
 
     @property
     def solver(self) -> PETSc.KSP:

@@ -15,8 +15,9 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.checks import Coincidences
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
-from hypergap_dolfinx.errors import PrescribedSideError
+from hypergap_dolfinx.errors import InterfaceError, PrescribedSideError
 from hypergap_dolfinx.interface_laws.compliance import Conductance
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
@@ -26,6 +27,8 @@ from hypergap_dolfinx.surface.component import Component
 
 class ConstraintBlocks:
     """B and C of [K Bᵀ; B −C]: B has a row of blocks for each interface, a column for each field.
+
+    Rows of couplings with points come last; the unknowns of these are a body's.
 
     An interface is a tie, or several that are its pieces: those between the same two bodies.
 
@@ -39,6 +42,7 @@ class ConstraintBlocks:
         bcs: Sequence[Sequence[fem.DirichletBC]],
         ties: Sequence[Interface],
         names: Sequence[str] | None = None,
+        couplings: Sequence[Coupling] = (),
     ):
         """Pull the ties back to the bodies. Collective.
 
@@ -47,6 +51,7 @@ class ConstraintBlocks:
             bcs: Dirichlet conditions of each body.
             ties: The ties.
             names: Names of the ties in messages; their numbers if not given.
+            couplings: Couplings of surfaces with points, whose unknowns are bodies here.
 
         Raises:
             ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
@@ -55,6 +60,8 @@ class ConstraintBlocks:
         """
         self._spaces = list(spaces)
         self._ties = list(ties)
+        self.couplings = list(couplings)
+        """Couplings of surfaces with points."""
         self._names = names or [f"tie {t}" for t in range(len(self._ties))]
         self._components: list[tuple[int, Component]] = []  # with the numbers of their bodies
         tied = [self._fields_of(t, tie) for t, tie in enumerate(self._ties)]
@@ -82,11 +89,15 @@ class ConstraintBlocks:
             name if undetermined else None
             for name, undetermined in zip(self._names, choice.undetermined, strict=True)
         ]
-        self.compliances = Compliances(self._ties, self._rows, len(self._interfaces), unknown)
+        self.compliances = Compliances(
+            self._ties, self._rows, len(self._interfaces) + len(self.couplings), unknown
+        )
         self.jump_fields = [
             JumpField(tie, row) for tie, row in zip(self._ties, self._rows) if tie.law and row
         ]
         self.full = self._pulled_back()
+        self.coupled = [self._couple(k, one) for k, one in enumerate(self.couplings)]
+        """The bodies of each coupling: the surface's, and its unknowns."""
         """B on all dofs, ``[interface][field]``."""
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self.free = [
@@ -126,14 +137,15 @@ class ConstraintBlocks:
         num = len(self._spaces)
         return [
             [i for i, B in enumerate(row[:num]) if B is not None and i != i1] or [i0]
-            for row, (i0, i1) in zip(self.free, self.bodies, strict=True)
+            for row, (i0, i1) in zip(self.free, self.bodies, strict=False)
         ]
 
     def carried(self) -> list[npt.NDArray[np.bool_]]:
         """Mask of this rank's rows of each interface that tie across a distance. Collective."""
         found = []
         for g, row in enumerate(self.full):
-            rows = np.zeros(next(B for B in row if B).getLocalSize()[0], dtype=bool)
+            num, couples = next(B for B in row if B).getLocalSize()[0], g >= len(self._interfaces)
+            rows = np.full(num, couples)  # those of couplings are no strains of meshes
             for tie, E in zip(self._ties, self._rows, strict=True):
                 if tie.motion is not None and g in E:
                     rows[E[g].reached()] = True
@@ -169,7 +181,7 @@ class ConstraintBlocks:
         """Read the offsets c₀ from the jumps and positions as they are now. Collective."""
         for wanted in filter(None, self._wanted or []):
             wanted.destroy()
-        self._wanted = [None] * len(self._interfaces)
+        self._wanted = [None] * len(self.full)
         for tie, row in zip(self._ties, self._rows, strict=True):
             offset = tie.offset()
             if offset is None:
@@ -192,6 +204,11 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
+        for k, (one, (i, _)) in enumerate(zip(self.couplings, self.coupled, strict=True)):
+            field = one.component.of_body
+            wrong = one.contradiction(field(values[i].array_r), field(self.prescribed[i]))
+            if wrong:
+                raise InterfaceError(f"coupling {k}: {wrong}")
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
@@ -319,8 +336,8 @@ class ConstraintBlocks:
     def _pulled_back(self) -> list[list[PETSc.Mat | None]]:
         """Σ_t E_tᵀ B_t of all ties, ``[interface][field]``. Collective."""
         interior = len(self._spaces)
-        num_fields = interior + len(self.interior_sizes) + len(self.jump_fields)
-        full: list[list[PETSc.Mat | None]] = [[None] * num_fields for _ in self._interfaces]
+        self._num_fields = interior + len(self.interior_sizes) + len(self.jump_fields)
+        full: list[list[PETSc.Mat | None]] = [[None] * self._num_fields for _ in self._interfaces]
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             for i, B in zip((*bodies, interior), tie.blocks(), strict=False):
                 for g, E in self._rows[t].items():
@@ -336,6 +353,21 @@ class ConstraintBlocks:
             for g, block in jump.blocks.items():
                 full[g][field] = block
         return full
+
+    def _couple(self, k: int, one: Coupling) -> tuple[int, int]:
+        """Append a coupling's row of blocks; the bodies in it. Collective."""
+        body = one.component.among(self._spaces)
+        if body is None:
+            raise ValueError(
+                f"coupling {k} is on a space that is in no form; make it and the forms on the same "
+                "function spaces."
+            )
+        own = self._spaces.index(one.q.function_space)
+        row: list[PETSc.Mat | None] = [None] * self._num_fields
+        held = one.component.of_body(self.prescribed[body])
+        row[body], row[own] = one.blocks(held)
+        self.full.append(row)
+        return body, own
 
     def _without_prescribed(self, i: int, B: PETSc.Mat | None) -> PETSc.Mat | None:
         """A block without the columns of prescribed dofs. Collective."""

@@ -135,6 +135,12 @@ class RigidBodyDiagnostics:
         sizes = np.sqrt(self._comm.allreduce(np.array(sizes)))
         self._moves = sizes > MOVES * sizes.max()
 
+    @property
+    def remedy(self) -> str:
+        """How users hold the bodies that can move."""
+        moving = [part.remedy for part, moves in zip(self._fields, self._moves) if moves]
+        return " or ".join(dict.fromkeys(moving))
+
     def unheld(
         self,
         u: Sequence[npt.NDArray[np.float64]],
@@ -154,7 +160,7 @@ class RigidBodyDiagnostics:
         return (
             f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
             f"by nothing, not even by contact{slid if friction else ' without friction'}: "
-            f"{self.moving(u, holds)}; hold them by boundary conditions."
+            f"{self.moving(u, holds)}; hold them by {self.remedy}."
         )
 
     def _combinations(self, holds) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -18,6 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.carried import Motion
+from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
 from hypergap_dolfinx.surface.trace import Surface
 from ufl.classes import (
@@ -51,6 +52,14 @@ class Revolved(Protocol):
     @property
     def surfaces(self) -> tuple[Surface, Surface]:
         """Γ0 and Γ1."""
+
+
+class Coupled(Protocol):
+    """A coupling with a point."""
+
+    @property
+    def component(self) -> Component:
+        """Dofs of its displacements among those of the body."""
 
 
 def angle_of(axisymmetric: Given) -> float:
@@ -113,6 +122,18 @@ def tell(forms: Sequence[ufl.Form | None], interfaces: Sequence[Revolved], name:
             why = _doubt(form, surface.angle)
             if why and one.spaces[0].mesh.comm.rank == 0:
                 LOG.warning(f"{name} {k}: {why.format(f'body {i}')}")
+
+
+def tell_couplings(forms: Sequence[ufl.Form], couplings: Sequence[Coupled]):
+    """Warn of couplings on bodies that seem to be axisymmetric."""
+    for k, one in enumerate(couplings):
+        mesh = one.component.space.mesh
+        why = [_doubt(form, 0.0) for form in forms if mesh.geometry.dim == 2 and _is_on(form, mesh)]
+        if any(why) and mesh.comm.rank == 0:
+            LOG.warning(
+                f"coupling {k} is on a body whose form divides by x[0], as the hoop strain of "
+                "axisymmetric bodies: couplings are for bodies in the plane and in space."
+            )
 
 
 def _doubt(form: ufl.Form, angle: float) -> str | None:

@@ -514,7 +514,7 @@ class ContactSystem(NonlinearSystem):
             )
         return (
             f"contact would have to pull at {at}: {self._strays.of(rows.bodies)}, that "
-            "nothing else holds, is drawn away, or tilts; hold it by boundary conditions."
+            f"nothing else holds, is drawn away, or tilts; hold it by {self._strays.remedy}."
         )
 
     def _check_held(self):
@@ -522,7 +522,8 @@ class ContactSystem(NonlinearSystem):
         for rows in self._hold_too_much():
             raise SolveError(
                 f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
-                "more than friction can hold; hold it by boundary conditions, or move it by them."
+                f"more than friction can hold; hold it by {self._strays.remedy}, or prescribe how "
+                "it moves."
             )
 
     def _hold_too_much(self) -> list[FrictionRows]:

@@ -4,26 +4,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import factorial
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-import basix.ufl
-import dolfinx.mesh
 import ufl
-from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx.core import compat
+from dolfinx import fem
 from hypergap_dolfinx.core.rotation import moment_of, rotated, rotation
+from hypergap_dolfinx.interface_laws.reference_point import ReferencePoint, in_space
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Sparse, joined
 from hypergap_dolfinx.surface.trace import lagrange_element
 
 Array = npt.NDArray[np.float64]
-COMPONENTS = {2: ("x", "y", "rotation"), 3: ("x", "y", "z", "rx", "ry", "rz")}
 
 
-class RigidBody:
+class RigidBody(ReferencePoint):
     """A rigid body that contact, forces and torques move; it takes the place of a form.
 
     Its displacements are u = (R − 1) (X − X₀) + t: t is that of its reference point X₀, R a
@@ -51,6 +48,8 @@ class RigidBody:
         about their axis (gyroscopic moments aren't in it).
     """
 
+    NAME: ClassVar[str] = "a rigid body"
+
     def __init__(self, u: fem.Function, *, point: npt.ArrayLike, held: Sequence[str] | str = ()):
         """Find its nodes. Collective.
 
@@ -65,38 +64,14 @@ class RigidBody:
         """
         self._check(u)
         V = u.function_space
-        self.u, self._n, self._comm = u, V.mesh.geometry.dim, V.mesh.comm
-        n = self._n
-        self.components = COMPONENTS[n]
-        """Names of its unknowns."""
-        try:
-            given = np.asarray(point, dtype=float)
-        except (TypeError, ValueError):
-            given = np.full(0, np.nan)
-        if given.shape != (n,) or not np.isfinite(given).all():
-            raise ValueError(
-                f"the point of a rigid body has {n} coordinates: give these, not {point!r}."
-            )
-        held = [held] if isinstance(held, str) else list(held)
-        for name in held:
-            if name not in self.components:
-                raise ValueError(f"held has {name!r}; components are {', '.join(self.components)}.")
-        self._point = given
-        self.held = np.array([name in held for name in self.components])
-        """Mask of the components that are held."""
-        arms = V.tabulate_dof_coordinates()[:, :n] - given
-        self._arms = _in_space(arms)
+        n = V.mesh.geometry.dim
+        super().__init__(V.mesh.comm, n, point, held)
+        self.u = u
+        self._arms = in_space(V.tabulate_dof_coordinates()[:, :n] - self._point)
         mine = self._arms[: V.dofmap.index_map.size_local]
         sums = self._comm.allreduce(np.array([(mine**2).sum(), len(mine)]))
-        self._length = float(np.sqrt(sums[0] / sums[1])) or 1.0
-        num, across = len(self.components), len(self.components) - n
-        self._units = np.append(np.ones(n), np.full(across, 1 / self._length))
-        self._rotates = slice(0, 3) if n == 3 else slice(2, 3)  # of a rotation vector
-        self._force, self._torque = np.zeros(n), np.zeros(across)
-        self._prescribed, self._springs, self._anchors = np.zeros((3, num))
-        self._values, self._reaction = np.zeros((2, num))
-        self._start, self._turn = np.zeros(across), np.eye(3)
-        self._make_unknowns()
+        self._start, self._turn = np.zeros(len(self.components) - n), np.eye(3)
+        self._make_unknowns(float(np.sqrt(sums[0] / sums[1])) or 1.0)
 
     @staticmethod
     def _check(u: fem.Function):
@@ -109,106 +84,19 @@ class RigidBody:
                 "the displacement of a rigid body is on a Lagrange space of vectors, with as many "
                 "components as there are coordinates; this is another one."
             )
-        if np.issubdtype(default_scalar_type, np.complexfloating):
-            raise ValueError("rigid bodies need a PETSc with real scalars.")
 
-    def _make_unknowns(self):
-        """Function of the unknowns, on one cell of volume 1, and its forms. Collective."""
-        n, num, comm = self._n, len(self.components), self._comm
-        x = factorial(n) ** (1 / n) * np.vstack((np.zeros(n), np.eye(n)))
-        mine = np.arange(n + 1)[None] if comm.rank == 0 else np.empty((0, n + 1), dtype=np.int64)
-        name = {2: "triangle", 3: "tetrahedron"}[n]
-
-        def stay(comm, num_parts, cell_types, cells):
-            return compat.destinations(np.zeros(len(mine), dtype=np.int32))
-
-        mesh = dolfinx.mesh.create_mesh(
-            comm,
-            mine,
-            e=basix.ufl.element("Lagrange", name, 1, shape=(n,)),
-            x=x if comm.rank == 0 else x[:0],
-            partitioner=stay,
-        )
-        V = fem.functionspace(mesh, ("DG", 0, (num,)))
-        self.q = fem.Function(V)
-        """Its unknowns: translations, and rotations times a length."""
-        self._goals = [fem.Constant(mesh, 0.0) for _ in range(num)]
-        self._load, self._own = (fem.Constant(mesh, np.zeros(num)) for _ in range(2))
-        self._slope = fem.Constant(mesh, np.zeros((num, num)))
+    def _make_unknowns(self, length: float):
+        """Its unknowns, and forms at a rotation. Collective."""
+        super()._make_unknowns(length)
+        V, num = self.q.function_space, len(self.components)
+        self._slope = fem.Constant(V.mesh, np.zeros((num, num)))
         dq, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        own = ufl.as_vector([self._own[k] * self.q[k] for k in range(num)])
-        self.F = ufl.inner(own - self._load, v) * ufl.dx
+        self.F: ufl.Form = ufl.action(self.a, self.q) - self.L
         """Residual form of springs and loads."""
-        self.J = ufl.derivative(self.F, self.q) + ufl.inner(self._slope * dq, v) * ufl.dx
+        self.J: ufl.Form = self.a + ufl.inner(self._slope * dq, v) * ufl.dx
         """Its derivative."""
-        self.bcs = [
-            fem.dirichletbc(goal, np.full(len(mine), k, dtype=np.int32), V.sub(k))
-            for k, goal in enumerate(self._goals)
-            if self.held[k]
-        ]
-        """Conditions of what is held."""
 
     # What users set and read
-
-    @property
-    def point(self) -> Array:
-        """The reference point X₀, ``(n,)``."""
-        return self._point.copy()
-
-    @property
-    def force(self) -> Array:
-        """Force at the reference point, ``(n,)``."""
-        return self._force
-
-    @force.setter
-    def force(self, value: npt.ArrayLike):
-        self._force[:] = value
-
-    @property
-    def torque(self) -> Array:
-        """Torque about the reference point, ``(1,)`` in the plane, ``(3,)`` about axes of space."""
-        return self._torque
-
-    @torque.setter
-    def torque(self, value: npt.ArrayLike):
-        self._torque[:] = value
-
-    @property
-    def prescribed(self) -> Array:
-        """Values of what is held: displacements of the point, and angles, ``(num_components,)``."""
-        return self._prescribed
-
-    @prescribed.setter
-    def prescribed(self, value: npt.ArrayLike):
-        self._prescribed[:] = value
-
-    @property
-    def springs(self) -> Array:
-        """Stiffness of springs to the anchors, ``(num_components,)``; 0 for none."""
-        return self._springs
-
-    @springs.setter
-    def springs(self, value: npt.ArrayLike):
-        self._springs[:] = value
-
-    @property
-    def anchors(self) -> Array:
-        """Values of the components at which springs have no force, ``(num_components,)``."""
-        return self._anchors
-
-    @anchors.setter
-    def anchors(self, value: npt.ArrayLike):
-        self._anchors[:] = value
-
-    @property
-    def displacement(self) -> Array:
-        """Displacement t of the reference point, ``(n,)``, the same on every rank."""
-        return self._values[: self._n].copy()
-
-    @property
-    def angles(self) -> Array:
-        """Rotations added up, in radians, ``(1,)`` in the plane, ``(3,)`` in space."""
-        return self._values[self._n :] / self._length
 
     @property
     def rotation(self) -> Array:
@@ -225,11 +113,6 @@ class RigidBody:
         return self._reaction.copy()
 
     # What a problem asks for
-
-    @property
-    def given(self) -> list[Array]:
-        """Arrays in which a user changes its values."""
-        return [self._force, self._torque, self._prescribed, self._springs, self._anchors]
 
     @property
     def constants(self) -> list[fem.Constant]:
@@ -283,16 +166,8 @@ class RigidBody:
         M[self._rotates] = self._torque
         moment, slope = moment_of(self._theta, M)
         at = self._rotates
-        load = np.append(self._force, moment[at]) + self._springs * self._anchors
-        self._load.value[:] = load * self._units
-        self._own.value[:] = springs * self._springs * self._units**2
+        self._set(moment[at], springs)
         self._slope.value[n:, n:] = -slope[at, at] / self._length**2
-        for goal, value in zip(self._goals, self._prescribed / self._units, strict=True):
-            goal.value = value
-
-    def shared(self, values: Array) -> Array:
-        """Values of its unknowns on every rank, from this rank's. Collective."""
-        return self._comm.bcast(np.array(values[: len(self.components)]))  # rank 0 has the cell
 
     def turn_by(self, change: Array) -> float:
         """Angle of a change of this rank's unknowns, in radians. Collective."""
@@ -344,7 +219,7 @@ class RigidBody:
         for arms, forces in loads:
             x, _, _ = rotated(self._theta, arms @ self._turn.T)
             total[:n] += forces.sum(axis=0)
-            total[n:] += np.cross(x, _in_space(forces)).sum(axis=0)[at]
+            total[n:] += np.cross(x, in_space(forces)).sum(axis=0)[at]
         some = self.held[n:].any()  # of rotations
         self._reaction = np.where(
             np.append(self.held[:n], np.full(len(total) - n, some)), -total, 0.0
@@ -367,15 +242,11 @@ class RigidBody:
         self.assign()
 
 
-def _in_space(x: Array) -> Array:
-    """Vectors with three components."""
-    return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
-
-
 @dataclass(frozen=True)
 class RigidComponent(Component):
     """The unknowns of a rigid body in the place of a field; its nodes are those of its mesh."""
 
+    remedy: ClassVar[str] = "held="
     body: RigidBody
 
     @classmethod
@@ -411,7 +282,7 @@ class RigidSides:
         """
         self.bodies = list(bodies)
         """Γ0's and Γ1's, None for another body."""
-        self._sides = [(b, _in_space(x)) for b, x in zip(bodies, arms, strict=True)]
+        self._sides = [(b, in_space(x)) for b, x in zip(bodies, arms, strict=True)]
         self._n = arms[0].shape[1]
         self.moves = [body is not None for body in bodies]
         """True for sides on a rigid body."""

@@ -316,6 +316,7 @@ class IterativeSolver(KSPSolver):
         reasons = {
             "free interior nodes belong to no body": constraints.interior_sizes,
             "a tie has a compliance": constraints.compliances,
+            "a coupling's point has no stiffness": constraints.couplings,
             "a tie has a law or a conductance": constraints.jump_fields,
             "a space is mixed: a body may be singular by itself (a pressure is free)": any(
                 map(is_mixed, system.spaces)

@@ -16,6 +16,7 @@ from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import PrescribedSideError, SolveError
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
@@ -73,6 +74,7 @@ class TiedSystem(collective.Owner):
         bcs: Sequence[fem.DirichletBC],
         pieces: TiedInterfaces,
         u: Sequence[fem.Function],
+        couplings: Sequence[Coupling] = (),
     ):
         """Make the matrix and the vectors, without values in K and b. Collective.
 
@@ -81,12 +83,15 @@ class TiedSystem(collective.Owner):
             bcs: Dirichlet conditions of all bodies, in any order.
             pieces: The ties and their interfaces.
             u: Solution function of each body.
+            couplings: Couplings of surfaces with points; their forms, unknowns and conditions are
+                the last of those above.
 
         Raises:
-            ValueError: A tie or boundary condition on a space of no body; a tie given twice.
+            ValueError: A tie, coupling or condition on a space of no body; a tie given twice.
             InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
         """
         self._a, self._u, self._pieces = list(a), list(u), pieces
+        self._couplings, self._num_own = list(couplings), len(a) - len(couplings)
         ties = pieces.ties
         self._solved = False
         self._motions_known = self._constants_known = False
@@ -143,7 +148,9 @@ class TiedSystem(collective.Owner):
         while True:
             pieces = self._pieces
             try:
-                return ConstraintBlocks(spaces, self._bcs, pieces.interfaces, pieces.names)
+                return ConstraintBlocks(
+                    spaces, self._bcs, pieces.interfaces, pieces.names, self._couplings
+                )
             except PrescribedSideError as error:
                 other = pieces.turned_over(error.interface)
                 if other is None:
@@ -161,6 +168,7 @@ class TiedSystem(collective.Owner):
                 f"the matrix is singular: {free} rigid motion{'s'[: free > 1]} of the bodies "
                 f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held"
+                f"{', or a coupling by held=' if self._couplings else ''}"
                 f"{pressures if any(map(is_mixed, self._system.spaces)) else ''}."
             )
         self._motions_known = True
@@ -286,7 +294,7 @@ class TiedSystem(collective.Owner):
     @property
     def u(self) -> list[fem.Function]:
         """The solution of each body."""
-        return self._u
+        return self._u[: self._num_own]
 
     @property
     def ties(self) -> list[Interface]:

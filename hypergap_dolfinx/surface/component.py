@@ -8,6 +8,7 @@ this module maps it to the body's.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -25,6 +26,8 @@ from hypergap_dolfinx.surface.trace import is_mixed, lagrange_element
 class Component:
     """Space of one side of a tie, whole or a component such as ``W.sub(0)``."""
 
+    remedy: ClassVar[str] = "boundary conditions"
+    """How users hold it, in messages."""
     given: fem.FunctionSpace
     """The space as given by the user."""
     space: fem.FunctionSpace

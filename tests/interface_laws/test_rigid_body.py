@@ -131,6 +131,17 @@ def test_spring_bed(eccentric):
         close(scene.body.angles, [-2.0 * eccentric * c / (2**3 / 12)], 0.2)
 
 
+def test_axisymmetric():
+    """A ring on a compliant floor sinks by F c / A along the axis; other motions are refused."""
+    options = {"rigid_bed": True, "compliance": 1e-3, "axisymmetric": True}
+    with raises(ValueError, r'can move along the axis only; make it with held=\("x", "rotation"\)'):
+        bed_and_block(**options)
+    scene = bed_and_block(**options, held=("x", "rotation"))
+    scene.body.force = 0.0, -2.0
+    scene.problem.solve()
+    close(scene.body.displacement, (0, -2.0 * 1e-3 / (np.pi * (3**2 - 1))), 1e-10)
+
+
 @two_ranks()
 def test_quarter_turns():
     """Turned by 90° by a torque in one load step; in space about x after z. Nodes move rigidly."""
@@ -223,9 +234,10 @@ def test_restored_after_failure():
 def test_bodies_that_nothing_holds():
     """They are named, in the status and in the error."""
     scene = bed_and_block()
-    assert "nothing holds body 1" in scene.problem.status()
+    status = scene.problem.status()
+    assert "nothing holds body 1" in status and "something touches; hold it by held=." in status
     scene.body.force = 0.1, -0.3
-    with raises(SolveError, r"body 1, at \(2, 0.5\), along \(1, 0\)"):
+    with raises(SolveError, r"body 1, at \(2, 0.5\), along \(1, 0\); hold them by held=\."):
         scene.problem.solve()
     scene.body.springs[0] = 1.0
     assert "nothing holds" not in scene.problem.status()

@@ -1,0 +1,280 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Couplings of a surface with a point: exact solutions, balance, rigid sections, messages."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import NU, SOLVED, E
+from helpers import close, interpolated, raises
+
+import meshes
+import ufl
+from dolfinx import fem, mesh
+from hypergap_dolfinx import Coupling, InterfaceError, SolveError, Tie, TiedProblem
+
+comm = MPI.COMM_WORLD
+BALANCED = 1e-10  # of the loads
+pytestmark = pytest.mark.ranks
+KINDS = "distributing", "rigid"
+FIRST = {2: (meshes.LEFT, meshes.RIGHT), 3: (meshes.BACK, meshes.FRONT)}
+
+
+def elastic(V, nu=NU):
+    """Bilinear form, of plane strain in the plane."""
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    eps, n = ufl.sym(ufl.grad(u)), V.mesh.geometry.dim
+    stress = E / (1 + nu) * (eps + nu / (1 - 2 * nu) * ufl.tr(eps) * ufl.Identity(n))
+    return ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+
+
+def bar(dim, degree=1, low=None, cell=None, across=3):
+    """A bar of length 2 along x (in space z), 1 × 1 across, as (space, tags)."""
+    low = np.zeros(dim) if low is None else np.asarray(low, dtype=float)
+    size = np.ones(dim)
+    size[0 if dim == 2 else 2] = 2.0
+    cell = cell or {2: "triangle", 3: "hexahedron"}[dim]
+    n = (4, across) if dim == 2 else (2, across, 3)
+    made, tags = meshes.block(comm, n, lambda s: low + size * s, cell=cell)
+    return fem.functionspace(made, ("Lagrange", degree, (dim,))), tags
+
+
+def held(V, facets, value=None, component=None):
+    """Condition on facets: a displacement, or one component of 0."""
+    fdim = V.mesh.topology.dim - 1
+    if component is not None:
+        dofs = fem.locate_dofs_topological(V.sub(component), fdim, facets)
+        return fem.dirichletbc(0.0, dofs, V.sub(component))
+    dofs = fem.locate_dofs_topological(V, fdim, facets)
+    return fem.dirichletbc(value or fem.Function(V), dofs)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("dim", "cell"), [(2, "triangle"), (3, "hexahedron"), (3, "tetrahedron")])
+def test_pulled(kind, dim, cell):
+    """A bar with the same stress all along, by a force at any point and its torque."""
+    nu = NU if kind == "distributing" else 0.0  # a rigid section doesn't contract
+    V, tags = bar(dim, cell=cell)
+    along = 0 if dim == 2 else 2
+    sides = {along: FIRST[dim][0], 1: meshes.BOTTOM}
+    if dim == 3:
+        sides[0] = meshes.LEFT
+    symmetric = [held(V, tags.find(tag), component=k) for k, tag in sides.items()]
+    if kind == "rigid":  # conditions beside it hold what it can't follow
+        symmetric = [held(V, tags.find(FIRST[dim][0]))]
+    centre = np.full(dim, 0.5)
+    centre[along] = 2.0
+    point = centre + np.array([3.0, -2.0, 0.7])[:dim]
+    end = Coupling((V, tags.find(FIRST[dim][1])), point=point, kind=kind)
+    problem = TiedProblem([elastic(V, nu)], [None], bcs=symmetric, couplings=[end])
+    end.force[along] = 0.3
+    pad = np.zeros(3 - dim)
+    moment = np.cross(np.append(centre - point, pad), np.append(end.force, pad))
+    end.torque = moment[2:] if dim == 2 else moment
+    (u,) = problem.solve()
+    stiff, across = (E / (1 - nu**2), nu / (1 - nu)) if dim == 2 else (E, nu)
+
+    def exact(x):
+        found = -across * 0.3 / stiff * x[:dim]
+        found[along] = 0.3 / stiff * x[along]
+        return found
+
+    close(u.x.array, interpolated(V, exact).x.array, SOLVED)
+    at = exact(np.append(centre, pad))
+    close(end.displacement, at, SOLVED)
+    assert np.abs(end.angles).max() < SOLVED and not end.reaction.any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("by", ["torque", "angle"])
+def test_bent(kind, by):
+    """Pure bending with elements of degree 2."""
+    nu = NU if kind == "distributing" else 0.0
+    V, tags = bar(2, 2, low=(0, -0.5))
+
+    def exact(x):
+        return np.vstack((x[0] * x[1], -(x[0] ** 2 + nu / (1 - nu) * x[1] ** 2) / 2))
+
+    fixed = held(V, tags.find(meshes.LEFT), interpolated(V, exact))
+    options = {"held": "rotation"} if by == "angle" else {}
+    end = Coupling((V, tags.find(meshes.RIGHT)), point=(2, 0), kind=kind, **options)
+    problem = TiedProblem([elastic(V, nu)], [None], bcs=[fixed], couplings=end)
+    torque = -E / (1 - nu**2) / 12
+    if by == "torque":
+        end.torque = torque
+    else:
+        end.prescribed[2] = -2.0
+    (u,) = problem.solve()
+    close(u.x.array, interpolated(V, exact).x.array, SOLVED)
+    close(end.angles, [-2.0], SOLVED)
+    close(end.displacement, (0, -2 - nu / (1 - nu) / 24), SOLVED)
+    close(end.reaction, (0, 0, torque if by == "angle" else 0), SOLVED)
+
+
+def test_twisted():
+    """A torque acts as the tractions of a round shaft: twist, with the walls of one."""
+    V, tags = bar(3, low=(-0.5, -0.5, 0))
+
+    def exact(x):
+        return 0.3 * x[2] * np.stack((-x[1], x[0], 0 * x[2]))
+
+    walls = meshes.LEFT, meshes.RIGHT, meshes.BOTTOM, meshes.TOP, meshes.BACK
+    facets = np.sort(np.concatenate([tags.find(tag) for tag in walls]))
+    end = Coupling((V, tags.find(meshes.FRONT)), point=(0, 0, 2), kind="distributing")
+    fixed = held(V, facets, interpolated(V, exact))
+    problem = TiedProblem([elastic(V)], [None], bcs=[fixed], couplings=[end])
+    end.torque[2] = 0.3 * E / (2 * (1 + NU)) / 6
+    (u,) = problem.solve()
+    close(u.x.array, interpolated(V, exact).x.array, SOLVED)
+    close(end.angles, (0, 0, 0.6), SOLVED)
+
+
+def two_bars(dim, kind, held_parts=(), degree=1):
+    """A bar that is clamped at its beginning, another one tied to it, coupled at its end."""
+    far = np.zeros(dim)
+    far[0 if dim == 2 else 2] = 2.0
+    (V0, tags0), (V1, tags1) = bar(dim, degree), bar(dim, degree, low=far, across=2)
+    first, last = FIRST[dim]
+    tie = Tie((V0, tags0.find(last)), (V1, tags1.find(first)))
+    point = 1.5 * far + 0.3
+    end = Coupling((V1, tags1.find(last)), point=point, kind=kind, held=held_parts)
+    problem = TiedProblem(
+        [elastic(V0), elastic(V1)],
+        [None, None],
+        bcs=[held(V0, tags0.find(first))],
+        ties=[tie],
+        couplings=[end],
+    )
+    return problem, tie, end, tags1.find(last)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_balance(kind, dim):
+    """Forces and torques, reactions and springs are those of the tie below; work is symmetric."""
+    names = {2: ("y", "rotation"), 3: ("y", "rx", "rz")}[dim]
+    works = []
+    for parts in ((), names):
+        problem, tie, end, _ = two_bars(dim, kind, parts, degree=3 - (dim == 3))
+        end.force = (0.01, 0.02, -0.03)[:dim]
+        end.torque = 0.01 if dim == 2 else (0.03, -0.01, 0.02)
+        end.springs[0], end.anchors[0] = 0.02, 0.3
+        if parts:
+            end.prescribed[end.held] = works[0][end.held]
+        _, u1 = problem.solve()
+        values = np.append(end.displacement, end.angles)
+        loads = np.append(end.force, end.torque) + end.springs * (end.anchors - values)
+        loads += end.reaction
+        found = np.append(tie.force(problem, on=u1), tie.moment(problem, end.point, on=u1))
+        assert np.abs(found + loads).max() < BALANCED * np.abs(loads).max()
+        works.append(values)
+    close(works[1], works[0], 1e-9)  # held where it went by itself: without reactions
+    assert np.abs(end.reaction).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_held_by_a_coupling(kind):
+    """All of it held, rigid: as a condition at each node; distributing: mean motions only."""
+    problem, _, end, last = two_bars(2, kind, ("x", "y", "rotation"))
+    end.prescribed = 0.01, -0.02, 0.03
+    u0, u1 = problem.solve()
+    close(np.append(end.displacement, end.angles), end.prescribed, 1e-12)
+    V = u1.function_space
+
+    def motion(x):
+        a, b = x[0] - end.point[0], x[1] - end.point[1]
+        return np.stack((0.01 - 0.03 * b, -0.02 + 0.03 * a))
+
+    dofs = fem.locate_dofs_topological(V, 1, last)
+    off = np.abs((u1.x.array - interpolated(V, motion).x.array).reshape(-1, 2)[dofs])
+    off = comm.allreduce(off.max(initial=0), MPI.MAX)
+    if kind == "distributing":
+        assert off > 1e-4
+        return
+    assert off < SOLVED
+    V0 = u0.function_space
+    left = mesh.locate_entities_boundary(V0.mesh, 1, lambda x: np.isclose(x[0], 0))
+    fixed = [held(V0, left), fem.dirichletbc(interpolated(V, motion), dofs)]
+    again = TiedProblem([elastic(V0), elastic(V)], [None] * 2, bcs=fixed, ties=problem.ties)
+    close(again.solve()[1].x.array, u1.x.array, SOLVED)
+
+
+def test_nothing_else_holds():
+    """A bar that only a coupling holds; what isn't held is told."""
+    V, tags = bar(2)
+    sides = [(V, tags.find(tag)) for tag in FIRST[2]]
+    for parts, free in (("x", "y", "rotation"), 0), (("x", "y"), 1), ((), 3):
+        first = Coupling(sides[0], point=(0, 0.5), kind="distributing", held=parts)
+        last = Coupling(sides[1], point=(2, 0.5), kind="rigid")
+        problem = TiedProblem([elastic(V)], [None], couplings=[first, last])
+        last.force[1] = 1.0
+        if free:
+            with raises(SolveError, f"{free} rigid motion.*or a coupling by held="):
+                problem.solve()
+            continue
+        problem.solve()
+        close(first.reaction, (0, -1, -2), 1e-9)
+
+
+def test_symmetry():
+    """A rigid surface meets a plane of symmetry where the point's motion keeps to it."""
+    V, tags = bar(2)
+    plane, right = held(V, tags.find(meshes.BOTTOM), component=1), tags.find(meshes.RIGHT)
+    left = held(V, tags.find(meshes.LEFT), component=0)
+    options = {"point": (2, 0), "kind": "rigid"}
+    with raises(ValueError, "prescribes y .* where its y is free.*name these in held="):
+        TiedProblem(
+            [elastic(V)], [None], bcs=[plane, left], couplings=Coupling((V, right), **options)
+        )
+    end = Coupling((V, right), held=("y", "rotation"), **options)
+    problem = TiedProblem([elastic(V)], [None], bcs=[plane, left], couplings=end)
+    end.force[0] = 1.0
+    (u,) = problem.solve()
+    dofs = fem.locate_dofs_topological(V, 1, right)
+    x = u.x.array.reshape(-1, 2)[dofs, 0]
+    assert comm.allreduce(np.abs(x - end.displacement[0]).max(initial=0)) < SOLVED
+    end.prescribed[1] = 0.1
+    with raises(InterfaceError, r"coupling 0: the prescribed displacements at \(2, 0\)"):
+        problem.solve()
+
+
+def test_bad_input():
+    """One line each."""
+    V, tags = bar(2)
+    W = fem.functionspace(V.mesh, ("Lagrange", 1))
+    right = tags.find(meshes.RIGHT)
+    good = {"point": (2, 0), "kind": "rigid"}
+    for side, options, match in (
+        ((V, right), {**good, "kind": "RBE2"}, "kind is .*not 'RBE2'"),
+        (V, good, "each side of a coupling is a pair"),
+        ((W, right), good, "a coupling moves displacements, with 2 components"),
+        ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling has 2 coordinates"),
+        ((V, right), {**good, "held": "z"}, "held has 'z'; components are x, y, rotation"),
+        ((V, right[:0]), good, "has no facets on any rank"),
+    ):
+        with raises((ValueError, InterfaceError), match):
+            Coupling(side, **options)
+    end, both = Coupling((V, right), **good), [elastic(V)]
+    other = Coupling((V, np.sort(np.append(right, tags.find(meshes.TOP)))), **good)
+    elsewhere = Coupling((bar(2)[0], right), **good)
+    fixed = [held(V, tags.find(meshes.LEFT))]
+    for couplings, options, match in (
+        ([V], {}, "couplings has a FunctionSpace"),
+        ([end, end], {}, "coupling 1 is given twice"),
+        ([end, other], {}, "rigid couplings 0 and 1 have 4 nodes in common"),
+        ([elsewhere], {}, "coupling 0 is on a space that is in no form"),
+        ([end], {"solver": "bodies"}, "a coupling's point has no stiffness"),
+    ):
+        with raises(ValueError, match):
+            TiedProblem(both, [None], bcs=fixed, couplings=couplings, **options)
+    problem = TiedProblem(both, [None], bcs=fixed, couplings=[end])
+    end.prescribed[0] = 1.0
+    with raises(ValueError, "coupling 0: a value is prescribed for x of a coupling"):
+        problem.solve()
+    end.prescribed[0], end.springs[2] = 0.0, -1.0
+    with raises(ValueError, "stiffness -1; give numbers ≥ 0"):
+        problem.solve()
+    end.springs[2], end.force[0] = 0.0, np.nan
+    with raises(ValueError, "NaN"):
+        problem.solve()
