@@ -80,7 +80,7 @@ class Coupling(ReferencePoint):
             ValueError: No displacements, another kind, a point or a name that is none.
         """
         if kind not in ("distributing", "rigid"):
-            raise ValueError(f'kind is "distributing" or "rigid", not {kind!r}.')
+            raise ValueError(f'kind is {kind!r}: give "distributing" or "rigid".')
         check_sides("coupling", side)
         V = side[0]
         n = V.mesh.geometry.dim
@@ -250,7 +250,7 @@ def check_couplings(couplings: Sequence[Coupling]):
             )
         for j, other in enumerate(couplings[:k]):
             if one is other:
-                raise ValueError(f"coupling {k} is given twice.")
+                raise ValueError(f"coupling {k} is given twice; once is enough.")
             if not (one.is_rigid and other.is_rigid and one.component.overlaps(other.component)):
                 continue
             shared = np.intersect1d(one.surface.dofs, other.surface.dofs)

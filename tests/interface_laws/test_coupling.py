@@ -246,7 +246,7 @@ def test_bad_input():
     right = tags.find(meshes.RIGHT)
     good = {"point": (2, 0), "kind": "rigid"}
     for side, options, match in (
-        ((V, right), {**good, "kind": "RBE2"}, "kind is .*not 'RBE2'"),
+        ((V, right), {**good, "kind": "RBE2"}, "kind is 'RBE2': give"),
         (V, good, "each side of a coupling is a pair"),
         ((W, right), good, "a coupling moves displacements, with 2 components"),
         ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling has 2 coordinates"),
