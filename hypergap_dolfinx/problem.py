@@ -133,6 +133,8 @@ class TiedProblem(TiedSystem):
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
         checks.check_scalars((*a, *loads), u or ())
+        if u is not None and len(u) != len(a):
+            raise ValueError(f"{len(u)} functions u for {len(a)} bodies: give one for each, or none.")
         solutions = list(u) if u is not None else [fem.Function(_space(L)) for L in loads]
         revolution.tell_couplings(a, couplings)
         loads += [one.L for one in couplings]

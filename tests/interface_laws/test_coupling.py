@@ -264,6 +264,7 @@ def test_bad_input():
         ([end, end], {}, "coupling 1 is given twice"),
         ([end, other], {}, "rigid couplings 0 and 1 have 4 nodes in common"),
         ([elsewhere], {}, "coupling 0 is on a space that is in no form"),
+        ([end], {"u": []}, "0 functions u for 1 bodies"),
         ([end], {"solver": "bodies"}, "a coupling's point has no stiffness"),
     ):
         with raises(ValueError, match):
