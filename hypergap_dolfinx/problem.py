@@ -134,9 +134,7 @@ class TiedProblem(TiedSystem):
 
         checks.check_scalars((*a, *loads), u or ())
         if u is not None and len(u) != len(a):
-            raise ValueError(
-                f"{len(u)} functions u for {len(a)} bodies: give one for each."
-            )
+            raise ValueError(f"{len(u)} functions u for {len(a)} bodies: give one for each.")
         solutions = list(u) if u is not None else [fem.Function(_space(L)) for L in loads]
         revolution.tell_couplings(a, couplings)
         loads += [one.L for one in couplings]
