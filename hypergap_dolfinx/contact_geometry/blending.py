@@ -2,18 +2,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Weighted gaps of Γ1's vertices from those of its edges' halves, or its facets' parts in space.
 
-A vertex a has the halves e of its edges, and is covered by :math:`c_a = 1 - \prod_e (1 - c_e)`, 1
-where one of them lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
-the weight of its row: a row that is hard to satisfy by little forces. So the row is
+A vertex a has the halves e of its edges. Its covered share is :math:`c_a = 1 - \prod_e (1 - c_e)`,
+1 where one half lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
+the weight of the vertex's row, which small forces can hardly satisfy then. So the row is
 
 .. math:: \hat g_a = g_a + \theta (1 - c_a)^2 S_a, \qquad S_a = \sum_b c_b g_b,
 
-with the vertices b beside a: the less is covered, the more it says what its neighbours' rows say
-already. Its multiplier may take the place of a neighbour's then, but not press where that doesn't:
-as c goes to 0, forces are those without the row, and equilibria are continuous functions of the
-load. Below :data:`SLIVER` the row is left out, and its pressure given to its neighbours', and below
-:data:`HARD` where no vertex beside it is covered by more. With the matrix L of these sums, ĝ = L g,
-multipliers p have the pressures Lᵀp. The same holds for slips.
+with the vertices b beside a. The smaller c_a, the more the row repeats those of its neighbours. Its
+multiplier may then replace a neighbour's, but can't press where no neighbour does. As c goes to 0,
+forces become those without the row, so equilibria are continuous functions of the load. The row is
+left out, and its pressure given to its neighbours, below :data:`SLIVER`, and below :data:`HARD` if
+no vertex beside it has a larger covered share. With the matrix L of these sums, ĝ = L g, multipliers
+p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass
@@ -139,7 +139,7 @@ class Blended:
 
     @cached_property
     def parting(self) -> Sparse:
-        """What Δu adds to gaps of points that stay opposite to each other."""
+        """Change of the gaps by Δu, with pairs of opposite points kept."""
         return self.L @ self.rays.parting()
 
     @cached_property

@@ -143,7 +143,7 @@ class Rays:
         call("slip_curvatures", self.pointer, ints(block), doubles(traction), blocks)
 
     def some(self, some) -> "Rays":
-        """A part of them, by numbers or a mask."""
+        """Subset, by numbers or a mask."""
         f0, f1 = self.facets
         xi, q, functions = (part[some] for part in (self.xi, self.q, self.functions))
         bends = None if self.bends is None else self.bends[some]

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Σ between bodies, and Γ1, where they are now as DOLFINx meshes, with values on them."""
+"""Σ and Γ1 at the present displacements as DOLFINx meshes, with values on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -59,7 +59,7 @@ class Frames:
 
     @classmethod
     def of(cls, surfaces: tuple[Surface, Surface]) -> "Frames":
-        """Those of all facets of Γ1."""
+        """Frames of all facets of Γ1."""
         above = surfaces[1]
         middle = reference_corners(above.geometry.cell_type).mean(axis=0)[None]
         values = above.geometry.tabulate(1, middle)[:, 0, :, 0]  # (value and slopes, node)
@@ -85,7 +85,7 @@ class Frames:
 
     @cached_property
     def in_c(self) -> Any:
-        """Γ0 and Γ1 for C; it lives as long as they do."""
+        """Γ0 and Γ1 for the C code; valid as long as both live."""
         return structs("Facets", [surface.polynomials for surface in self.surfaces])
 
 
@@ -124,7 +124,7 @@ class FacetPieces:
     ``(num_pieces, num, 3, 2)``; None where all are straight."""
 
     def some(self, some) -> "FacetPieces":
-        """A part of them, by numbers or a mask."""
+        """Subset, by numbers or a mask."""
         facets = self.facets[0][some], self.facets[1][some]
         part, X, num, label = (of[some] for of in (self.part, self.X, self.num, self.label))
         bend = None if self.bend is None else self.bend[some]
@@ -213,7 +213,7 @@ def parts_of(cell_type: basix.CellType) -> npt.NDArray[np.float64]:
 
 
 def find_pieces(frames: Frames) -> FacetPieces:
-    """All pieces."""
+    """Find all pieces."""
     below, above = frames.surfaces
     parts = parts_of(above.geometry.cell_type)
     f0, f1, part, count, edge, y, X = _cut(frames, parts)

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Contact segments in the plane: what the edges of Γ1 see of Γ0."""
+"""Contact segments in the plane: Γ0 as seen from the edges of Γ1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ class _Wall:
     """Size of Γ1's facet there."""
 
     def is_between(self, surfaces: tuple[Surface, Surface]) -> bool:
-        """True if it is one wall where the surfaces are."""
+        """True if a single wall lies between the surfaces."""
         a, b = self.vertices
         apart = surfaces[0].x[b, self.axis] - surfaces[1].x[a, self.axis]
         return abs(apart) <= END * self.size

@@ -186,7 +186,7 @@ class Segments(ABC):
     def given_over(
         self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
     ) -> npt.NDArray:
-        """Values of multipliers of which some don't exist any more, of the same forces.
+        """Multipliers with the same forces after some of them were removed.
 
         Args:
             u: Displacements.
@@ -198,7 +198,7 @@ class Segments(ABC):
     def reaches(
         self, u: Displacements, least: npt.NDArray[np.float64]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """How far apart and how deep in each other the sides are within what vertices have.
+        """Largest distance and largest overlap of the sides within each vertex's part of Γ1.
 
         Args:
             u: Displacements.
@@ -211,7 +211,7 @@ class Segments(ABC):
         return np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Pressures to look at, which have the force of p and less of its scatter between nodes.
+        """Pressures for plots: the force of p, with less scatter between nodes.
 
         Half of what each facet has of a vertex keeps the vertex' pressure, the other half has the
         mean of the facet.
@@ -234,7 +234,7 @@ class Segments(ABC):
 
     @abstractmethod
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        """Σ's cells where the bodies are, to look at.
+        """Σ's cells at the present displacements, for plots.
 
         Args:
             u: Displacements.

@@ -128,7 +128,7 @@ class PlaneRays:
         return self._slips(False, None if moved is None else doubles(moved))
 
     def parting(self) -> Sparse:
-        """What displacements add to gaps of vertices if opposite points stay so."""
+        """Change of the gaps by displacements, with pairs of opposite points kept."""
         return self._slips(True, None)
 
     def _slips(self, across: bool, moved) -> Sparse:
@@ -142,7 +142,7 @@ class PlaneRays:
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
     def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-        """Quadrilaterals between both sides, to look at.
+        """Quadrilaterals between both sides, for plots.
 
         Returns:
             Their corners, two on Γ1 and two on Γ0, ``(num, 4, 2)``, and the halves of Γ1's edges
@@ -167,7 +167,7 @@ class PlaneRays:
 
 
 def side_of(side: MovingSurface, first: int) -> dict[str, Any]:
-    """A side as C sees it, without its position.
+    """A side in the form that the C code takes, without its position.
 
     Args:
         side: Γ0 or Γ1.

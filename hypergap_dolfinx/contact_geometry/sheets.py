@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""What parts of Γ1's facets in space see of Γ0, where sheets end, turn away or lie behind others.
+r"""Weighted gaps of parts of Γ1's facets in space where sheets of Γ0 end, turn away or overlap.
 
 As in the plane (``rays.py``), with facets for edges and parts for halves: a sheet has the weight
 ω at a point, and hides those in front of it by that. With ω = 1 on all of a facet, as where one
@@ -115,7 +115,7 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
 def sort_out(
     frames: Frames, pieces: FacetPieces, least, most, height
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Which pieces are columns, and which are parts of faded facets.
+    """Separate pieces into columns and parts of faded facets.
 
     Args:
         frames: Γ0 and Γ1.
@@ -143,7 +143,7 @@ class Faded:
     """Parts of faded facets; all arrays of parts are ``(num_facets1 * num_corners,)``."""
 
     def __init__(self, frames: Frames, pieces: FacetPieces, dofs, body: BodyTriangles, parts):
-        """Those that have some pieces.
+        """Store the facets that have some of the pieces.
 
         Args:
             frames: Γ0 and Γ1.
@@ -215,7 +215,7 @@ class Faded:
         return _filled(1, lambda T: call("part_slips", *given, T))[0]
 
     def parting(self) -> Sparse:
-        """What displacements add to gaps of points that stay opposite to each other."""
+        """Change of the gaps by displacements, with pairs of opposite points kept."""
         return _filled(1, lambda C: call("part_slips", self._pointer, None, True, C))[0]
 
     def slip_curvature(self, q) -> Sparse:

@@ -65,7 +65,7 @@ class SpaceColumns:
 
     @classmethod
     def between(cls, sides: Sides, u: Displacements) -> "SpaceColumns | None":
-        """Those at given displacements, None if nothing of Γ1 sees Γ0."""
+        """Columns at given displacements; None if no part of Γ1 sees Γ0."""
         frames = Frames.of(displaced(sides, u))
         pieces, body = find_pieces(frames), BodyTriangles.of(frames.surfaces[0])
         if not len(pieces.num):
@@ -142,7 +142,7 @@ class SpaceColumns:
         return Sparse(rows, parts.j, parts.values)
 
     def parting(self) -> Sparse:
-        """What displacements add to gaps of vertices if opposite points stay so."""
+        """Change of the gaps by displacements, with pairs of opposite points kept."""
         C = self._own_slopes
         return joined(C, self._by_vertex(self.faded.parting())) if self.faded else C
 
@@ -219,7 +219,7 @@ class SpaceColumns:
         return np.flatnonzero(mask[self.piece])
 
     def pairs(self, on) -> tuple[npt.NDArray[np.intp], tuple[npt.NDArray, ...]]:
-        """The pairs of facets of some pieces.
+        """Pairs of facets of some pieces.
 
         Returns:
             Number of the pair of each piece, ``(num_pieces,)``, and both facets of pairs.

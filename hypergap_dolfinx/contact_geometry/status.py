@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A table of contacts before they are solved: what faces what, how far apart, and what doesn't."""
+"""Table of contacts before a solve: facing facets, their distances, and facets without any."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -109,7 +109,7 @@ class ContactStatus:
         return [*cells, self.sides]
 
     def doubts(self, number: int) -> list[str]:
-        """Sentences about what faces nothing."""
+        """Sentences about vertices that face nothing."""
         name, away = f"contact {number}", ~self.facing
         if self.error:
             return [f"{name}: {self.error}"]

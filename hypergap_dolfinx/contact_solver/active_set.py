@@ -12,7 +12,7 @@ from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS
 
 @dataclass
 class Guesses:
-    """Guesses of the working set of a step, each with the states of the last one's solution.
+    """Guesses of a step's working set, each from the states of the solution before.
 
     They end where all states are right; or where as few are wrong as columns are solved for, or
     they no longer become fewer: then the small problem is solved.
@@ -25,7 +25,7 @@ class Guesses:
     _last: float = np.inf
 
     def allow(self, num_wrong: int) -> bool:
-        """True if the states of a solution are to be the next guess."""
+        """True if the states of a solution become the next guess."""
         return num_wrong > self.least and (num_wrong < self._last or self.patience > 0)
 
     def take(self, num_wrong: int):

@@ -161,7 +161,7 @@ class ContactRows:
 
     @property
     def has_compliance(self) -> bool:
-        """True if gaps of what is in contact grow with pressures."""
+        """True if gaps of closed contact grow with pressures."""
         return self._contact.compliance is not None
 
     def _held_at(self, held, part: Component, side: MovingSurface, body, rigid):
@@ -330,7 +330,7 @@ class ContactRows:
         return np.concatenate([mask] * self._per_vertex)
 
     def new_gaps(self, changes: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
-        """Gaps after a step, without what a compliance adds. Collective.
+        """Gaps after a step, without those of a compliance. Collective.
 
         Args:
             changes: What is subtracted from this rank's displacements of each body.
@@ -365,7 +365,7 @@ class ContactRows:
         return self._root * force, self._root * EXACT * self._size
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
-        """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``.
+        """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``.
 
         Args:
             y: Gaps, ``(num_unknowns,)``.
@@ -374,7 +374,7 @@ class ContactRows:
         return self.valid & (np.where(self.state.active, f, y) < -self.least())
 
     def law(self, y, f, at, states=None):
-        """What is wrong by the laws of contact and friction: zero where they hold.
+        """Residual of the laws of contact and friction, zero where they hold.
 
         Args:
             y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
@@ -419,7 +419,7 @@ class ContactRows:
         return joined(rows.some(~self.is_in[rows.i]), self.watched_forces())
 
     def give(self) -> npt.NDArray[np.float64]:
-        """What a compliance adds to gaps, over multipliers."""
+        """Gap that a compliance adds, per unit of each multiplier."""
         return self._over_areas(self._stiffness * self._compliance)
 
     def accept(self, y, f, changed):
@@ -434,7 +434,7 @@ class ContactRows:
         return self._over_areas(np.full(len(self.m), self._root))
 
     def slide(self) -> bool:
-        """Let all slip in the working set; false without friction."""
+        """Make all multipliers of the working set slip; false without friction."""
         return False
 
     def start_set(self, stiffness: float, zero: float):
@@ -732,7 +732,7 @@ class ContactRows:
         return np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
 
     def unsatisfied(self) -> npt.NDArray[np.float64]:
-        """What is left of gaps and pressures, lengths, ``(num_multipliers,)``."""
+        """Residual gaps and pressures as lengths, ``(num_multipliers,)``."""
         left = np.minimum(self.state.p * self.m / self._stiffness, self.distance)
         return np.where(self.valid, left, 0)
 

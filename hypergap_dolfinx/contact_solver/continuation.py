@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton steps that are taken backwards, in part, or farther.
+"""Newton steps taken backwards, shortened or lengthened.
 
 Forces between bodies are continuous, with kinks where nodes pass. At a kink a branch of equilibria
 can end: where a corner ploughs with friction, bodies snap to another branch, which Newton steps
@@ -29,7 +29,7 @@ from hypergap_dolfinx.contact_solver.tolerances import BACK, IN_LINE, LONGER, OS
 
 
 class Continuation:
-    """Newton's iteration in one load step, seen from outside."""
+    """Observer of Newton's iteration in one load step: decides on the lengths of steps."""
 
     def __init__(self, comm: MPI.Comm, least: float):
         """Start.
@@ -50,7 +50,7 @@ class Continuation:
         return self._num_turned > 1
 
     def share(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> float:
-        """Part of a step that is to be taken; negative if backwards. Collective.
+        """Share of the step to take, negative if backwards. Collective.
 
         Args:
             moves: This rank's increments of each body's displacements.

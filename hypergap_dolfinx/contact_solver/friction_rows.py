@@ -68,7 +68,7 @@ class FrictionRows(ContactRows):
 
     @property
     def kept(self) -> dict[str, npt.NDArray]:
-        """The same with the elastic slip, and what was dissipated and slipped."""
+        """The same arrays, with the elastic slip, the dissipation and the slip."""
         own = {"elastic": self._elastic, "slipped": self.slipped}
         return {**super().kept, **own, "dissipated": np.array(self.dissipated)}
 
@@ -170,11 +170,11 @@ class FrictionRows(ContactRows):
         return self.state.active & self.state.sticks
 
     def stick(self):
-        """Let all that is active stick, where nothing else would hold a body."""
+        """Make all active multipliers stick where nothing else would hold a body."""
         self.state.sticks = self.mu > 0
 
     def slide(self) -> bool:
-        """Let all slip in the working set, without traction; true if something stuck."""
+        """Make all multipliers of the working set slip, without traction; true if one stuck."""
         stuck = bool(self.stuck.any())
         self.state.sticks, self.state.way = np.zeros_like(self.state.sticks), 0 * self.state.way
         return stuck
@@ -213,11 +213,11 @@ class FrictionRows(ContactRows):
         return self._all_slopes
 
     def give(self) -> npt.NDArray[np.float64]:
-        """What a compliance adds to gaps, over multipliers; nothing to slips."""
+        """Gap that a compliance adds, per unit of each multiplier; slips get nothing."""
         return np.append(super().give(), np.zeros((self._n - 1) * len(self.g)))
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
-        """Mask of multipliers in another state than in the working set, ``(num_unknowns,)``."""
+        """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``."""
         every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(self._n, -1) for v in (y, f))
         closed, sticks, way = states = self._states(y, f, every)
@@ -268,7 +268,7 @@ class FrictionRows(ContactRows):
         return error, by_y, by_f
 
     def law(self, y, f, at, states=None):
-        """What is wrong by the laws of contact and friction, as for a contact without friction.
+        """Residual of the laws of contact and friction, as for a contact without friction.
 
         ``states`` are those of :meth:`_states`, if they are given.
         """
@@ -355,7 +355,7 @@ class FrictionRows(ContactRows):
 
     @property
     def is_exact(self) -> bool:
-        """True if gaps are so small that moments of friction balance."""
+        """True if gaps are small enough for the moments of friction to balance."""
         return self.largest_gap <= EXACT * self._size
 
     def holds_too_much(self, nothing: float) -> bool:

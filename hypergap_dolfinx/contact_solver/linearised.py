@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""One linearised contact problem, solved exactly: factors, and a small problem of what changes.
+"""One linearised contact problem, solved exactly: factors, and a small complementarity problem.
 
 Without friction it is min ½ dᵀHd + rᵀd subject to g + Cd ≥ 0. With a working set A it is the
 linear system S = [H C_Aᵀ; C_A −c]. Where a pressure in A comes out negative, or a gap outside, such
@@ -94,7 +94,7 @@ class LinearisedContact:
         equations: Sequence[Linear],
         stiffness: float,
     ):
-        """Store what it consists of.
+        """Store the parts of the problem.
 
         Args:
             tangent: The matrix.

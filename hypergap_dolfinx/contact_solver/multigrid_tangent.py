@@ -54,7 +54,7 @@ def why_not(system: System, rows: Sequence[ContactRows]) -> str | None:
 
 
 class IterationFailed(SolveError):
-    """Multigrid doesn't solve for a Newton step: the case for factors."""
+    """Failure of multigrid in a Newton step; factors replace it."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The matrix of Newton's steps for bodies in contact, of which pattern and analysis are kept.
+"""Matrix of Newton's steps for bodies in contact; its pattern and analysis are kept.
 
 Active sets change from step to step, and so do the facets that face each other. So each multiplier
 has an equation, p = 0 if it is inactive, and there is room for entries that may come next.
@@ -57,7 +57,7 @@ class Way:
 
 
 def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: bool) -> list[Way]:
-    """Ways to solve for Newton's steps, to be tried in this order.
+    """Solvers of Newton's steps, in the order in which they are tried.
 
     Args:
         prefix: Prefix of the KSP's options.
@@ -396,7 +396,7 @@ class Tangent:
         return Guesses(GUESSED)
 
     def improves(self, num_wrong: int) -> bool:
-        """True if a solution is to be solved for with new factors, the last ones being old.
+        """True if the solution needs new factors, since the last ones are old.
 
         Args:
             num_wrong: Number of wrong states in it.

@@ -90,7 +90,7 @@ class OutlineCurves:
     """Parts of the other piece's outline that are drawn on a piece."""
 
     def __init__(self, side: Side, other: Side):
-        """A piece without any, and the other one."""
+        """Store the piece, without any parts yet, and the other piece."""
         self.side, self.other = side, other
         degree, variant = geometry_nodes(
             [side.surface, other.surface], max(side.degree, other.degree)

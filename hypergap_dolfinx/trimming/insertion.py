@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Nodes that are inserted into a piece of a surface, and their places."""
+"""Nodes inserted into a piece of a surface, and their places."""
 
 from collections import defaultdict
 

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Outlines of two surfaces in space: which differ, and where they cross or touch."""
+"""Outlines of two surfaces in space: differences, crossings, common runs."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -57,7 +57,7 @@ class Rim:
         self._tilts = self._around()
 
     def curvature(self, corner: float) -> npt.NDArray[np.float64]:
-        """Curvature of the polygon in the surface, at its nodes; zero at corners.
+        """Curvature of the polygon within the surface, at its nodes; zero at corners.
 
         A curve goes on turning, a corner or a ragged outline don't. Coarse polygons of a closed
         curve have no corner at all.
@@ -112,7 +112,7 @@ class Rim:
         return np.arcsin(np.minimum(np.maximum.reduceat(sine, first), 1))
 
     def off(self, other: "Rim", corner: float = CORNER_OUTLINE):
-        """Distances of its nodes from another one, less what the meshes can't know.
+        """Distances of its nodes from another outline, less the uncertainty of both meshes.
 
         Of one curve polygons through nodes on it are off by their sag, as far as both turn. Across
         a gap they are off as far as normals are uncertain.
@@ -172,7 +172,7 @@ def _along(apart, normal):
 
 
 class Shared:
-    """Places at which two outlines are one, within what the meshes can't know, and runs between."""
+    """Places where two outlines coincide within the meshes' uncertainty, and runs between them."""
 
     def __init__(self, rims: tuple[list[Rim], ...], tolerance: float, paired: float, corner: float):
         """Outlines of facing pieces.
