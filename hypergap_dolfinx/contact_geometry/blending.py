@@ -12,8 +12,8 @@ with the vertices b beside a. The smaller c_a, the more the row repeats those of
 multiplier may then replace a neighbour's, but can't press where no neighbour does. As c goes to 0,
 forces become those without the row, so equilibria are continuous functions of the load. The row is
 left out, and its pressure given to its neighbours, below :data:`SLIVER`, and below :data:`HARD` if
-no vertex beside it has a larger covered share. With the matrix L of these sums, ĝ = L g, multipliers
-p have the pressures Lᵀp. The same holds for slips.
+no vertex beside it has a larger covered share. With the matrix L of these sums, ĝ = L g, and
+multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass
