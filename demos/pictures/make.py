@@ -32,6 +32,7 @@ PICTURES = {
     "periodic_cell": ("periodic_cell", "--fibres"),
     "pressurised_cylinder": ("gap_domain", "--degree", "2", "--levels", "1"),
     "pressurised_sphere": ("gap_domain", "--degree", "2", "--levels", "1"),
+    "press_fit": ("press_fit",),
     "read_meshes": ("read_meshes",),
     "thermal_resistance": ("thermal_resistance", "--levels", "2"),
     "write_files": ("write_files",),
@@ -46,7 +47,6 @@ CHARTS = {
     "hertz": ("hertz",),
     "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
     "plasticity": ("plasticity",),
-    "press_fit": ("press_fit",),
     "rolling": ("rolling",),
     "slender_contact": ("slender_contact",),
     "stability": ("stability",),
@@ -58,10 +58,12 @@ FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5", "--friction", 
 
 
 def thumbnail(picture: Path, file: Path):
-    """Without what stands around the bodies: the scale on the right, text above, white."""
+    """Without what stands around the bodies: scale, text, white; a tall body lies on its side."""
     image = Image.open(picture).convert("RGB").crop((0, 40, 1020, 900))
     rows, columns = np.nonzero(np.asarray(image).min(axis=2) < 250)
     image = image.crop((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1))
+    if image.height > 3 * image.width:
+        image = image.transpose(Image.Transpose.ROTATE_270)
     _save(image, file)
 
 
