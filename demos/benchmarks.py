@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 #
 # A table "published, here, difference" has a row for each number. Each scene is a function, with
-# its source. Some references are closed forms of infinite bodies or of beams, which a finite mesh
+# its source. Some references are exact for infinite bodies or for beams, which a finite mesh
 # meets within about 1 %. Others are results of other codes, or curves read from a paper, with the
 # tolerance that their authors give.
 #
@@ -471,6 +471,76 @@ def lifting_beam(comm):
     ]
 
 
+def receding_layer(comm, n=32):
+    """A layer, 0 < y < 1, is pressed on a half-plane of its kind by a load on |x| < b = ½.
+
+    It lifts off where |x| > a, whatever the load (Keer, Dundurs, Tsai 1972).
+    """
+    b, x, rest = 0.5, graded(2, 1 / n, 8, 1.05), graded(2, 1 / n, 60)
+
+    def place(s):
+        return np.column_stack((positions(s[:, 0], x), s[:, 1]))
+
+    layer = Body(comm, (len(x) - 1, n // 2), place, 1.0)
+    base = Body(comm, *below(rest, rest), 1.0)
+    for body in (layer, base):
+        body.hold(meshes.LEFT, 0)
+    base.hold(meshes.BOTTOM, 0, 1)
+    load, area = layer.press(meshes.TOP, (0, -1), lambda x: x[0] < b)
+    top = base.side(meshes.TOP, lambda x: x[0] < 8)
+    contact = Contact(layer.side(meshes.BOTTOM), top, sliding="small")
+    problem = problem_of([layer, base], [contact])
+    load.value = 1e-6 / area
+    problem.solve()
+    x, p = profile(problem, contact)
+    near = np.flatnonzero(p > 0)[-8:-1]
+    slope, start = np.polyfit(x[near], p[near] ** 2, 1)  # p² is linear at the edge
+    edge = -start / slope
+    a, middle = receding(b)
+    return [
+        Row("receding layer", "half-length a", a, edge, 0.01),
+        Row("receding layer", "p in the middle", middle, p[0] / 2e-6, 0.01),
+    ]
+
+
+def receding(b, num=6):
+    """Half-length of contact, and the pressure in its middle for a unit force.
+
+    The bottom of a layer under pressures q on top and p below is sunk by the Fourier transform
+    2 / (E* k) ((B - S) q - (B + S) p) / 2, the half-plane by 2 / (E* k) p; B is for bending, S for
+    squeezing. Slopes are equal where they touch. There p = Σ_m c_m √(1 - s²) U_m(s), s = x / a and
+    m = 0, 2, …, with c_0 from the force; a is where n + 1 slopes determine n coefficients.
+    """
+    points, weights = np.polynomial.legendre.leggauss(10)
+    ends = np.append(1e-4, np.linspace(0.2, 50, 250))
+    half = np.diff(ends)[:, None] / 2
+    k, dk = ((ends[:-1, None] + half * (points + 1)).ravel()), (half * weights).ravel()
+    B = 2 * np.cosh(k / 2) ** 2 / (np.sinh(k) - k)
+    S = 2 * np.sinh(k / 2) ** 2 / (np.sinh(k) + k)
+    q, even = np.sinc(k * b / np.pi), np.arange(0, 2 * num + 2, 2)
+    t = np.pi * np.arange(1, 100) / 100  # s = cos t
+    shapes = np.pi / 100 * np.sin(t) * np.sin(np.outer(even + 1, t))
+    angles = np.pi * (np.arange(num + 1) + 0.5) / (2 * num + 2)
+
+    def slopes(a):
+        """Those of what is known, and of each c_m."""
+        p = a * shapes @ np.cos(a * np.outer(np.cos(t), k))
+        sines = np.sin(a * np.outer(np.cos(angles), k)) * dk
+        of_p = sines @ (((B + S) / 2 - 1) * p).T + 2 * np.pi * np.cos(np.outer(angles, even + 1))
+        known = sines @ ((B - S) / 2 * q) - of_p[:, 0] * 2 / (np.pi * a)
+        return known, of_p[:, 1:]
+
+    low, high = 1.0, 2.0
+    sign = np.sign(np.linalg.det(np.column_stack(slopes(low))))
+    for _ in range(40):
+        a = (low + high) / 2
+        same = np.sign(np.linalg.det(np.column_stack(slopes(a)))) == sign
+        low, high = (a, high) if same else (low, a)
+    known, of_p = slopes(a)
+    c = np.append(2 / (np.pi * a), np.linalg.lstsq(of_p, known, rcond=None)[0])
+    return a, c @ (-1.0) ** (even // 2)
+
+
 def first_yield(comm):
     """J2 plasticity under a sphere: first yield at p0 = 1.6 σ_y (Johnson, section 6.2)."""
     return [Row("J2", "p0 / σ_y at first yield", 1.60, plasticity.first_yield(comm, 24), 0.01)]
@@ -485,6 +555,7 @@ SCENES = {
     "rounded-punch": rounded_punch,
     "press-fit": press_fit,
     "lifting-beam": lifting_beam,
+    "receding-layer": receding_layer,
     "J2": first_yield,
 }
 
