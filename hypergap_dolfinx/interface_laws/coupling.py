@@ -131,7 +131,8 @@ class Coupling(ReferencePoint):
         some = np.flatnonzero(mark.array).astype(np.int32)
         tags = dolfinx.mesh.meshtags(mesh, n - 1, some, np.ones_like(some))
         t, axis, point = (
-            fem.Constant(mesh, default_scalar_type(np.zeros(size))) for size in (n, num - n, n)
+            fem.Constant(mesh, np.zeros(size, dtype=default_scalar_type))
+            for size in (n, num - n, n)
         )
         point.value[:] = self._point
         x = ufl.SpatialCoordinate(mesh) - point
