@@ -108,8 +108,8 @@ class Contact:
             side0: Γ0: a pair ``(V, facets)`` of a Lagrange space of displacements and local indices
                 of exterior facets of its mesh, as given by ``facet_tags.find(tag)``; in a mixed
                 space (Taylor–Hood) ``(W.sub(0), facets)``.
-            side1: Γ1, which carries the pressures: the same. In the plane both sides may be one
-                surface, with the same facets, which meets itself.
+            side1: Γ1, which carries the pressures: the same. Both sides may be one surface, with
+                the same facets, which meets itself.
             sliding: ``"finite"``: Σ follows the bodies. ``"small"``: Σ and the derivatives of the
                 gaps are those of the start, so that the constraints are linear.
             friction: Coulomb's coefficient μ ≥ 0: a number, a ``fem.Constant``, or a scalar
@@ -197,7 +197,7 @@ class Contact:
         """True if both sides are one surface. Collective.
 
         Raises:
-            InterfaceError: They share some facets, or are one in space.
+            InterfaceError: They share some facets.
         """
         together = side0[0].mesh is side1[0].mesh
         shared = together and bool(np.isin(side0[1], side1[1]).any())
@@ -207,8 +207,6 @@ class Contact:
         why = None
         if self._comm.allreduce(differ, MPI.LOR):
             why = "Γ0 and Γ1 share facets; give each side its own, or all of them to both."
-        elif side0[0].mesh.geometry.dim == 3:
-            why = "in space a surface can't meet itself; give Γ0 and Γ1 facets of their own."
         raise_on_all(self._comm, why)
         return True
 
@@ -366,7 +364,7 @@ class Contact:
         limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
         gives = self._compliance is not None or bool(limited)
         if self._surfaces[0].gdim == 3:
-            return SpaceSegments.between(self._sides, u, gives=gives)
+            return SpaceSegments.between(self._sides, u, gives=gives, itself=self._itself)
         return PlaneSegments.between(self._sides, u, held, gives=gives, itself=self._itself)
 
     @property

@@ -45,6 +45,17 @@ static double triangle_distance(const double *x, const double *point, double *in
   return within ? fabs(*inside) : least;
 }
 
+// Whether a facet g of Γ0 can meet a facet f of Γ1.
+static int can_meet(const Own *own, int f, int g)
+{
+  if (!own)
+    return 1;
+  for (int k = own->first[f]; k < own->first[f + 1]; ++k)
+    if (own->near[k] == g)
+      return 0;
+  return own->turn[g] < own->turn[f];
+}
+
 static void look_for(Nearest *found, int start, int end, const Ball *ball)
 {
   double apart[3];
@@ -54,8 +65,11 @@ static void look_for(Nearest *found, int start, int end, const Ball *ball)
   int half = (start + end) / 2;
   if (half == start)
   {
-    int corners[2], triangle = found->order[start];
-    double inside, far = triangle_distance(found->x + 9 * triangle, found->point, &inside, corners);
+    const Body *body = found->body;
+    int corners[2], triangle = body->order[start];
+    if (!can_meet(body->own, found->facet, triangle / body->triangles_a_facet))
+      return;
+    double inside, far = triangle_distance(body->x + 9 * triangle, found->point, &inside, corners);
     // At edges and corners the side on which the point is is that of the plane farthest away
     if (far < (1 - SAME) * found->nearest
         || (far <= (1 + SAME) * found->nearest && fabs(inside) > fabs(found->inside)))
@@ -90,9 +104,9 @@ int open_body(Body *body)
   return can;
 }
 
-Nearest nearest_of(const Body *body, const double *point)
+Nearest nearest_of(const Body *body, const double *point, int facet)
 {
-  Nearest found = {.x = body->x, .point = point, .order = body->order, .nearest = INFINITY};
+  Nearest found = {.body = body, .point = point, .facet = facet, .nearest = INFINITY};
   look_for(&found, 0, body->num_triangles, body->balls);
   return found;
 }
@@ -101,14 +115,16 @@ Nearest nearest_of(const Body *body, const double *point)
 //
 // x       corners, counterclockwise from outside, (num_triangles, 3, 3)
 // order   the triangles along a curve that fills space
+// own     which facets of Γ0 count, NULL: all
 // points  (num, 3)
-int find_depths(int num_triangles, const double *x, const int *order, int num,
-                const double *points, double *depths)
+// facets  of Γ1, on which they are, (num)
+int find_depths(int num_triangles, const double *x, const int *order, int triangles_a_facet,
+                const Own *own, int num, const double *points, const int *facets, double *depths)
 {
-  Body body = {num_triangles, x, order, NULL};
+  Body body = {num_triangles, x, order, triangles_a_facet, own, NULL};
   int can = open_body(&body);
   for (int p = 0; can && p < num; ++p)
-    depths[p] = depth_by(nearest_of(&body, points + 3 * p));
+    depths[p] = depth_by(nearest_of(&body, points + 3 * p, facets[p]));
   free(body.balls);
   return can ? DONE : NO_MEMORY;
 }

@@ -17,13 +17,16 @@ typedef struct {
   int num_triangles;
   const double *x;  // corners, counterclockwise from outside, (num_triangles, 3, 3)
   const int *order; // the triangles along a curve that fills space
+  int triangles_a_facet;
+  const Own *own;   // NULL: of another surface than the points
   Ball *balls;      // around runs of them
 } Body;
 
 // What is nearest to a point as far as is known.
 typedef struct {
-  const double *x, *point; // corners of triangles, (num, 3, 3)
-  const int *order;
+  const Body *body;
+  const double *point;
+  int facet;               // of Γ1, where the point is
   double nearest, inside;  // distance, and that from the triangle's plane, positive inside
   int triangle;
   int corners[2]; // ends of the edge that is nearest, the same ones of a corner; −1: all of it
@@ -35,6 +38,6 @@ static inline double depth_by(Nearest found)
 }
 
 int open_body(Body *body); // 0 without memory
-Nearest nearest_of(const Body *body, const double *point);
+Nearest nearest_of(const Body *body, const double *point, int facet);
 
 #endif

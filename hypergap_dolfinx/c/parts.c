@@ -491,6 +491,9 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
     double xi[2] = {at[0][0], at[1][0]};
     memcpy(spot->xi[s], xi, sizeof(xi));
     spot->up[s] = at[2][0];
+    double deep = -at[2][0] * sqrt(plane->square[0]);
+    if (looks && parts->own && deep > parts->own->walls[set->facet])
+      return seen;
     if (!seen.up || at[2][0] > seen.up[0])
     {
       seen.up = at[2], seen.front = s;
@@ -526,7 +529,7 @@ static Seen ray_at(Tape *tape, const Set *set, const Plane *plane, Spot *spot, J
           double x[3];
           for (int i = 0; i < 3; ++i)
             x[i] = x1.x[i][0] + set->origin[i];
-          spot->foot = nearest_of(set->body, x);
+          spot->foot = nearest_of(set->body, x, set->facet);
         }
         depth = depth_of(tape, set, spot, &x1);
         depth = combined(tape, 1, depth, parts->slack, power(tape, plane->square, 0.25));
@@ -812,7 +815,8 @@ static int for_sets(const Parts *parts, const Work *work)
   Point *seen = malloc((most + 1) * MOST_SIDES * sizeof(Point));
   int groups = MOST_STACKED + MOST_POINTS;
   int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
-  Body body = {parts->num_triangles, parts->triangles, parts->order, NULL};
+  Body body = {parts->num_triangles, parts->triangles, parts->order, parts->triangles_a_facet,
+               parts->own, NULL};
   Tape tape = {0};
   status = open_body(&body) && seen && numbers ? DONE : NO_MEMORY;
   Set set = {.of = parts, .below = below, .above = above, .body = &body};

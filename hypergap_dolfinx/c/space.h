@@ -48,6 +48,14 @@ typedef struct {
   double *X;  // on the reference facet, (max, MOST_CORNERS, 2) both
 } Pieces;
 
+// Which facets of one surface meet each other (contact_geometry/opposite.py).
+typedef struct {
+  const int *turn;     // their order: facets of Γ1 meet those of Γ0 that come before them
+  const int *first;    // of those around each of Γ1 that don't meet it, (num_facets + 1)
+  const int *near;
+  const double *walls; // overlap beyond which a sheet is the other side of a facet's own body
+} Own;
+
 // Parts of Γ1's facets, one for each vertex, that see Γ0 in part (contact_geometry/sheets.py).
 typedef struct {
   const Facets *sides;
@@ -67,6 +75,7 @@ typedef struct {
   const int *order;             // them along a curve that fills space
   int triangles_a_facet;
   const double *triangle_at;    // corners on the reference facet, (triangles_a_facet, 3, 2)
+  const Own *own;               // NULL: two surfaces
 } Parts;
 
 // Entries of a matrix. num counts those without room, too.
@@ -79,8 +88,8 @@ typedef struct {
 int find_pieces(const Facets *sides, const int *order, const double *normals, const double *planes,
                 const double *reach, const double *parts, double leans, double sliver, double last,
                 Pieces *pieces);
-int find_depths(int num_triangles, const double *x, const int *order, int num,
-                const double *points, double *depths);
+int find_depths(int num_triangles, const double *x, const int *order, int triangles_a_facet,
+                const Own *own, int num, const double *points, const int *facets, double *depths);
 void cast_columns(const Facets *sides, const double *tangents, int steps, double last,
                   const int *f0, const int *f1, const double *X, Rays *rays);
 void polygon_rule(int num, int num_corners, const double *X, int num_points, const double *points,

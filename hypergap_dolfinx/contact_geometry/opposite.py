@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import (
@@ -29,6 +30,7 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     NEWTON_FACET,
     PARALLEL_CURVES,
     ROUND_OFF_FACET,
+    SLACK,
 )
 from hypergap_dolfinx.core.compiled import call, doubles, ints, library, struct, structs
 from hypergap_dolfinx.surface.search import along_curve
@@ -212,8 +214,122 @@ def parts_of(cell_type: basix.CellType) -> npt.NDArray[np.float64]:
     return np.stack((own, middles, centre, np.roll(middles, 1, axis=0)), axis=1)
 
 
-def find_pieces(frames: Frames) -> FacetPieces:
-    """Find all pieces."""
+@dataclass(frozen=True)
+class OwnPairs:
+    """Facets of one surface that meet each other, found where it is undeformed.
+
+    Each pair counts once: facets of Γ1 meet those that come before them, but for their neighbours.
+    The surface is divided into halves, one before the other, such that what is opposite to each
+    other is in different ones; within them the order is that of steps from an end.
+    """
+
+    turn: npt.NDArray[np.int32]
+    """Place of each facet in the order, ``(num_facets,)``."""
+    first: npt.NDArray[np.int32]
+    """First neighbour of each facet, ``(num_facets + 1,)``."""
+    near: npt.NDArray[np.int32]
+    """Those that share a vertex, and those that share one with these, and itself, sorted."""
+    walls: npt.NDArray[np.float64]
+    """Overlap beyond which what lies opposite a facet is the other side of its own body: half of
+    the wall there, ``(num_facets,)``."""
+
+    @classmethod
+    def of(cls, surface: Surface) -> "OwnPairs":
+        """Those of a surface."""
+        facets, num = surface.facets, len(surface.facets)
+        rows = np.repeat(np.arange(num), facets.shape[1])
+        has = sparse.csr_array((np.ones(facets.size), (rows, facets.ravel())))
+        shared = (has @ has.T).tocsr()
+        near = (shared @ shared).tocsr()
+        near.sort_indices()
+        first, near = ints(near.indptr), ints(near.indices)
+        own = cls(np.zeros(num, np.int32), first, near, np.full(num, np.inf))
+        pieces = find_pieces(Frames.of((surface, surface)))
+        f0, f1 = pieces.facets
+        corner = np.arange(pieces.X.shape[1]) < pieces.num[:, None]
+        X = (pieces.X * corner[..., None]).sum(axis=1) / pieces.num[:, None]
+        x, n0, n1 = surface.points(f1, X), surface.normals[f0], surface.normals[f1]
+        apart = surface.x[facets[f0]].mean(axis=1) - x
+        height = np.einsum("pi,pi->p", apart, n0) / np.einsum("pi,pi->p", n1, n0)
+        behind = height < -SLACK * surface.size[f1]
+        np.minimum.at(own.walls, f1[behind], -height[behind] / 2)
+        # The facet that is next in front of each
+        front = np.flatnonzero(~behind & ~own._are_near(f0, f1))
+        front = front[np.lexsort((height[front], f1[front]))]
+        front = front[np.unique(f1[front], return_index=True)[1]]
+        ends = np.concatenate((f0[front], f1[front])), np.concatenate((f1[front], f0[front]))
+        opposite = sparse.csr_array((np.ones(len(ends[0])), ends), shape=(num, num))
+        return replace(own, turn=_turns(surface, (shared > 1).astype(float), opposite))
+
+    @cached_property
+    def _keys(self) -> npt.NDArray[np.intp]:
+        """Numbers of all pairs of neighbours, sorted."""
+        num = len(self.turn)
+        return np.repeat(np.arange(num), np.diff(self.first)) * num + self.near
+
+    def _are_near(self, f0, f1) -> npt.NDArray[np.bool_]:
+        """Mask of pairs that are neighbours, ``(num_pairs,)``."""
+        keys = f1 * len(self.turn) + f0
+        at = np.searchsorted(self._keys, keys)
+        return self._keys[np.minimum(at, len(self._keys) - 1)] == keys
+
+    def meet(self, f0, f1) -> npt.NDArray[np.bool_]:
+        """Mask of pairs of facets of Γ0 and Γ1 that can meet, ``(num_pairs,)``."""
+        return (self.turn[f0] < self.turn[f1]) & ~self._are_near(f0, f1)
+
+    @cached_property
+    def in_c(self) -> Any:
+        """The same for C; it lives as long as they do."""
+        fields = {"turn": self.turn, "first": self.first, "near": self.near, "walls": self.walls}
+        return struct("Own", **fields)
+
+
+def _turns(surface: Surface, beside, opposite) -> npt.NDArray[np.int32]:
+    """The order in which a surface meets itself; it doesn't depend on the facets' numbers.
+
+    Args:
+        surface: The surface.
+        beside: Facets that share an edge, sparse, ``(num_facets, num_facets)``.
+        opposite: Facets that are opposite to each other, likewise.
+
+    Returns:
+        ``(num_facets,)``.
+    """
+    along = surface.x[surface.facets].mean(axis=1) @ (1.0, np.sqrt(2) / 3, np.sqrt(3) / 7)
+    far = np.lexsort((along, -_steps(beside, np.argsort(along, kind="stable"))))
+    step = _steps(beside, far)
+    half = _halves(beside, opposite, far[np.argsort(step[far], kind="stable")])
+    turn = np.empty(len(along), dtype=np.int32)
+    turn[np.lexsort((along, step, half))] = np.arange(len(along))
+    return turn
+
+
+def _steps(beside, starts) -> npt.NDArray[np.intp]:
+    """Steps from facet to facet, ``(num_facets,)``, part by part from the first of ``starts``."""
+    found, count = np.full(len(starts), -1), 0
+    for start in starts:
+        front = np.arange(len(starts)) == start if found[start] < 0 else np.zeros(0, dtype=bool)
+        while front.any():
+            found[front], count = count, count + 1
+            front = (beside @ front > 0) & (found < 0)
+    return found
+
+
+def _halves(beside, opposite, starts) -> npt.NDArray[np.intp]:
+    """Halves of a surface, 0 or 1, that grow from the first of ``starts``, ``(num_facets,)``."""
+    found = np.full(len(starts), -1)
+    for start in starts:
+        first = np.arange(len(starts)) == start if found[start] < 0 else np.zeros(0, dtype=bool)
+        second = np.zeros_like(first)
+        while first.any() or second.any():
+            found[second], found[first] = 1, 0
+            reached = beside @ first + opposite @ second, beside @ second + opposite @ first
+            first, second = ((front > 0) & (found < 0) for front in reached)
+    return found
+
+
+def find_pieces(frames: Frames, own: OwnPairs | None = None) -> FacetPieces:
+    """Find all pieces; of one surface those of facets that meet."""
     below, above = frames.surfaces
     parts = parts_of(above.geometry.cell_type)
     f0, f1, part, count, edge, y, X = _cut(frames, parts)
@@ -223,7 +339,7 @@ def find_pieces(frames: Frames) -> FacetPieces:
     pieces = FacetPieces((f0, f1), part, X, count, label)
     if max(surface.geometry.degree for surface in frames.surfaces) > 1:
         pieces = _bent(frames, pieces, parts, part, y, edge)
-    return pieces
+    return pieces.some(own.meet(*pieces.facets)) if own else pieces
 
 
 def _cut(frames: Frames, parts):

@@ -29,6 +29,7 @@ from hypergap_dolfinx.contact_geometry.moments import standard_points
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
+    OwnPairs,
     cross,
     polygon_areas,
     reference_corners,
@@ -60,24 +61,31 @@ class BodyTriangles:
     """``(num_triangles, 3, 3)``."""
     at: npt.NDArray[np.float64]
     """Corners of a facet's triangles on the reference facet, ``(triangles_a_facet, 3, 2)``."""
+    own: OwnPairs | None = None
+    """Facets that count for a surface's own points; None: all."""
 
     @classmethod
-    def of(cls, surface: Surface) -> "BodyTriangles":
+    def of(cls, surface: Surface, own: OwnPairs | None = None) -> "BodyTriangles":
         """That of a surface; curved facets are taken as triangles between their nodes."""
         points, triangles = _lattice(surface.geometry.cell_type, surface.geometry.degree)
         corners = (tabulate(surface.geometry, points) @ surface.nodes)[:, triangles]
-        return cls(corners.reshape(-1, 3, 3), points[triangles])
+        return cls(corners.reshape(-1, 3, 3), points[triangles], own)
 
     @cached_property
     def order(self) -> npt.NDArray[np.int32]:
         """Triangles along a curve that fills space."""
         return ints(along_curve(self.corners.mean(axis=1)))
 
-    def depths(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Depths of points by the nearest triangle, negative outside, ``(num,)``."""
-        depths = np.empty(len(x))
-        given = len(self.corners), doubles(self.corners), self.order, len(x), doubles(x)
-        if call("find_depths", *given, depths):
+    def depths(self, x: npt.NDArray[np.float64], facet) -> npt.NDArray[np.float64]:
+        """Depths of points by the nearest triangle, negative outside, ``(num,)``.
+
+        Args:
+            x: ``(num, 3)``.
+            facet: The facet of Γ1 on which each is, ``(num,)``.
+        """
+        depths, own = np.empty(len(x)), self.own and self.own.in_c
+        given = len(self.corners), doubles(self.corners), self.order, len(self.at), own
+        if call("find_depths", *given, len(x), doubles(x), ints(facet), depths):
             raise MemoryError("no memory for the depths of points")
         return depths
 
@@ -99,6 +107,8 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
     cos = -np.einsum("pi,pi->p", below, normal) / (size * length)
     deep = np.einsum("pi,pi->p", below, q[:, At.R]) / size
     result = _ramp(cos, COSINES)
+    if body.own:
+        result[deep > cos * body.own.walls[rays.facets[1]]] = 0
     if rays.bends is not None:
         xi, triangles = rays.xi, frames.surfaces[0].polygons.shape[1] == 3
         beyond = 1 - xi.sum(axis=1, keepdims=True) if triangles else 1 - xi
@@ -108,7 +118,7 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
     near = deep * (NEAREST[1] + 1 / np.where(result > 0, cos, 1)) <= slack
     far = np.flatnonzero((result > 0) & ~near)
     x = frames.surfaces[0].points(rays.facets[0][far], rays.xi[far]) - q[far, At.R]
-    result[far] *= _ramp((body.depths(x) + slack[far]) / deep[far], NEAREST)
+    result[far] *= _ramp((body.depths(x, rays.facets[1][far]) + slack[far]) / deep[far], NEAREST)
     return np.nan_to_num(result)  # rays that miss a folded facet may be nowhere
 
 
@@ -185,6 +195,7 @@ class Faded:
             order=body.order,
             triangles_a_facet=len(body.at),
             triangle_at=doubles(body.at),
+            own=body.own and body.own.in_c,
         )
 
     def gaps(self, *values: npt.NDArray[np.float64]) -> tuple[Sparse, Sparse]:

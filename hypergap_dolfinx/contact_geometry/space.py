@@ -12,7 +12,7 @@ That is so on facets of Γ1 all of which lies opposite one sheet of Γ0. On othe
 (``blending.py``).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import override
 
@@ -33,6 +33,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
     Label,
+    OwnPairs,
     find_pieces,
     parts_of,
 )
@@ -64,10 +65,18 @@ class SpaceColumns:
     """All pieces that are seen, and heights of columns there, to look at."""
 
     @classmethod
-    def between(cls, sides: Sides, u: Displacements) -> "SpaceColumns | None":
-        """Columns at given displacements; None if no part of Γ1 sees Γ0."""
+    def between(
+        cls, sides: Sides, u: Displacements, itself: OwnPairs | None = None
+    ) -> "SpaceColumns | None":
+        """Columns at given displacements; None if no part of Γ1 sees Γ0.
+
+        Args:
+            sides: Γ0 and Γ1.
+            u: Their displacements.
+            itself: The pairs of facets that meet if both sides are one surface.
+        """
         frames = Frames.of(displaced(sides, u))
-        pieces, body = find_pieces(frames), BodyTriangles.of(frames.surfaces[0])
+        pieces, body = find_pieces(frames, itself), BodyTriangles.of(frames.surfaces[0], itself)
         if not len(pieces.num):
             return None
         rays, piece, weights = _cast(frames, pieces)
@@ -271,9 +280,17 @@ class SpaceColumns:
 class SpaceSegments(Segments):
     """Contact segments in space."""
 
+    itself: bool = field(default=False, kw_only=True)
+    """True if both sides are one surface, which meets itself."""
+
+    @cached_property
+    def _own(self) -> OwnPairs | None:
+        """Facets of one surface that meet each other."""
+        return OwnPairs.of(self.sides[0].rest) if self.itself else None
+
     @override
     def _find(self, u: Displacements) -> SpaceColumns:
-        found = SpaceColumns.between(self.sides, u)
+        found = SpaceColumns.between(self.sides, u, self._own)
         if found is None or not len(found.shown[1]):
             below, above = displaced(self.sides, u)
             raise NotFacingError(
