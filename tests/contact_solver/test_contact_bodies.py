@@ -420,3 +420,25 @@ def test_held_by_friction_again():
     problem.solve()
     assert contact.sticking.any() and problem.halvings == 0
     np.testing.assert_allclose(contact.pressures(problem), 2 * expected, rtol=0.05)
+
+
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+@pytest.mark.parametrize("swap", (False, True))
+def test_end_of_compliant_surfaces(swap, sliding):
+    """A block that stands over an edge is pushed off by p times the overlap (docs/limits.md)."""
+    scene = Assembly(
+        [rectangle((8, 1), (0, -1), (2, 0), nu=0), rectangle((7, 1), (1.3, 0), (2.3, 1), nu=0)]
+    )
+    for component in (0, 1):
+        scene.hold(0, component, meshes.BOTTOM)
+    down = [scene.hold(1, component, meshes.TOP) for component in (0, 1)][1]
+    sides = [scene.side(i, tag) for i, tag in enumerate((meshes.TOP, meshes.BOTTOM))]
+    compliance = 1e6  # the bodies are as good as rigid
+    contact = Contact(*sides[:: -1 if swap else 1], compliance=compliance, sliding=sliding)
+    problem = scene.problem([contact])
+    down.value = -0.01
+    problem.solve()
+    across, up = contact.force(problem, on=scene.u[1])
+    assert up == pytest.approx(0.7 * 0.01 / compliance, rel=1e-4)
+    expected = 0.01**2 / compliance if sliding == "finite" else 0.0
+    assert across == pytest.approx(expected, rel=1e-4, abs=1e-9 * up)
