@@ -695,7 +695,7 @@ class Contact:
         side = self._side(rows, on)
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
-        point = as_numbers(about, (n,), "about, a point,")
+        point = as_numbers(about, (n,), "about")
         arms, forces = rows.places()[side] + rows.at[side] - point, rows.contact_forces()[side]
         if n == 3:
             return np.cross(arms, forces).sum(axis=0)

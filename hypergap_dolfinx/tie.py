@@ -669,7 +669,7 @@ class Tie(collective.Owner):
             raise ValueError(f"a moment needs displacements; the value shape is {V.value_shape}.")
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
-        point = as_numbers(about, (n,), "about, a point,")
+        point = as_numbers(about, (n,), "about")
         forces = self._nodal_forces(problem, side)
         arm = V.tabulate_dof_coordinates()[: len(forces), :n] - point
         if n == 3:

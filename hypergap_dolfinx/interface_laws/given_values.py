@@ -44,7 +44,7 @@ def check(value: Any, what: str):
         )
 
 
-def as_numbers(value: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[np.float64]:
+def as_numbers(value: Any, shape: tuple[int, ...], what: str) -> npt.NDArray[np.float64]:
     """Finite numbers of a shape; a single one without a list too.
 
     Args:
@@ -57,14 +57,16 @@ def as_numbers(value: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.N
     """
     try:
         found = np.asarray(value, dtype=float)
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError):
+        found = np.full(0, np.nan)
+    if isinstance(value, ufl.core.expr.Expr):  # a constant, which wouldn't be read again
         found = np.full(0, np.nan)
     if found.size == np.prod(shape) == 1:
         found = found.reshape(shape)
     if found.shape != shape or not np.isfinite(found).all():
         num = int(np.prod(shape))
         wanted = "one finite number" if num == 1 else f"{num} finite numbers"
-        raise ValueError(f"{what} is {wanted}, not {value!r}.".replace("\n", ""))
+        raise ValueError(f"{what}: give {wanted}, not {value!r}.".replace("\n", ""))
     return found
 
 

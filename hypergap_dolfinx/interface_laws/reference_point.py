@@ -16,6 +16,7 @@ import dolfinx.mesh
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.interface_laws.given_values import as_numbers
 
 Array = npt.NDArray[np.float64]
 COMPONENTS = {2: ("x", "y", "rotation"), 3: ("x", "y", "z", "rx", "ry", "rz")}
@@ -44,15 +45,8 @@ class ReferencePoint:
         self._comm, self._n = comm, n
         self.components = COMPONENTS[n]
         """Names of its unknowns."""
-        try:
-            given = np.asarray(point, dtype=float)
-        except (TypeError, ValueError):
-            given = np.full(0, np.nan)
-        if given.shape != (n,) or not np.isfinite(given).all():
-            raise ValueError(
-                f"the point of {self.NAME} has {n} coordinates: give these, not {point!r}."
-            )
-        held = [held] if isinstance(held, str) else list(held)
+        given = as_numbers(point, (n,), f"the point of {self.NAME}")
+        held = [held] if isinstance(held, str) or not isinstance(held, Sequence) else list(held)
         for name in held:
             if name not in self.components:
                 raise ValueError(f"held has {name!r}; components are {', '.join(self.components)}.")
@@ -109,6 +103,11 @@ class ReferencePoint:
 
     # What users set and read
 
+    def _assign(self, name: str, value: npt.ArrayLike):
+        """Set one of the arrays in which users change values."""
+        array = getattr(self, name)
+        array[:] = as_numbers(value, array.shape, f"the {name} of {self.NAME}")
+
     @property
     def point(self) -> Array:
         """The reference point X₀, ``(n,)``."""
@@ -121,7 +120,7 @@ class ReferencePoint:
 
     @force.setter
     def force(self, value: npt.ArrayLike):
-        self._force[:] = value
+        self._assign("force", value)
 
     @property
     def torque(self) -> Array:
@@ -130,7 +129,7 @@ class ReferencePoint:
 
     @torque.setter
     def torque(self, value: npt.ArrayLike):
-        self._torque[:] = value
+        self._assign("torque", value)
 
     @property
     def prescribed(self) -> Array:
@@ -139,7 +138,7 @@ class ReferencePoint:
 
     @prescribed.setter
     def prescribed(self, value: npt.ArrayLike):
-        self._prescribed[:] = value
+        self._assign("prescribed", value)
 
     @property
     def springs(self) -> Array:
@@ -148,7 +147,7 @@ class ReferencePoint:
 
     @springs.setter
     def springs(self, value: npt.ArrayLike):
-        self._springs[:] = value
+        self._assign("springs", value)
 
     @property
     def anchors(self) -> Array:
@@ -157,7 +156,7 @@ class ReferencePoint:
 
     @anchors.setter
     def anchors(self, value: npt.ArrayLike):
-        self._anchors[:] = value
+        self._assign("anchors", value)
 
     @property
     def displacement(self) -> Array:

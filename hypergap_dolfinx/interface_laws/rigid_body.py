@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -78,6 +80,11 @@ class RigidBody(ReferencePoint):
         """Raise if a function is no displacement."""
         if not isinstance(u, fem.Function):
             raise ValueError(f"a rigid body takes the displacement u, not a {type(u).__name__}.")
+        if u.function_space.mesh.comm.allreduce(bool(u.x.array.any()), MPI.LOR):
+            raise ValueError(
+                "the displacement of a rigid body isn't 0 at the start, and would be lost: set it "
+                "to 0, and move the mesh or hold the body at prescribed values."
+            )
         V = u.function_space
         if V.value_shape != (V.mesh.geometry.dim,) or lagrange_element(V)[1] is not None:
             raise ValueError(

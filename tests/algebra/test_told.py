@@ -121,16 +121,22 @@ def rigid(**options):
     return RigidBody(fem.Function(side()[0]), **{"point": (0, 0), **options})
 
 
+def moved():
+    u = fem.Function(side()[0])
+    u.x.array[:] = 0.1
+    return RigidBody(u, point=(0, 0))
+
+
 def jumping(jump):
     Scene().tied(jump=jump)[1].solve()
 
 
-def in_space(low, **options):
+def in_space(**options):
     cube = mesh.create_unit_cube(comm, 1, 1, 1)
     V = fem.functionspace(cube, ("Lagrange", 1, (3,)))
     sides = [
         (V, mesh.locate_entities_boundary(cube, 2, lambda x, z=z: np.isclose(x[2], z)))
-        for z in (low, 1)
+        for z in (0, 1)
     ]
     return Contact(*sides, **options)
 
@@ -237,15 +243,31 @@ CASES = {
         "prescribed for y of a rigid body, which isn't held: make the .* or set 0",
     ),
     "component of space": (lambda: rigid(held="rz"), V, "held has 'rz'; components are x, y, rot"),
+    "force with a component too many": (
+        lambda: setattr(rigid(), "force", (0, 1, 0)),
+        V,
+        r"the force of a rigid body: give 2 finite numbers, not \(0, 1, 0\)",
+    ),
+    "one number for all springs": (
+        lambda: setattr(rigid(), "springs", 1.0),
+        V,
+        "the springs of a rigid body: give 3 finite numbers, not 1.0",
+    ),
+    "a constant as torque": (
+        lambda: setattr(rigid(), "torque", Scene().number()),
+        V,
+        "the torque of a rigid body: give one finite number, not ",
+    ),
+    "held by a number": (lambda: rigid(held=2), V, "held has 2; components are x, y, rotation"),
+    "displaced before": (moved, V, "isn't 0 at the start, and would be lost: set it"),
     # Bodies of revolution
     "factor of forms": (
         lambda: Scene().contact(axisymmetric="2πr"),
         V,
         r'axisymmetric is True \(2πr in forms\), "radian" .* not \'2πr\'',
     ),
-    "in space": (partial(in_space, 0, axisymmetric=True), E, r"meshes in the plane \(r, z\)"),
+    "in space": (partial(in_space, axisymmetric=True), E, r"meshes in the plane \(r, z\)"),
     # One surface
-    "itself in space": (partial(in_space, 1), E, "in space a surface can't meet itself; give"),
     "some facets": (
         of(lambda scene, *_: Contact(scene.sides[0], (scene.sides[0][0], scene.sides[0][1][1:]))),
         E,
@@ -321,7 +343,7 @@ CASES = {
     "moment about a word": (
         of_tie(lambda scene, tie, problem: tie.moment(problem, "axis")),
         V,
-        "about, a point, is 2 finite numbers, not 'axis'",
+        "about: give 2 finite numbers, not 'axis'",
     ),
     "rows of what is destroyed": (
         partial(destroyed, lambda problem: problem.x),

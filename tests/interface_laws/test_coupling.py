@@ -249,7 +249,7 @@ def test_bad_input():
         ((V, right), {**good, "kind": "RBE2"}, "kind is 'RBE2': give"),
         (V, good, "each side of a coupling is a pair"),
         ((W, right), good, "a coupling moves displacements, with 2 components"),
-        ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling has 2 coordinates"),
+        ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling: give 2 finite numbers"),
         ((V, right), {**good, "held": "z"}, "held has 'z'; components are x, y, rotation"),
         ((V, right[:0]), good, "has no facets on any rank"),
     ):

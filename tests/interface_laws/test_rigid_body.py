@@ -253,9 +253,9 @@ def test_bad_input():
     for given, options, match in (
         (V, {"point": (0, 0)}, "takes the displacement u, not a FunctionSpace"),
         (fem.Function(W), {"point": (0, 0)}, "on a Lagrange space of vectors"),
-        (u, {"point": (0, 0, 0)}, "has 2 coordinates"),
-        (u, {"point": (0, np.nan)}, "has 2 coordinates"),
-        (u, {"point": "middle"}, "has 2 coordinates"),
+        (u, {"point": (0, 0, 0)}, "the point of a rigid body: give 2 finite numbers, not"),
+        (u, {"point": (0, np.nan)}, "the point of a rigid body: give 2 finite numbers, not"),
+        (u, {"point": "middle"}, "the point of a rigid body: give 2 finite numbers, not"),
         (u, {"point": (0, 0), "held": ("x", "rx")}, "held has 'rx'; components are x, y, rotation"),
     ):
         with raises(ValueError, match):
