@@ -9,8 +9,8 @@
 #
 # Contact has one requirement: nodes that can touch must have no mass. Otherwise each node that hits
 # the floor is stopped within one time step, however short: forces jump, nodes chatter, and
-# Newmark's method gains energy (`--mass --time 2.5` shows it). So the density of the cells along the
-# surface is moved to the other cells. The surface then follows the floor like a spring, contact
+# Newmark's method gains energy (`--mass --time 2.5` shows it). So the density of the cells along
+# the surface is moved to the other cells. The surface then follows the floor like a spring, contact
 # forces are continuous in time, and the energy is conserved.
 
 # +
