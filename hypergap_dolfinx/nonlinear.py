@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings, check_turns
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -61,6 +62,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         *,
         bcs: Sequence[fem.DirichletBC] = (),
         ties: Sequence[Tie] = (),
+        couplings: Sequence[Coupling] = (),
         J: Sequence[ufl.Form] | None = None,
         solver: str | None = None,
         before_step: Callable[[], Any] | None = None,
@@ -79,6 +81,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             u: Solution function of each body, as used in F; its values are the initial guess.
             bcs: Dirichlet conditions of all bodies, in any order.
             ties: The ties.
+            couplings: Couplings of surfaces with points, with all rotations held at 0.
             J: Jacobian form of each body; the derivative of F by default.
             solver: Solver of the Newton steps as for :class:`TiedProblem`; ``"direct"`` by default.
             before_step: Callback ``f()`` before each evaluation of the residual at new values of u,
@@ -102,6 +105,9 @@ class NonlinearTiedProblem(NonlinearSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
+        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
+        check_couplings(couplings)
+        check_turns(couplings)
         hooks = Hooks(
             internal_variables,
             unknowns=u,
@@ -115,6 +121,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             bcs,
             Joined(ties),
             J=J,
+            couplings=couplings,
             hooks=hooks,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
@@ -123,6 +130,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
         revolution.tell(F, self._pieces.ties, "tie")
+        revolution.tell_couplings(F, couplings)
         self._failed: BaseException | None = None
         self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
@@ -160,10 +168,12 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._num_steps += 1
             self._records.end(f"{self._snes.getIterationNumber()} Newton steps")
             self._interrupts.check()
-        return self._u
+        return self.u
 
     def _solve_step(self):
         """Solve for the present values. Collective."""
+        check_turns(self._couplings)
+        self._read_couplings()
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False
@@ -189,6 +199,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             if self._snes.getIterationNumber():
                 self._check_constants()
             self._assign(self._x)
+            self._take_couplings()
             self._hooks("accepted", 1.0)
         except BaseException as error:
             for part, values in zip(of_ties, before, strict=True):

@@ -29,7 +29,8 @@ class Coupling(ReferencePoint):
 
     The point has a displacement and a rotation: x, y and rotation in the plane, x, y, z, rx, ry, rz
     in space, each free, held, or in a spring. Rotations are small: the motion of the surface is
-    v = t + θ × (x − X₀), with the point X₀ anywhere.
+    v = t + θ × (x − X₀), with the point X₀ anywhere. :class:`TiedProblem` and
+    :class:`NonlinearTiedProblem` take couplings.
 
     - ``"distributing"``: t and θ are the surface's mean motion, ∫ |u − v|² dΓ is least. Forces and
       torques act as tractions that vary linearly over the surface, as in a beam's section, and
@@ -236,6 +237,26 @@ class Coupling(ReferencePoint):
             self.held, -loads - self.shared(np.asarray(force, dtype=float)) / self._units, 0.0
         )
 
+    def resume(self, reaction: npt.NDArray):
+        """Go on from a reaction, with unknowns that are set already. Collective."""
+        self._values, self._reaction = self.shared(self.q.x.array), np.array(reaction)
+
+    def turns(self) -> str | None:
+        """Message if the point can turn, which is linear here, or None."""
+        n = self._n
+        names = [name for name, fixed in zip(self.components[n:], self.held[n:]) if not fixed]
+        if names:
+            return (
+                f"its {' and '.join(names)} can turn, and couplings are linear in rotations: in "
+                "nonlinear problems hold these by held=."
+            )
+        if self._prescribed[n:].any():
+            return (
+                f"its rotation is prescribed as {self._prescribed[n:]}, and couplings are linear "
+                "in rotations: in nonlinear problems leave it 0."
+            )
+        return None
+
 
 def check_couplings(couplings: Sequence[Coupling]):
     """Raise if they are no couplings, or two rigid ones have nodes in common.
@@ -260,3 +281,15 @@ def check_couplings(couplings: Sequence[Coupling]):
                     f"the rigid couplings {j} and {k} have {len(shared)} nodes in common: give "
                     "all facets to one of them."
                 )
+
+
+def check_turns(couplings: Sequence[Coupling]):
+    """Raise if a coupling of a nonlinear problem can turn.
+
+    Raises:
+        ValueError: Names it.
+    """
+    for k, one in enumerate(couplings):
+        wrong = one.turns()
+        if wrong:
+            raise ValueError(f"coupling {k}: {wrong}")

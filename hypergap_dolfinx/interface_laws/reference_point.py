@@ -94,6 +94,8 @@ class ReferencePoint:
         """Bilinear form of its springs."""
         self.L: ufl.Form = ufl.inner(self._load, v) * ufl.dx
         """Linear form of its loads."""
+        self.F: ufl.Form = ufl.action(self.a, self.q) - self.L
+        """Residual form of both."""
         self.bcs = [
             fem.dirichletbc(goal, np.full(len(mine), k, dtype=np.int32), V.sub(k))
             for k, goal in enumerate(self._goals)

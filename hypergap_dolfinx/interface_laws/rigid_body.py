@@ -98,10 +98,8 @@ class RigidBody(ReferencePoint):
         V, num = self.q.function_space, len(self.components)
         self._slope = fem.Constant(V.mesh, np.zeros((num, num)))
         dq, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        self.F: ufl.Form = ufl.action(self.a, self.q) - self.L
-        """Residual form of springs and loads."""
         self.J: ufl.Form = self.a + ufl.inner(self._slope * dq, v) * ufl.dx
-        """Its derivative."""
+        """Derivative of its residual."""
 
     # What users set and read
 

@@ -4,6 +4,7 @@
 
 import logging
 from collections.abc import Sequence
+from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -20,6 +21,7 @@ from hypergap_dolfinx.algebra.load_path import Value, values_of
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.core.interrupt import Interrupts
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -95,6 +97,7 @@ class NonlinearSystem(TiedSystem):
         pieces: TiedInterfaces,
         *,
         J: Sequence[ufl.Form] | None = None,
+        couplings: Sequence[Coupling] = (),
         hooks: Hooks | None = None,
         form_compiler_options: dict | None = None,
         jit_options: dict | None = None,
@@ -107,6 +110,7 @@ class NonlinearSystem(TiedSystem):
             bcs: Dirichlet conditions of all bodies, in any order.
             pieces: The ties and their interfaces.
             J: Jacobian form of each body; the derivative of F by default.
+            couplings: Couplings of surfaces with points.
             hooks: Callbacks of the user and internal variables.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the JIT compiler.
@@ -141,9 +145,12 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         options = form_compiler_options, jit_options
         self._forms, self._given_bcs = list(F), bcs
+        F, J = [*F, *(one.F for one in couplings)], [*J, *(one.a for one in couplings)]
+        u = [*u, *(one.q for one in couplings)]
+        bcs = [*bcs, *(bc for one in couplings for bc in one.bcs)]
         self._F = create_forms(F, *options)
-        super().__init__(create_forms(J, *options), bcs, pieces, u)
-        self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.bodies)
+        super().__init__(create_forms(J, *options), bcs, pieces, u, couplings)
+        self._held, self._num_ties = self._constraints.prescribed, len(self._constraints.full)
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._checkpoint: Checkpoint | None = None
@@ -315,7 +322,8 @@ class NonlinearSystem(TiedSystem):
 
     def _values(self) -> Sequence[Value]:
         """Values set by the user."""
-        given = [("", value) for tie in self.ties for value in tie.given]
+        given: list[tuple[str, Value]] = [("", value) for tie in self.ties for value in tie.given]
+        given += [("", value) for one in self._couplings for value in one.given]
         without = (*self._u, *self._hooks.internal_variables)
         found = values_of(self._forms, self._given_bcs, (), given, without=without)
         return [value for _, value in found]
@@ -341,6 +349,10 @@ class NonlinearSystem(TiedSystem):
         for k, value in enumerate(self._hooks.internal_variables):
             parts.append(checkpoint.function(f"internal variable {k}", value))
 
+        for k, one in enumerate(self._couplings):
+            name = f"reaction of coupling {k}"
+            parts.append(checkpoint.shared(name, partial(getattr, one, "reaction"), one.resume))
+
         def count(numbers: npt.NDArray):
             self._num_steps, self._solved = int(numbers[0]), bool(numbers[1])
 
@@ -358,9 +370,9 @@ class NonlinearSystem(TiedSystem):
     @property
     def F(self) -> list[fem.Form]:
         """The compiled residual forms."""
-        return self._F
+        return self._F[: self._num_own]
 
     @property
     def J(self) -> list[fem.Form]:
         """The compiled Jacobian forms."""
-        return self._a
+        return self._a[: self._num_own]

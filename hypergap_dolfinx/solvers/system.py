@@ -252,6 +252,28 @@ class TiedSystem(collective.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
+    def _read_couplings(self):
+        """Set the constants of couplings' forms from what the user has set."""
+        for k, one in enumerate(self._couplings):
+            wrong = one.wrong()
+            if wrong:
+                raise ValueError(f"coupling {k}: {wrong}")
+            one.read()
+
+    def _take_couplings(self):
+        """Give couplings their solution and reactions. Collective."""
+        rows = self._constraints.full[len(self._constraints.full) - len(self._couplings) :]
+        parts = self._x.getNestSubVecs()
+        multipliers = parts[len(parts) - len(self._couplings) :]
+        bodies = (own for _, own in self._constraints.coupled)
+        for one, row, own, part in zip(self._couplings, rows, bodies, multipliers, strict=True):
+            B = row[own]
+            assert B is not None
+            force = B.createVecRight()
+            B.multTranspose(part, force)
+            one.take(-force.array_r)
+            force.destroy()
+
     def _check_usable(self):
         """Raise if the problem was destroyed."""
         if "_x" not in self.__dict__:

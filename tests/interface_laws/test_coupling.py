@@ -6,13 +6,20 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from assembly import NU, SOLVED, E
+from assembly import NU, SOLVED, E, Elastic
 from helpers import close, interpolated, raises
 
 import meshes
 import ufl
 from dolfinx import fem, mesh
-from hypergap_dolfinx import Coupling, InterfaceError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx import (
+    Coupling,
+    InterfaceError,
+    NonlinearTiedProblem,
+    SolveError,
+    Tie,
+    TiedProblem,
+)
 
 comm = MPI.COMM_WORLD
 BALANCED = 1e-10  # of the loads
@@ -259,6 +266,9 @@ def test_bad_input():
     other = Coupling((V, np.sort(np.append(right, tags.find(meshes.TOP)))), **good)
     elsewhere = Coupling((bar(2)[0], right), **good)
     fixed = [held(V, tags.find(meshes.LEFT))]
+    with raises(ValueError, "coupling 0: its rotation can turn.*nonlinear problems hold these by"):
+        body = Elastic.on(V)
+        NonlinearTiedProblem([body.F], [body.u], bcs=fixed, couplings=end)
     for couplings, options, match in (
         ([V], {}, "couplings has a FunctionSpace"),
         ([end, end], {}, "coupling 1 is given twice"),
@@ -278,4 +288,46 @@ def test_bad_input():
         problem.solve()
     end.springs[2], end.force[0] = 0.0, np.nan
     with raises(ValueError, "NaN"):
+        problem.solve()
+
+
+def nonlinear_bars(kind):
+    """Two neo-Hookean bars in the plane whose end doesn't turn."""
+    (V0, tags0), (V1, tags1) = bar(2), bar(2, low=(2, 0), across=2)
+    left, right = FIRST[2]
+    tie = Tie((V0, tags0.find(right)), (V1, tags1.find(left)))
+    bodies = [Elastic.on(V, large=True) for V in (V0, V1)]
+    end = Coupling((V1, tags1.find(right)), point=(4, 0.5), kind=kind, held="rotation")
+    problem = NonlinearTiedProblem(
+        [body.F for body in bodies],
+        [body.u for body in bodies],
+        bcs=[held(V0, tags0.find(left))],
+        ties=[tie],
+        couplings=end,
+        petsc_options={"snes_rtol": 1e-13, "snes_atol": 1e-14},
+    )
+    return problem, tie, end
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nonlinear(kind):
+    """Finite strains: balance, and a state that goes on; rotations are refused."""
+    problem, tie, end = nonlinear_bars(kind)
+    for share in (1, 2):
+        end.force = 0.1 * share, 0.01 * share
+        _, u1 = problem.solve()
+        close(tie.force(problem, on=u1), -end.force, BALANCED)
+        if share == 1:
+            state = problem.state()
+    assert end.displacement[0] > 0.5 and len(problem.u) == 2
+    again, _, other = nonlinear_bars(kind)
+    again.restore(state)
+    close(other.force, end.force / 2)
+    assert other.reaction[2] != 0 and other.displacement[0] > 0
+    other.force = end.force
+    again.solve()
+    close(other.displacement, end.displacement, SOLVED)
+    close(other.reaction, end.reaction, SOLVED)
+    end.prescribed[2] = 0.1
+    with raises(ValueError, "coupling 0: its rotation is prescribed as .* linear in rotations"):
         problem.solve()
