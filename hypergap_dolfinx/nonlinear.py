@@ -174,6 +174,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         """Solve for the present values. Collective."""
         check_turns(self._couplings)
         self._read_couplings()
+        self._constraints.check_coupled(self._lifted())
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False

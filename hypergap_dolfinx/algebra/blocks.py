@@ -195,6 +195,21 @@ class ConstraintBlocks:
                 E.add_transposed(offset, wanted)
             offset.destroy()
 
+    def check_coupled(self, values: Sequence[npt.NDArray]):
+        """Raise if prescribed displacements aren't those of a rigid coupling. Collective.
+
+        Args:
+            values: Displacements of each body with the prescribed ones, this rank's owned.
+
+        Raises:
+            InterfaceError: With the place and the values.
+        """
+        for k, (one, (i, _)) in enumerate(zip(self.couplings, self.coupled, strict=True)):
+            field = one.component.of_body
+            wrong = one.contradiction(field(values[i]), field(self.prescribed[i]))
+            if wrong:
+                raise InterfaceError(f"coupling {k}: {wrong}")
+
     def check_prescribed(self, values: Sequence[PETSc.Vec]):
         """Raise if both sides of a tie are prescribed, and differently. Collective.
 
@@ -204,11 +219,7 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
-        for k, (one, (i, _)) in enumerate(zip(self.couplings, self.coupled, strict=True)):
-            field = one.component.of_body
-            wrong = one.contradiction(field(values[i].array_r), field(self.prescribed[i]))
-            if wrong:
-                raise InterfaceError(f"coupling {k}: {wrong}")
+        self.check_coupled([part.array_r for part in values])
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue

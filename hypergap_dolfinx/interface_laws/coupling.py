@@ -203,7 +203,7 @@ class Coupling(ReferencePoint):
         """Message if prescribed displacements aren't those of what is held, or None. Collective.
 
         Args:
-            values: Prescribed values of the field's owned dofs, 0 elsewhere.
+            values: Prescribed values of the field's owned dofs; others don't matter.
             prescribed: Mask of those.
         """
         if not self.is_rigid:
@@ -213,7 +213,7 @@ class Coupling(ReferencePoint):
         given = np.where(both, values.reshape(-1, n)[self._nodes], 0.0)
         q = np.where(self.held, self._prescribed / self._units, 0.0)
         carried = np.where(both, self._slopes() @ q, 0.0)
-        size = self._comm.allreduce(np.abs([given, carried]).max(initial=0), MPI.MAX)
+        size = max(self._comm.allreduce(np.abs(given).max(initial=0), MPI.MAX), np.abs(q).max())
         wrong = np.abs(given - carried) > FILE_DIGITS * size
         at = None
         if wrong.any():
