@@ -94,24 +94,6 @@ class Blended:
         np.add.at(result, b, (self.shares * p[a].T).T)
         return result
 
-    def given_over(self, values: npt.NDArray, gone: npt.NDArray[np.bool_]) -> npt.NDArray:
-        """Values without those of vertices that are hardly covered, which others have instead.
-
-        Args:
-            values: ``(..., num)``, or masks of such.
-            gone: Mask of those vertices, ``(num,)``.
-        """
-        a, b = self.pairs
-        on = gone[a]
-        a, b = a[on], b[on]
-        result = np.where(gone, np.zeros_like(values), values)
-        share = self._q[a] * self._c[b]
-        if values.dtype == bool:
-            result[..., b] |= values[..., a] & (share > 0)
-        else:
-            np.add.at(result.T, b, (share * values[..., a]).T)
-        return result
-
     def blended(self, values: Floats) -> Floats:
         """L of values at vertices, ``(num,)``."""
         return values + self._q * self._sums_of(values)

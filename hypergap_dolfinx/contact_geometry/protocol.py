@@ -183,18 +183,6 @@ class Segments(ABC):
         """
         return self._at(u).slip_curvature(target, q)
 
-    def given_over(
-        self, u: Displacements, values: npt.NDArray, gone: npt.NDArray[np.bool_]
-    ) -> npt.NDArray:
-        """Multipliers with the same forces after some of them were removed.
-
-        Args:
-            u: Displacements.
-            values: ``(..., num_multipliers)``; of masks, who takes over is in them too.
-            gone: Mask of those, ``(num_multipliers,)``.
-        """
-        return self._at(u).given_over(values, gone)
-
     def reaches(
         self, u: Displacements, least: npt.NDArray[np.float64]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -59,8 +59,6 @@ class NormalState:
     """Pressures, ``(num_multipliers,)``."""
     active: npt.NDArray[np.bool_]
     """Mask of the active set, ``(num_multipliers,)``."""
-    exists: npt.NDArray[np.bool_]
-    """Mask of the vertices that had a multiplier last, ``(num_multipliers,)``."""
 
     def copy(self):
         """A copy with arrays of its own, and with the Σ on which the next one depends."""
@@ -123,7 +121,7 @@ class ContactRows:
         """Number of a multiplier's unknowns."""
         self._size = float(surface.size.max())
         """Size of the largest facet."""
-        self.state = NormalState(None, np.zeros(num), *np.zeros((2, num), dtype=bool))
+        self.state = NormalState(None, np.zeros(num), np.zeros(num, dtype=bool))
         self._rigid = self._rigid_sides(pair)
         each = zip(self.components, self.sides, self.bodies, pair.rigid, strict=True)
         self._held = [self._held_at(held, *of_side) for of_side in each]
@@ -256,21 +254,6 @@ class ContactRows:
         )
         self.valid = (self.m > HOLDS * self._area) & (free > HOLDS**2 * every)
         self._lengths, self._acting = self.g, self.C
-        self._transfer()
-
-    def _transfer(self):
-        """Give pressures of multipliers that go to others, for Newton's start; new ones are zero.
-
-        Flat die, μ = 0.5, ten load steps of 1.3, 1.7, 2.4, 2.6, 3.1 cells: 14.2 Newton steps a load
-        step, 13.6 without; of 2.1 cells: 12.3, and stopped after 60 s without.
-        """
-        state = self.state
-        gone = state.exists & ~self.valid
-        for name in ("p", "q", "active") if state.opening is not None and gone.any() else ():
-            if name in state.arrays:
-                values = state.arrays[name]
-                values[...] = state.opening.given_over(self.at, values, gone)
-        state.exists = self.valid
 
     def activate(self, active: npt.NDArray[np.bool_]):
         """Set the active set, ``(num_multipliers,)``."""
@@ -811,7 +794,7 @@ class SystemState:
         contacts = []
         for one, two in zip(self.contacts, other.contacts, strict=True):
             if share >= 0:
-                contacts.append(replace(two, opening=one.opening, exists=one.exists))
+                contacts.append(replace(two, opening=one.opening))
                 continue
             ends = {k: (a, two.arrays[k]) for k, a in one.arrays.items() if a.dtype != bool}
             contacts.append(replace(one, **{k: a + share * (b - a) for k, (a, b) in ends.items()}))

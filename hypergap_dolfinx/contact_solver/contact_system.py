@@ -30,7 +30,6 @@ from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, M
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
-    AT_KINK,
     LARGE_CONTACT,
     LONGER,
     RAYS,
@@ -340,7 +339,7 @@ class ContactSystem(NonlinearSystem):
                 rows.start_set(stiffness, zero)
             if self._num_free:
                 self._hold()
-            is_balanced = self._balances(continuation.is_at_kink)
+            is_balanced = self._balances()
             self._record(step)
             self._interrupts.check()
             if is_balanced and (step or (self._is_exact and not self._hold_too_much())):
@@ -629,12 +628,8 @@ class ContactSystem(NonlinearSystem):
         """This rank's residual of bodies and ties without the contacts' forces."""
         return [part.array_r.copy() for part in self._b.getNestSubVecs()]
 
-    def _balances(self, at_kink: bool) -> bool:
-        """True if the residual is zero within rtol and the active gaps are closed. Collective.
-
-        Args:
-            at_kink: True if steps go to and fro over a kink, where forces needn't be zero.
-        """
+    def _balances(self) -> bool:
+        """True if the residual is zero within rtol and the active gaps are closed. Collective."""
         num, bodies = len(self._b.getNestSubVecs()) - self._num_ties, len(self._u)
         left, contact = self._forces_left()
         self._left = self._of_displacements(left[:bodies])
@@ -669,17 +664,7 @@ class ContactSystem(NonlinearSystem):
             return False
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
-        if none or worst <= self._rtol * size:
-            return True
-        if not at_kink or worst > AT_KINK * size:
-            return False
-        if self._comm.rank == 0:
-            LOG.info(
-                "contact: equilibrium at a kink of the gaps; forces are off by %.1e of those in "
-                "the bodies",
-                worst / size,
-            )
-        return True
+        return bool(none or worst <= self._rtol * size)
 
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""

@@ -12,10 +12,6 @@ Steps along one line, to and fro or slowly on, are a sequence whose limit two of
 α / (1 − r). So steps that repeat each other backwards are halved, as where stiffness changes within
 them, and steps that creep on, as with stiffness added where a tangent isn't positive, are
 lengthened.
-
-Bodies can also be in equilibrium at a kink, as where symmetric meshes lie edge on edge: forces on
-its both sides differ, and steps go to and fro over it. They are as long as that difference makes
-them, which is that of integrals over pieces of curved facets: little.
 """
 
 from collections.abc import Sequence
@@ -40,14 +36,8 @@ class Continuation:
         """
         self._comm, self._num_back, self._square = comm, 0, 0.0
         self._least = least
-        self._num_turned = self._num_in_line = 0
-        self._share = 1.0
+        self._num_in_line, self._share = 0, 1.0
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
-
-    @property
-    def is_at_kink(self) -> bool:
-        """True if three steps go to and fro, and don't become shorter."""
-        return self._num_turned > 1
 
     def share(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> float:
         """Share of the step to take, negative if backwards. Collective.
@@ -61,9 +51,6 @@ class Continuation:
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         (product, square), before = sums, self._square
         turned = product < OSCILLATES * before
-        of_last = before / self._share**2  # a whole step
-        to_and_fro = product / abs(self._share) < OSCILLATES * max(square, of_last)
-        self._num_turned = self._num_turned + 1 if to_and_fro else 0
         in_line = abs(product) > IN_LINE * np.sqrt(square * before)
         self._num_in_line = self._num_in_line + 1 if in_line else 0
         moves_on = square > self._least**2

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
-from hypergap_dolfinx.contact_solver.tolerances import HOLDS, TOGETHER
+from hypergap_dolfinx.contact_solver.tolerances import HOLDS
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,6 @@ def motions_of(
 
 
 def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
-    """True if two motions rotate together rather than against each other."""
-    one = np.eye(len(a.end))
-    most = max(np.linalg.norm(motion.turn - one) for motion in (a, b))
-    return bool(most > HOLDS and np.linalg.norm(a.turn - b.turn) < TOGETHER * most)
+    """True if both rotate, and differ by less than either of them does from rest."""
+    least = min(float(np.linalg.norm(motion.turn - np.eye(len(a.end)))) for motion in (a, b))
+    return least > HOLDS and float(np.linalg.norm(a.turn - b.turn)) < least

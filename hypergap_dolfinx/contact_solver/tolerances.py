@@ -35,10 +35,6 @@ STEPS = 25
 """Newton steps after which a load step is halved.
 Measured: Hertz up to 8, ironing up to 8."""
 
-TOGETHER = 0.5
-"""Relative rotation, over the larger one, below which two bodies rotate together.
-Measured: 1/20 of the other's: 31 Newton steps for 3 with an elastic slip."""
-
 CLOSED_GAP = 1e-9
 """Relative gap treated as zero: in facet sizes, or over the largest gap.
 Measured: round-off 1e-15; for the order of gaps 1e-8 and 1e-10 change nothing in 147 tests of
@@ -82,10 +78,6 @@ IN_LINE = 0.98
 """Cosine between Newton steps, or its negative, from which they are along one line.
 Measured: any_contacts, scenes 439, 547, 166, 1228: 206 Newton steps in their load steps and one
 halving, 359 and 7 without, 236 and 2 with .999; slender_contact 448, 440 without."""
-
-AT_KINK = 1e-6
-"""Residual, over the forces in the bodies, of an equilibrium at a kink of gaps.
-Measured: that twist: 1.6e-8."""
 
 BACK = 3
 """Steps taken backwards, where the tangent's work is negative.
