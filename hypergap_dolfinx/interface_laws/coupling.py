@@ -233,9 +233,8 @@ class Coupling(ReferencePoint):
         self._values = self.shared(self.q.x.array)
         values = np.append(self.displacement, self.angles)
         loads = np.append(self._force, self._torque) + self._springs * (self._anchors - values)
-        self._reaction = np.where(
-            self.held, -loads - self.shared(np.asarray(force, dtype=float)) / self._units, 0.0
-        )
+        loads += self.shared(np.asarray(force, dtype=np.float64)) / self._units
+        self._reaction = np.where(self.held, -loads, 0.0)
 
     def resume(self, reaction: npt.NDArray):
         """Go on from a reaction, with unknowns that are set already. Collective."""
