@@ -4,6 +4,7 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 from mpi4py import MPI
@@ -146,8 +147,6 @@ class Contact:
         )
         self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
         self._sliding, self._swapped = sliding, False
-        self._sides_chosen = "as given"
-        self._shown: ContactRows | None = None
         self._comm = comm = side0[0].mesh.comm
         if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InterfaceError(
@@ -174,20 +173,24 @@ class Contact:
             revolution.swept(create_surface(*side, name), angle)
             for side, name in ((side0, "Γ0"), (side1, "Γ1"))
         )
-        self._finer = _size(below) / _size(above)
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
-        self._bare = below, above
         self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
-        self._itself = self._is_itself(side0, side1)
-        self._sides = MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])
-        self._depth = BEHIND_BODY * min(
-            _thickness(*pair) for pair in zip(self._spaces, self._surfaces)
-        )
+        itself = self._is_itself(side0, side1)
+        thickness = min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1, self._split)
         self._compliance = (
             None
             if compliance is None
             else Coefficient(compliance, "compliance", "the compliance", *side1, self._split)
+        )
+        limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
+        self._geometry = ContactGeometry(
+            (below, above),
+            (MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])),
+            follows=sliding == "finite",
+            itself=itself,
+            depth=BEHIND_BODY * thickness,
+            gives=self._compliance is not None or bool(limited),
         )
         for doubt in self._doubts(below, above):
             if comm.rank == 0:
@@ -256,33 +259,17 @@ class Contact:
         contact = cls(*((b, a) if swapped else (a, b)), **options)
         contact._swapped = swapped
         name = label((a if swapped else b)[0].mesh)
-        contact._sides_chosen = f"the {'first' if swapped else 'second'} side{name}"
-        contact._sides_chosen += why and f", the {why} one"
+        chosen = f"the {'first' if swapped else 'second'} side{name}{why and f', the {why} one'}"
+        contact._geometry.chosen = chosen
         if a[0].mesh.comm.rank == 0:
-            LOG.info("Γ1 is %s", contact._sides_chosen)
+            LOG.info("Γ1 is %s", chosen)
         return contact
-
-    @property
-    def doubt_of_sizes(self) -> str | None:
-        """Warning about a Γ1 that is finer than Γ0, or None."""
-        if self.finer <= FINER * (1 + 1e-9):
-            return None
-        return (
-            f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
-            "than with the sides swapped (Contact.between chooses)."
-        )
-
-    @cached_property
-    def is_wall(self) -> bool:
-        """True if Γ0 is flat. If its body is also rigid, facets of any size are exact."""
-        wall = self._surfaces[0]
-        off = np.abs(wall.normals - wall.normals[0]).max()
-        return bool(off <= FILE_DIGITS and not wall.curved.any())
 
     def _doubts(self, *surfaces: Surface):
         """Warnings about the surfaces of the meshes, one line each."""
-        if self.doubt_of_sizes and not self.is_wall:  # of a wall a problem knows if it is rigid
-            yield self.doubt_of_sizes
+        doubt = self._geometry.doubt_of_sizes
+        if doubt and not self._geometry.is_wall:  # of a wall a problem knows if it is rigid
+            yield doubt
         for surface in surfaces:
             if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
                 yield (
@@ -311,9 +298,9 @@ class Contact:
         return self._surfaces
 
     @property
-    def sides(self) -> tuple[MovingSurface, MovingSurface]:
-        """Γ0 and Γ1 as moving surfaces."""
-        return self._sides
+    def geometry(self) -> "ContactGeometry":
+        """Moving sides and Σ between them, for problems."""
+        return self._geometry
 
     @property
     def sliding(self) -> str:
@@ -331,43 +318,6 @@ class Contact:
         return self._compliance
 
     @property
-    def finer(self) -> float:
-        """Median facet size of Γ0 over that of Γ1."""
-        return self._finer
-
-    @property
-    def itself(self) -> bool:
-        """True if both sides are one surface, which can meet itself."""
-        return self._itself
-
-    @property
-    def follows(self) -> bool:
-        """True for finite sliding."""
-        return self._sliding == "finite"
-
-    @property
-    def depth(self) -> float:
-        """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
-        return self._depth
-
-    def gaps(self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]) -> Segments:
-        """Find the contact segments at given displacements. Collective.
-
-        Args:
-            u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
-                on every rank.
-            held: Masks of prescribed displacements, of the same shapes.
-
-        Raises:
-            InterfaceError: No part of Γ1 lies opposite Γ0, or Σ can't be meshed.
-        """
-        limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
-        gives = self._compliance is not None or bool(limited)
-        if self._surfaces[0].gdim == 3:
-            return SpaceSegments.between(self._sides, u, gives=gives, itself=self._itself)
-        return PlaneSegments.between(self._sides, u, held, gives=gives, itself=self._itself)
-
-    @property
     def swapped(self) -> bool:
         """True if :meth:`between` made its first side Γ1."""
         return self._swapped
@@ -378,11 +328,7 @@ class Contact:
 
         None before the contact is in a problem.
         """
-        return self._shown
-
-    def show(self, rows: ContactRows):
-        """Set the rows that :attr:`rows` and :attr:`active` return."""
-        self._shown = rows
+        return self._geometry.shown
 
     @property
     def active(self) -> npt.NDArray[np.bool_]:
@@ -594,11 +540,7 @@ class Contact:
         contacts, and names bodies that nothing holds.
         """
         u0, u1 = (fem.Function(V) for V in self._spaces)
-        return table([self.status_of(self._rows_at(u0, u1))])
-
-    def status_of(self, rows: ContactRows) -> ContactStatus:
-        """Status of given rows of this contact, as arrays; updates their gaps. Collective."""
-        return ContactStatus.of(rows, self._bare, self._sides_chosen)
+        return table([self._geometry.status(self._rows_at(u0, u1))])
 
     def _solved_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows | None:
         """Rows of a solved problem if these are its displacements, else None. Collective."""
@@ -649,7 +591,7 @@ class Contact:
         Args:
             problem: A solved problem with this contact.
         """
-        return displaced(self._sides, self._solved_rows(problem).u)
+        return displaced(self._geometry.sides, self._solved_rows(problem).u)
 
     def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray[np.float64]:
         """Force of pressure and friction on a body.
@@ -728,6 +670,71 @@ class Contact:
         f.x.array.reshape(-1, *shape)[at[mine] - start] = values[mine]
         f.x.scatter_forward()
         return f
+
+
+@dataclass
+class ContactGeometry:
+    """Sides of a contact as problems with it take them: moving surfaces, and Σ between these."""
+
+    surfaces: tuple[Surface, Surface]
+    """Γ0 and Γ1 on the meshes, with whole edges."""
+    sides: tuple[MovingSurface, MovingSurface]
+    """Γ0 and Γ1 as moving surfaces."""
+    follows: bool
+    """True for finite sliding."""
+    itself: bool
+    """True if both sides are one surface, which can meet itself."""
+    depth: float
+    """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
+    gives: bool
+    """True if pressures act where surfaces overlap, or friction has a shear limit."""
+    chosen: str = "as given"
+    """How the sides were chosen, in words."""
+    shown: ContactRows | None = None
+    """Rows of the problem solved last."""
+
+    @cached_property
+    def finer(self) -> float:
+        """Median facet size of Γ0 over that of Γ1."""
+        below, above = map(_size, self.surfaces)
+        return below / above
+
+    @property
+    def doubt_of_sizes(self) -> str | None:
+        """Warning about a Γ1 that is finer than Γ0, or None."""
+        if self.finer <= FINER * (1 + 1e-9):
+            return None
+        return (
+            f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
+            "than with the sides swapped (Contact.between chooses)."
+        )
+
+    @cached_property
+    def is_wall(self) -> bool:
+        """True if Γ0 is flat. If its body is also rigid, facets of any size are exact."""
+        wall = self.sides[0].reference
+        off = np.abs(wall.normals - wall.normals[0]).max()
+        return bool(off <= FILE_DIGITS and not wall.curved.any())
+
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray[np.bool_]]) -> Segments:
+        """Find the contact segments at given displacements. Collective.
+
+        Args:
+            u: Displacements at the dofs of both :attr:`sides`, ``(num_dofs_i, n)`` each, the same
+                on every rank.
+            held: Masks of prescribed displacements, of the same shapes.
+
+        Raises:
+            InterfaceError: No part of Γ1 lies opposite Γ0, or Σ can't be meshed.
+        """
+        options = {"gives": self.gives, "itself": self.itself}
+        if self.surfaces[0].gdim == 3:
+            return SpaceSegments.between(self.sides, u, **options)
+        return PlaneSegments.between(self.sides, u, held, **options)
+
+    def status(self, rows: ContactRows) -> ContactStatus:
+        """Status of given rows of this contact, as arrays; updates their gaps. Collective."""
+        return ContactStatus.of(rows, self.surfaces, self.chosen)
 
 
 def _size(surface: Surface) -> float:

@@ -185,13 +185,13 @@ class ContactProblem(ContactSystem):
                     f"contact {c} is between two rigid bodies, where pressures are undetermined: "
                     "give it a compliance."
                 )
-            if are_rigid[1] and not all(are_rigid) and contact.finer > ALIKE:
+            if are_rigid[1] and not all(are_rigid) and contact.geometry.finer > ALIKE:
                 raise ValueError(
                     f"Γ1 of contact {c} is rigid, with smaller facets than Γ0: there would be "
                     "more pressures than displacements; swap its sides."
                 )
-            if contact.is_wall and contact.doubt_of_sizes and not are_rigid[0]:
-                told_sizes.append(contact.doubt_of_sizes)
+            if contact.geometry.is_wall and contact.geometry.doubt_of_sizes and not are_rigid[0]:
+                told_sizes.append(contact.geometry.doubt_of_sizes)
             fields = u[bodies[0]], u[bodies[1]]
             both, on = (numbers[0], numbers[1]), (rigid.get(bodies[0]), rigid.get(bodies[1]))
             pairs.append(ContactPair(contact, fields, both, contact.components, on))
@@ -435,7 +435,7 @@ class ContactProblem(ContactSystem):
         fresh = [type(rows)(pair, self._held) for rows, pair in zip(self._rows, self._pairs)]
         for rows, known in zip(fresh, self._rows, strict=True):
             rows.condensed_to = known.condensed_to
-        found = [one.status_of(rows) for one, rows in zip(self._contacts, fresh, strict=True)]
+        found = [one.geometry.status(rows) for one, rows in zip(self._contacts, fresh, strict=True)]
         return table(found, self._free_in_words([r for r, s in zip(fresh, found) if not s.error]))
 
     def _free_in_words(self, found_rows: Sequence[ContactRows]) -> list[str]:
@@ -520,7 +520,7 @@ class ContactProblem(ContactSystem):
         size = [field.stiffness(K) for field, K in zip(self._fields, self._K, strict=True)]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = (None if b is None or b >= self._num_elastic else b for b in rows.bodies)
-            if i is None or contact.finer * ALIKE < 1 or comm.rank > 0:
+            if i is None or contact.geometry.finer * ALIKE < 1 or comm.rank > 0:
                 continue
             if j is None or size[j] > STIFF * size[i]:
                 LOG.warning(
@@ -553,7 +553,7 @@ class ContactProblem(ContactSystem):
     def _warn_of_cells(self, comm):
         """Warn, once for each body, of cells that are turned over as it slides far. Collective."""
         follow = zip(self._contacts, self._rows, strict=True)
-        moved = {b for contact, rows in follow if contact.follows for b in rows.bodies}
+        moved = {b for contact, rows in follow if contact.geometry.follows for b in rows.bodies}
         for b in sorted((moved & set(range(self._num_elastic))) - self._told_over):
             u = self._moving[b].own_function(self._u[b])
             places = [x for part in comm.allgather(turned_over(u)) for x in part]

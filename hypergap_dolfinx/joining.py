@@ -84,9 +84,9 @@ class Joined:
             no problem has them yet.
         """
         group = [tie for t, tie in enumerate(self.ties) if self._of[t][0] == interface]
-        if not all(tie.may_turn_over for tie in group):
+        if not all(tie._may_turn_over for tie in group):
             return None
-        if not all([tie.turn_over() for tie in group]):
+        if not all([tie._turn_over() for tie in group]):
             return None
         self.destroy()
         return Joined(self.ties)
@@ -94,7 +94,7 @@ class Joined:
     def settle(self):
         """Fix the sides of all ties."""
         for tie in self.ties:
-            tie.settle()
+            tie._settle()
 
     def find(self, tie) -> int:
         """Number of the interface that contains a tie.

@@ -303,15 +303,15 @@ class Tie(collective.Owner):
         return tie
 
     @property
-    def may_turn_over(self) -> bool:
+    def _may_turn_over(self) -> bool:
         """True if :meth:`between` chose the sides and no problem has the tie yet."""
         return self._other is not None
 
-    def settle(self):
+    def _settle(self):
         """Fix the choice of sides."""
         self._other = None
 
-    def turn_over(self) -> bool:
+    def _turn_over(self) -> bool:
         """Exchange Γ0 and Γ1, once. Collective.
 
         Returns:

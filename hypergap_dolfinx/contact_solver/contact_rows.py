@@ -106,9 +106,9 @@ class ContactRows:
             held: Mask of each body's prescribed owned dofs.
         """
         self._contact, self.fields, self.bodies = pair.contact, pair.u, pair.bodies
-        self.sides, self.spaces = self._contact.sides, self._contact.spaces
+        self.sides, self.spaces = self._contact.geometry.sides, self._contact.spaces
         self.components = pair.components
-        self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.follows
+        self._comm, self._follows = self.spaces[0].mesh.comm, self._contact.geometry.follows
         self.number = -1
         """Number among the contact's rows of all problems, the same on every rank."""
         self.start: Displacements | None = None
@@ -175,7 +175,7 @@ class ContactRows:
     @property
     def meets_itself(self) -> bool:
         """True if both sides are one surface."""
-        return self._contact.itself
+        return self._contact.geometry.itself
 
     @property
     def on_rigid_body(self) -> bool:
@@ -224,7 +224,7 @@ class ContactRows:
             self.number = len(known)
         known.pop(self.number, None)
         known[self.number] = ref(self)
-        self._contact.show(self)
+        self._contact.geometry.shown = self
 
     def start_step(self):
         """Start a load step: read values that the user may have changed. Collective."""
@@ -440,7 +440,7 @@ class ContactRows:
         state, at = self.state, self.at
         try:  # the same on all ranks
             if state.opening is None:
-                state.opening = self._contact.gaps(at, self._held)
+                state.opening = self._contact.geometry.gaps(at, self._held)
             if self._follows:
                 return state.opening.gap(at)
             g, m, C = state.opening.linear_gap(at)
@@ -485,7 +485,7 @@ class ContactRows:
             return
         self._checked, opposite = True, self.m > 0
         height = self.g[opposite] / self.m[opposite]
-        if opposite.any() and (height < -self._contact.depth).all():
+        if opposite.any() and (height < -self._contact.geometry.depth).all():
             raise InterfaceError(
                 f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "
                 "of each other, or the facets on those of the bodies."

@@ -154,6 +154,32 @@ class Coulomb(AtVertices, Protocol):
         """Upper bound of the friction traction."""
 
 
+class ContactSides(Protocol):
+    """Moving sides of a contact, and Σ between them."""
+
+    shown: Any
+    """Rows of the problem solved last."""
+
+    @property
+    def sides(self) -> tuple[MovingSurface, MovingSurface]:
+        """Γ0 and Γ1."""
+
+    @property
+    def itself(self) -> bool:
+        """True if both sides are one surface."""
+
+    @property
+    def follows(self) -> bool:
+        """True if gaps are found anew where the bodies are, False if Σ keeps its first place."""
+
+    @property
+    def depth(self) -> float:
+        """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
+
+    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
+        """Find the gaps where the bodies are, of which some displacements are prescribed."""
+
+
 class ContactInterface(Protocol):
     """Two sides that can touch, with a multiplier for each vertex of Γ1."""
 
@@ -170,12 +196,8 @@ class ContactInterface(Protocol):
         """This rank's facets on Γ0 and on Γ1."""
 
     @property
-    def sides(self) -> tuple[MovingSurface, MovingSurface]:
-        """Γ0 and Γ1."""
-
-    @property
-    def itself(self) -> bool:
-        """True if both sides are one surface."""
+    def geometry(self) -> ContactSides:
+        """Moving sides and Σ between them."""
 
     @property
     def friction(self) -> Coulomb | None:
@@ -184,17 +206,3 @@ class ContactInterface(Protocol):
     @property
     def compliance(self) -> AtVertices | None:
         """Overlap of the surfaces under a pressure of 1; None if they are hard."""
-
-    @property
-    def follows(self) -> bool:
-        """True if gaps are found anew where the bodies are, False if Σ keeps its first place."""
-
-    @property
-    def depth(self) -> float:
-        """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
-
-    def show(self, rows: Any) -> None:
-        """Set the rows of the problem solved last."""
-
-    def gaps(self, u: Displacements, held: Sequence[npt.NDArray]) -> Segments:
-        """Find the gaps where the bodies are, of which some displacements are prescribed."""

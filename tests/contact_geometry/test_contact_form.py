@@ -201,8 +201,8 @@ def test_arcs_that_turn(num):
             V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
             sides.append((V, ft.find((meshes.OUTER, meshes.BOTTOM)[i])))
         contact = Contact(*sides)
-        u = [np.zeros((len(side.dofs), 2)) for side in contact.sides]
-        return contact.gaps((u[0], u[1]), ()).gap((u[0], u[1]))[0].sum()
+        u = [np.zeros((len(side.dofs), 2)) for side in contact.geometry.sides]
+        return contact.geometry.gaps((u[0], u[1]), ()).gap((u[0], u[1]))[0].sum()
 
     assert abs(volume(num) / volume(48) - 1) <= 0.06
 

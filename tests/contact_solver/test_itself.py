@@ -67,7 +67,7 @@ def test_hairpin(degree):
     )
     assert told.contact.active.any()
     for one in found:
-        assert one.contact.itself and one.contact.active.sum() == told.contact.active.sum()
+        assert one.contact.geometry.itself and one.contact.active.sum() == told.contact.active.sum()
         close(one.u.x.array, told.u.x.array, SAME)
         close(one.contact.force(one.problem), told.contact.force(told.problem), 1e-9)
 
@@ -115,7 +115,7 @@ def test_hairpin_in_space(cell, degree, cells):
     )
     assert told.contact.active.any()
     for one in found:
-        assert one.contact.itself and one.contact.active.sum() == told.contact.active.sum()
+        assert one.contact.geometry.itself and one.contact.active.sum() == told.contact.active.sum()
         close(one.u.x.array, told.u.x.array, SAME)
         close(one.contact.force(one.problem), told.contact.force(told.problem), 1e-9)
 
