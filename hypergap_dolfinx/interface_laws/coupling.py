@@ -32,8 +32,8 @@ class Coupling(ReferencePoint):
     v = t + θ × (x − X₀), with the point X₀ anywhere. :class:`TiedProblem` and
     :class:`NonlinearTiedProblem` take couplings.
 
-    - ``"distributing"``: t and θ are the surface's mean motion, ∫ |u − v|² dΓ is least. Forces and
-      torques act as tractions that vary linearly over the surface, as in a beam's section, and
+    - ``"distributing"``: t and θ are the surface's mean motion, ``∫ |u − v|² dΓ`` is least. Forces
+      and torques act as tractions that vary linearly over the surface, as in a beam's section, and
       don't stiffen it.
     - ``"rigid"``: the surface moves as a rigid body, u = v at its nodes.
 
