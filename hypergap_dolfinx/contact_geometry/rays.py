@@ -232,7 +232,8 @@ def own_of(surface: Surface) -> dict[str, Any]:
     det = _cross(inward[:, None], chord[None])
     with np.errstate(divide="ignore", invalid="ignore"):
         far, at = _cross(to, chord[None]) / det, _cross(to, inward[:, None]) / det
-    walls = np.where((far > 0) & (at >= 0) & (at <= 1), far, np.inf)
+    behind = far > SLACK * lengths(chord)[:, None]  # nearer it is what touches or overlaps
+    walls = np.where(behind & (at >= 0) & (at <= 1), far, np.inf)
     for column in near.T:
         is_one = column >= 0
         walls[is_one, column[is_one]] = np.inf

@@ -16,6 +16,7 @@ from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as meshing
 from dolfinx.mesh import compute_midpoints
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
+from hypergap_dolfinx.contact_geometry.rays import own_of
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
@@ -207,6 +208,19 @@ def test_pairs_in_space(cell):
     way = rng.standard_normal(u.shape)
     ends = [p @ segments.gap((u + h * way, u + h * way))[0] for h in (1e-6, -1e-6)]
     assert abs((ends[0] - ends[1]) / 2e-6 - (force.sum(axis=0) * way).sum()) <= 1e-8 * size
+
+
+@pytest.mark.parametrize("gap", [-3e-16, -1e-6])
+def test_touching(gap):
+    """Legs that overlap a little at first aren't the other side of their own walls."""
+    mesh, tags = meshes.block(comm, (2, 48), hairpin)
+    x = mesh.geometry.x
+    x[:, 1] += np.where(x[:, 1] > 0, -0.375 + gap, 0.375) * (x[:, 0] > -1e-9)
+    inner = tags.find(meshes.LEFT)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    own = own_of(create_surface(V, inner, "Γ0"))
+    middle = compute_midpoints(mesh, 1, inner)
+    assert np.isinf(own["depths"]).sum() >= (middle[:, 0] > 0.2).sum()
 
 
 @two_ranks()
