@@ -22,9 +22,10 @@
 #include "space.h"
 #include "vectors.h"
 
-#define MOST_POINTS 3    // of the rule
+#define MOST_POINTS 15   // of the rule, and monomials up to its degree
+#define MOST_DEGREE 4
 #define MOST_SIDES 4     // of a facet
-#define PARALLEL 1e-6    // sine of the angle between edges whose crossing stays where it is on one
+#define PARALLEL 1e-9    // sine of the angle between edges whose crossing stays where it is on one
 #define STEPS_OF_RAY 10  // to where it meets Γ0, at most
 
 typedef struct {
@@ -318,14 +319,61 @@ static void corner_on_facet(Tape *tape, const Set *set, Plane *plane, int k, Jet
   }
 }
 
-// Points and weights on a polygon: as moments.c has them for degrees 1 and 2.
+// Middle from the first corner, and the lower square root of the matrix of second moments.
+typedef struct {
+  Jet middle[2], c, d, e;
+} Spread;
+
+// Weights of points on a polygon by its moments, as moments.c has them.
+//
+// n        number of corners
+// X        corners from the first one, (n, 2)
+// twice    areas of the triangles with the first corner, doubled, (n - 1), from 1 on
+static void weights_of(Tape *tape, const Parts *parts, int n, Jet (*X)[2], Jet *twice,
+                       const Spread *by, Jet *weights)
+{
+  Jet moments[MOST_POINTS];
+  for (int m = 0; m < parts->num_terms; ++m)
+    moments[m] = constant(tape, 0);
+  for (int t = 1; t + 1 < n; ++t)
+    for (int k = 0; twice[t][0] != 0 && k < parts->num_inner; ++k)
+    {
+      const double *in = parts->inner + 3 * k;
+      Jet y[2], powers[2][MOST_DEGREE + 1];
+      for (int i = 0; i < 2; ++i)
+      {
+        y[i] = combined(tape, in[0], X[t][i], in[1], X[t + 1][i]);
+        y[i] = combined(tape, 1, y[i], -1, by->middle[i]);
+      }
+      y[0] = quotient(tape, y[0], by->c);
+      y[1] = quotient(tape, combined(tape, 1, y[1], -1, product(tape, by->d, y[0])), by->e);
+      powers[0][0] = scaled(tape, in[2], twice[t]), powers[1][0] = constant(tape, 1);
+      for (int i = 0; i < 2; ++i)
+        for (int d = 0; d < parts->powers[2 * parts->num_terms - 2]; ++d)
+          powers[i][d + 1] = product(tape, powers[i][d], y[i]);
+      for (int m = 0; m < parts->num_terms; ++m)
+      {
+        const int *power = parts->powers + 2 * m;
+        Jet value = product(tape, powers[0][power[0]], powers[1][power[1]]);
+        moments[m] = combined(tape, 1, moments[m], 1, value);
+      }
+    }
+  for (int k = 0; k < parts->num_points; ++k)
+  {
+    weights[k] = scaled(tape, parts->inverse[k], moments[0]);
+    for (int m = 1; m < parts->num_terms; ++m)
+      weights[k] = combined(tape, 1, weights[k], parts->inverse[parts->num_points * m + k], moments[m]);
+  }
+}
+
+// Points and weights on a polygon: as moments.c has them.
 //
 // points   (num_points, 2)
-// Returns the weight, the same for all.
-static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
+// weights  (num_points)
+static void points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2], Jet *weights)
 {
   int n = set->count, num = set->of->num_points;
-  Jet X[n][2], area = NULL, first[2], second[3];
+  Jet X[n][2], twice[n], area = NULL, first[2], second[3];
   for (int k = 0; k < n; ++k)
   {
     corner_on_facet(tape, set, plane, k, X[k]);
@@ -334,12 +382,13 @@ static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
   }
   for (int t = 1; t + 1 < n; ++t)
   {
-    Jet *a = X[t], *b = X[t + 1], twice = wedge(tape, a, b), sum[2];
-    area = area ? combined(tape, 1, area, 0.5, twice) : scaled(tape, 0.5, twice);
+    Jet *a = X[t], *b = X[t + 1], sum[2];
+    twice[t] = wedge(tape, a, b);
+    area = area ? combined(tape, 1, area, 0.5, twice[t]) : scaled(tape, 0.5, twice[t]);
     for (int i = 0; i < 2; ++i)
     {
       sum[i] = combined(tape, 1, a[i], 1, b[i]);
-      Jet part = scaled(tape, 1. / 6, product(tape, twice, sum[i]));
+      Jet part = scaled(tape, 1. / 6, product(tape, twice[t], sum[i]));
       first[i] = t > 1 ? combined(tape, 1, first[i], 1, part) : part;
     }
     for (int k = 0; num > 1 && k < 3; ++k)
@@ -347,34 +396,41 @@ static Jet points_of(Tape *tape, const Set *set, Plane *plane, Jet (*points)[2])
       int i = k == 2, j = k > 0;
       Jet part = combined(tape, 1, product(tape, a[i], a[j]), 1, product(tape, b[i], b[j]));
       part = combined(tape, 1, part, 1, product(tape, sum[i], sum[j]));
-      part = scaled(tape, 1. / 24, product(tape, twice, part));
+      part = scaled(tape, 1. / 24, product(tape, twice[t], part));
       second[k] = t > 1 ? combined(tape, 1, second[k], 1, part) : part;
     }
   }
+  Jet equal = scaled(tape, 1. / num, area);
+  for (int k = 0; k < num; ++k)
+    weights[k] = equal;
+  Spread by;
   for (int i = 0; i < 2; ++i)
-    first[i] = quotient(tape, first[i], area);
+  {
+    by.middle[i] = quotient(tape, first[i], area);
+    points[0][i] = combined(tape, 1, X[0][i], 1, by.middle[i]);
+  }
   if (num > 1)
   {
     for (int k = 0; k < 3; ++k)
       second[k] = combined(tape, 1, quotient(tape, second[k], area), -1,
-                           product(tape, first[k == 2], first[k > 0]));
+                           product(tape, by.middle[k == 2], by.middle[k > 0]));
     double least = set->of->least * (second[0][0] + second[2][0]) + 1e-300;
-    Jet c = second[0][0] > least ? power(tape, second[0], 0.5) : constant(tape, sqrt(least));
-    Jet d = quotient(tape, second[1], c);
-    Jet e = combined(tape, 1, second[2], -1, product(tape, d, d));
-    e = e[0] > least ? power(tape, e, 0.5) : constant(tape, sqrt(least));
+    by.c = second[0][0] > least ? power(tape, second[0], 0.5) : constant(tape, sqrt(least));
+    by.d = quotient(tape, second[1], by.c);
+    by.e = combined(tape, 1, second[2], -1, product(tape, by.d, by.d));
+    by.e = by.e[0] > least ? power(tape, by.e, 0.5) : constant(tape, sqrt(least));
+    Jet middle[2] = {points[0][0], points[0][1]};
     for (int p = 0; p < num; ++p)
     {
       const double *y = set->of->points + 2 * p;
-      Jet by = combined(tape, y[0], d, y[1], e);
-      points[p][0] = combined(tape, 1, combined(tape, 1, X[0][0], 1, first[0]), y[0], c);
-      points[p][1] = combined(tape, 1, combined(tape, 1, X[0][1], 1, first[1]), 1, by);
+      points[p][0] = combined(tape, 1, middle[0], y[0], by.c);
+      points[p][1] = combined(tape, 1, middle[1], 1, combined(tape, y[0], by.d, y[1], by.e));
     }
+    if (set->of->num_terms)
+      weights_of(tape, set->of, n, X, twice, &by, weights);
   }
-  else
-    for (int i = 0; i < 2; ++i)
-      points[0][i] = combined(tape, 1, X[0][i], 1, first[i]);
-  return scaled(tape, (set->num % 2 ? 1. : -1.) / num, area);
+  for (int k = 0; set->num % 2 == 0 && k < num; ++k) // sign
+    weights[k] = scaled(tape, -1, weights[k]);
 }
 
 // Where the ray from a point of Γ1 meets a sheet, by Newton's method: each step gives one order of
@@ -679,11 +735,11 @@ static double part_area(const Facets *facets)
 static int add_set(Set *set, Tape *tape, const Work *work)
 {
   int num = set->of->num_points;
-  Jet points[MOST_POINTS][2], weight;
+  Jet points[MOST_POINTS][2], weights[MOST_POINTS];
   if (!start_tape(tape, 0, 0))
     return 0;
   Plane plane = plane_of(tape, set);
-  weight = points_of(tape, set, &plane, points);
+  points_of(tape, set, &plane, points, weights);
   set->looks = 1, set->num_spots = 0;
   size_t used = tape->used;
   for (int k = 0; k < num; ++k, tape->used = used)
@@ -692,7 +748,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     *spot = (Spot){.number = k};
     for (int s = 0; s < set->num; ++s)
       memcpy(spot->xi[s], set->below->middle, sizeof(spot->xi[s]));
-    set->num_spots += ray_at(tape, set, &plane, spot, weight, points[k]).visible != NULL;
+    set->num_spots += ray_at(tape, set, &plane, spot, weights[k], points[k]).visible != NULL;
   }
   if (tape->failed || !set->num_spots)
     return !tape->failed;
@@ -707,7 +763,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
   if (!start_tape(tape, 3 * set->num_dofs, work->order))
     return 0;
   plane = plane_of(tape, set);
-  weight = points_of(tape, set, &plane, points);
+  points_of(tape, set, &plane, points, weights);
   double whole = part_area(set->above);
   Jet sum = constant(tape, 0), covered = constant(tape, 0);
   double area = 0;
@@ -716,7 +772,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
   for (int k = 0; k < set->num_spots; ++k, tape->used = used)
   {
     Spot *spot = set->spots + k;
-    Seen seen = ray_at(tape, set, &plane, spot, weight, points[spot->number]);
+    Seen seen = ray_at(tape, set, &plane, spot, weights[spot->number], points[spot->number]);
     if (work->T || work->q)
     {
       add_slips(tape, set, &plane, &seen, work);

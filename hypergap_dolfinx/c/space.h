@@ -67,8 +67,13 @@ typedef struct {
   const int *facets;            // (num)
   const int *first;             // of each one's sheets, (num + 1)
   const int *sheets;            // facets of Γ0
-  int num_points;               // of the rule on polygons: 1 or 3
-  const double *points;         // as for polygon_rule
+  int num_points;               // of the rule on polygons: 1, 3 or 15
+  const double *points;         // these and what makes weights as for polygon_rule
+  int num_terms;
+  const int *powers;
+  const double *inverse;
+  int num_inner;
+  const double *inner;
   double cosines[2], inside[2], nearest[2], slack, sliver, least, last;
   int num_triangles;            // of Γ0, for depths
   const double *triangles;      // their corners, (num_triangles, 3, 3)

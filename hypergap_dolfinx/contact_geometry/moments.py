@@ -31,12 +31,26 @@ def rule(X: npt.NDArray[np.float64], degree: int) -> tuple[npt.NDArray, npt.NDAr
         ``(num_points, 2)``, ``(num_points,)`` and ``(num_points,)``.
     """
     points, powers, inverse = standard_points(degree)
-    inner = np.column_stack(basix.make_quadrature(basix.CellType.triangle, degree))
+    inner = inner_points(degree)
     at, weights = np.empty((len(X), len(points), 2)), np.empty((len(X), len(points)))
     polygons = *X.shape[:2], doubles(X), len(points), doubles(points), WIDTH**2
     terms = len(powers), ints(powers), doubles(inverse), len(inner), inner
     call("polygon_rule", *polygons, *terms, at, weights)
     return at.reshape(-1, 2), np.repeat(np.arange(len(X)), len(points)), weights.ravel()
+
+
+@cache
+def inner_points(degree: int) -> npt.NDArray[np.float64]:
+    """Points and weights of a rule for moments on the reference triangle, ``(num_inner, 3)``."""
+    return np.column_stack(basix.make_quadrature(basix.CellType.triangle, degree))
+
+
+def degree_of(surfaces) -> int:
+    """Degree of the rule on polygons that two surfaces need, for their displacements' functions."""
+    degree = max(surface.geometry.degree for surface in surfaces)
+    # Degree 1 is enough for linear integrands on straight triangles
+    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in surfaces)
+    return 1 if linear else 2 * degree
 
 
 @cache

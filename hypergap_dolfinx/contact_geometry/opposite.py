@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import (
@@ -236,6 +235,8 @@ class OwnPairs:
     @classmethod
     def of(cls, surface: Surface) -> "OwnPairs":
         """Those of a surface."""
+        from scipy import sparse  # here, as importing it takes longer than all else
+
         facets, num = surface.facets, len(surface.facets)
         rows = np.repeat(np.arange(num), facets.shape[1])
         has = sparse.csr_array((np.ones(facets.size), (rows, facets.ravel())))

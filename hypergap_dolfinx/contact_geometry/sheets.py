@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.heights import At, Rays
-from hypergap_dolfinx.contact_geometry.moments import standard_points
+from hypergap_dolfinx.contact_geometry.moments import degree_of, inner_points, standard_points
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
@@ -167,8 +167,9 @@ class Faded:
         pairs = np.unique(f1 * len(below.facets) + f0)
         self.facets, first = np.unique(pairs // len(below.facets), return_index=True)
         corners = reference_corners(below.geometry.cell_type)
-        straight = all(surface.geometry.dim == 3 for surface in frames.surfaces)
-        points = standard_points(1 if straight else 2)[0]
+        degree = min(degree_of(frames.surfaces), 4)  # MOST_DEGREE of parts.c
+        points, powers, inverse = standard_points(degree)
+        inner = inner_points(degree)
         self.num = parts.shape[0] * len(above.facets)
         self._pointer = struct(
             "Parts",
@@ -183,6 +184,11 @@ class Faded:
             sheets=ints(pairs % len(below.facets)),
             num_points=len(points),
             points=points,
+            num_terms=len(powers),
+            powers=ints(powers),
+            inverse=doubles(inverse),
+            num_inner=len(inner),
+            inner=inner,
             cosines=list(COSINES),
             inside=list(INSIDE),
             nearest=list(NEAREST),

@@ -27,7 +27,7 @@ from hypergap_dolfinx.contact_geometry.heights import (
     directions,
     merged,
 )
-from hypergap_dolfinx.contact_geometry.moments import rule
+from hypergap_dolfinx.contact_geometry.moments import degree_of, rule
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
@@ -326,10 +326,7 @@ class SpaceSegments(Segments):
 
 def _cast(frames: Frames, pieces: FacetPieces):
     """Rays from the points of a rule on pieces, the piece of each, and weights."""
-    degree = max(surface.geometry.degree for surface in frames.surfaces)
-    # Degree 1 is enough for linear integrands on straight triangles
-    linear = degree == 1 and all(surface.geometry.dim == 3 for surface in frames.surfaces)
-    X, piece, weights = rule(pieces.X, 1 if linear else 2 * degree)
+    X, piece, weights = rule(pieces.X, degree_of(frames.surfaces))
     on, at, more = pieces.bulges(3)
     if len(on):
         X, weights = np.vstack((X, at.reshape(-1, 2))), np.append(weights, more)

@@ -84,6 +84,11 @@ def test_patch_of_degree_2():
     assert pressure_error(2, (4, 2), False, 1e-3) <= 1e-10
 
 
+def test_patch_of_hexahedra_of_degree_2():
+    """Functions of degree 4 on facets that the narrow block's end covers in part, on and off."""
+    assert pressure_error(2, (4, 3), True, 0.2, meshing.CellType.hexahedron) <= 1e-10
+
+
 def sides(heights, h=(0.25, 0.17), degree=1, offset=0.0):
     """Two surfaces, each from 0 to 1 but for the second one's offset; heights tell both."""
     found = []
