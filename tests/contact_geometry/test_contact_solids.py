@@ -89,6 +89,13 @@ def test_patch_of_hexahedra_of_degree_2():
     assert pressure_error(2, (4, 3), True, 0.2, meshing.CellType.hexahedron) <= 1e-10
 
 
+@pytest.mark.parametrize("degree", (1, 2))
+def test_blocks_edge_on_edge(degree):
+    """Forces jump by 1e-6 where edges lie above middles of facets: equilibrium up to that."""
+    error = pressure_error(degree, (5, 4), True, 1e-3, meshing.CellType.hexahedron)
+    assert error < 0.5  # load and block end at other places
+
+
 def sides(heights, h=(0.25, 0.17), degree=1, offset=0.0):
     """Two surfaces, each from 0 to 1 but for the second one's offset; heights tell both."""
     found = []
