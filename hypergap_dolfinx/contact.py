@@ -620,7 +620,8 @@ class Contact:
         """Moment of pressure and friction on a body about a point, Σ (x − x₀) × f. Collective.
 
         Positions are displaced ones; with small sliding, where Σ is that of the start, they are
-        those of the start. The moments on both bodies about one point are opposite.
+        those of the start. The moments on both bodies about one point are opposite: to round-off,
+        with friction in space up to the gaps within facets.
 
         Args:
             problem: A solved problem with this contact.
@@ -646,6 +647,11 @@ class Contact:
     def _side(self, rows: ContactRows, on: fem.Function | None) -> int:
         """The side of a body, by its displacement; the second one as given."""
         if on is None:
+            if self.geometry.itself and self._comm.rank == 0:
+                LOG.warning(
+                    "both sides of a contact are one surface: its force and moment are those on "
+                    "all facets that carry pressure, which cancel where these face each other"
+                )
             return 0 if self._swapped else 1
         sides = [i for i, u in enumerate(rows.fields) if u is on]
         if not sides:

@@ -253,9 +253,11 @@ class OwnPairs:
         apart = surface.x[facets[f0]].mean(axis=1) - x
         height = np.einsum("pi,pi->p", apart, n0) / np.einsum("pi,pi->p", n1, n0)
         behind = height < -SLACK * surface.size[f1]
-        np.minimum.at(own.walls, f1[behind], -height[behind] / 2)
+        near = own._are_near(f0, f1)
+        wall = behind & ~near
+        np.minimum.at(own.walls, f1[wall], -height[wall] / 2)
         # The facet that is next in front of each
-        front = np.flatnonzero(~behind & ~own._are_near(f0, f1))
+        front = np.flatnonzero(~behind & ~near)
         front = front[np.lexsort((height[front], f1[front]))]
         front = front[np.unique(f1[front], return_index=True)[1]]
         ends = np.concatenate((f0[front], f1[front])), np.concatenate((f1[front], f0[front]))

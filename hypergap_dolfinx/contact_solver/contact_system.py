@@ -4,6 +4,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -662,20 +663,24 @@ class ContactSystem(NonlinearSystem):
             size += sum([(force**2).sum() for force in forces])
         self._in_bodies = size = float(np.sqrt(size))
         if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
+            self._off.clear()
             return False
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
         return bool(none or worst <= self._rtol * size) or self._stagnates(worst, size)
 
     def _stagnates(self, worst: float, size: float) -> bool:
-        """True if forces are off by little, which four more steps haven't halved.
+        """True if forces are off by little, and four more steps to and fro haven't halved that.
 
         Bodies can be in equilibrium at a kink, as where symmetric meshes lie edge on edge: forces
         on its both sides differ by what integrals over pieces of facets do, and steps go to and
-        fro over it.
+        fro over it. Forces that become less all the time are on their way.
         """
         self._off.append(worst)
-        if worst > AT_KINK * size or len(self._off) < 5 or min(self._off[-4:]) < self._off[-5] / 2:
+        last = self._off[-5:]
+        num_rises = sum(b >= a for a, b in pairwise(last))
+        on_the_way = num_rises < 2 or min(last) < last[0] / 2
+        if worst > AT_KINK * size or len(last) < 5 or on_the_way or worst > 2 * min(self._off):
             return False
         if self._comm.rank == 0:
             LOG.warning(

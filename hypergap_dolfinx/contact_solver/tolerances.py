@@ -81,7 +81,7 @@ halving, 359 and 7 without, 236 and 2 with .999; slender_contact 448, 440 withou
 
 AT_KINK = 1e-5
 """Residual, over the forces in the bodies, of an equilibrium at a kink of gaps.
-Measured: 32 structured blocks on wider ones in space, up to 5e-6 in eight, which have
+Measured: 32 structured blocks on wider ones in space, up to 5e-6 in seven, which have
 no equilibrium without it."""
 
 BACK = 3

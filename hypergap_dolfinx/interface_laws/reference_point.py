@@ -51,8 +51,7 @@ class ReferencePoint:
             if name not in self.components:
                 raise ValueError(f"held has {name!r}; components are {', '.join(self.components)}.")
         self._point = given
-        self.held = np.array([name in held for name in self.components])
-        """Mask of the components that are held."""
+        self._held = np.array([name in held for name in self.components])
         num, across = len(self.components), len(self.components) - n
         self._rotates = slice(0, 3) if n == 3 else slice(2, 3)  # of a rotation vector
         self._force, self._torque = np.zeros(n), np.zeros(across)
@@ -109,6 +108,15 @@ class ReferencePoint:
         """Set one of the arrays in which users change values."""
         array = getattr(self, name)
         array[:] = as_numbers(value, array.shape, f"the {name} of {self.NAME}")
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Mask of the components that are held, ``(num_components,)``; not to be changed."""
+        return self._held
+
+    @held.setter
+    def held(self, value):
+        raise ValueError(f"held is for good: make {self.NAME} with held={value!r}.")
 
     @property
     def point(self) -> Array:

@@ -87,7 +87,7 @@ def changes(path):
     Returns:
         Of gaps over reference areas, and of nodal forces over ``DEPTH SIZE^(n - 1)``: the changes
         for each number of steps, and what is left of the largest ones if their steps are halved
-        30 times, ``(len(STEPS) + 1,)`` each.
+        until it is 1e-5, at most 30 times, ``(len(STEPS) + 1,)`` each.
     """
     scale = 1.0, DEPTH * SIZE ** (path.sides[0].reference.gdim - 1)
     at = lambda t: evaluated(path.sides, path.u(t))  # noqa: E731
@@ -100,16 +100,19 @@ def changes(path):
         ]
         size = np.abs(np.diff(array, axis=0)).max(axis=1)
         left = [
-            _halved(lambda t, k=k: at(t)[k], times[i], times[i + 1], array[i], array[i + 1])
+            _halved(lambda t, k=k: at(t)[k], times[i : i + 2], array[i : i + 2], 1e-5 * scale[k])
             for i in np.argsort(size)[-4:]
         ]
         result.append(np.array([*found, max(left) / scale[k]]))
     return result
 
 
-def _halved(f, a, b, fa, fb):
-    """Change of a function where it changes most between a and b, the step halved 30 times."""
+def _halved(f, times, values, enough):
+    """Change of a function where it is most, its step halved until it is small, or 30 times."""
+    (a, b), (fa, fb) = times, values
     for _ in range(30):
+        if np.abs(fb - fa).max() <= enough:
+            break
         middle = (a + b) / 2
         fm = f(middle)
         if np.abs(fm - fa).max() > np.abs(fb - fm).max():
