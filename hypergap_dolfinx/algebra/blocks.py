@@ -96,9 +96,9 @@ class ConstraintBlocks:
             JumpField(tie, row) for tie, row in zip(self._ties, self._rows) if tie.law and row
         ]
         self.full = self._pulled_back()
+        """B on all dofs, ``[interface][field]``; then the couplings' rows."""
         self.coupled = [self._couple(k, one) for k, one in enumerate(self.couplings)]
         """The bodies of each coupling: the surface's, and its unknowns."""
-        """B on all dofs, ``[interface][field]``."""
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self.free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self.full

@@ -196,8 +196,8 @@ class ReferencePoint:
         if len(at):
             name = self.components[at[0]]
             return (
-                f"a value is prescribed for {name} of {self.NAME}, which isn't held: make it "
-                f"with held={name!r}, or set 0."
+                f"a value is prescribed for {name} of {self.NAME}, which isn't held: make the "
+                f"{self.NAME.removeprefix('a ')} with held={name!r}, or set 0."
             )
         if (self._springs < 0).any():
             return (

@@ -134,22 +134,6 @@ class RigidBody(ReferencePoint):
         """Mask of the axes along which none of its nodes can move, ``(n,)``."""
         return self.held[: self._n] & self.held[self._n :].all()
 
-    def wrong(self) -> str | None:
-        """Message about values that are contradictory, or None."""
-        at = np.flatnonzero((self._prescribed != 0) & ~self.held)
-        if len(at):
-            name = self.components[at[0]]
-            return (
-                f"a value is prescribed for {name} of a rigid body, which isn't held: make the "
-                f"body with held={name!r}, or set 0."
-            )
-        if (self._springs < 0).any():
-            return (
-                f"a spring of a rigid body has the stiffness {self._springs.min():.3g}; give "
-                "numbers ≥ 0."
-            )
-        return None
-
     @property
     def _theta(self) -> Array:
         """Rotation vector since the last accepted state, ``(3,)``."""

@@ -253,11 +253,11 @@ class TiedSystem(collective.Owner):
             u.x.scatter_forward()
 
     def _read_couplings(self):
-        """Set the constants of couplings' forms from what the user has set."""
+        """Set the constants of couplings' forms from what the user has set. Collective."""
+        comm = self._u[0].function_space.mesh.comm
         for k, one in enumerate(self._couplings):
             wrong = one.wrong()
-            if wrong:
-                raise ValueError(f"coupling {k}: {wrong}")
+            collective.raise_on_all(comm, wrong and f"coupling {k}: {wrong}", ValueError)
             one.read()
 
     def _take_couplings(self):
