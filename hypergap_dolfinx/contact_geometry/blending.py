@@ -3,16 +3,16 @@
 r"""Weighted gaps of Γ1's vertices from those of its edges' halves, or its facets' parts in space.
 
 A vertex a has the halves e of its edges. Its covered share is :math:`c_a = 1 - \prod_e (1 - c_e)`,
-1 where one half lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so does
-the weight of the vertex's row, which small forces can hardly satisfy then. So the row is
+1 where one half lies opposite Γ0 as a whole. Where ends and corners pass, c goes to 0, and so do
+the entries of the vertex's row: a small force would then need a large pressure. So the row is
 
 .. math:: \hat g_a = g_a + \theta (1 - c_a)^2 S_a, \qquad S_a = \sum_b c_b g_b,
 
 with the vertices b beside a. The smaller c_a, the more the row repeats those of its neighbours. Its
 multiplier may then replace a neighbour's, but can't press where no neighbour does. As c goes to 0,
-forces become those without the row, so equilibria are continuous functions of the load. The row is
-left out, and its pressure given to its neighbours, below :data:`SLIVER`, and below :data:`HARD` if
-no vertex beside it has a larger covered share. With the matrix L of these sums, ĝ = L g, and
+forces become those without the row, so equilibria are continuous functions of the load. Where c is
+below :data:`SLIVER`, or below :data:`HARD` and no vertex beside it has a larger covered share, the
+row is left out, and neighbours take its pressure. With the matrix L of these sums, ĝ = L g, and
 multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Quadrature on polygons, from their moments.
 
-Integrands aren't polynomials where facets are curved: a rule on triangles that a polygon is cut
-into gives another value where another cut is taken, or where a corner comes on a straight edge.
-Points and weights that depend on moments alone don't jump as polygons change.
+On curved facets integrands aren't polynomials. A rule on the triangles of a divided polygon would
+then jump where the division changes, or where a corner appears on a straight edge. Here points and
+weights depend on the polygon's moments alone, and are continuous.
 """
 
 from functools import cache

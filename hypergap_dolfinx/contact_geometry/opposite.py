@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pieces of Γ1's facets in space, each opposite one facet of Γ0.
 
-Facets of Γ0 are projected along the normal of each facet of Γ1. That is divided into as many parts
-as it has vertices, by lines from its middle to its edges' middles; the intersection of a part and a
-facet of Γ0 is a piece, a polygon in the plane across the normal. The nodes of the other side never
-make parts larger or smaller: as these pass, only the division of a part changes.
+Facets of Γ0 are projected along the normal of each facet of Γ1. The facet of Γ1 is divided into as
+many parts as it has vertices, by lines from its middle to its edges' middles. The intersection of a
+part and a facet of Γ0 is a piece, a polygon in the plane across the normal. Nodes of Γ0 that pass
+change the division of a part into pieces, never its size.
 
-Pieces are found with straight edges. If it stayed at that, derivatives would be those of another
-domain: edges of curved facets move with nodes in their middles too, and integrals over both sides
-differ there. So the area between curved and straight edges is given by one side to the other:
-together they fill the same.
+Pieces are first found with straight edges. Edges of curved facets, however, move with the nodes in
+their middles too, and derivatives have to be those of the true domain. So the area between a curved
+edge and a straight one is taken from the piece on one side and given to the piece on the other
+side. Together pieces fill the same part as before.
 """
 
 from dataclasses import dataclass, replace

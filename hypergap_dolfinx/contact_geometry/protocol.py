@@ -44,15 +44,14 @@ class Segments(ABC):
     """Contact segments: Σ between two surfaces, with weights for each vertex of Γ1.
 
     A vertex a of Γ1 has the weighted gap g_a, the volume of its part of Σ, and the area m_a. Σ is
-    found anew wherever the bodies are. g is continuous, and derivatives are those of everything
-    that moves. The same on every rank.
+    found anew at each displacement. g is a continuous function of it, and derivatives include
+    everything that moves. Results are the same on every rank.
 
-    Arrays of displacements are those at the dofs of Γ0 and of Γ1; in matrices by u Γ1's dofs are
-    behind all of Γ0's, all components of a dof together. Slips are counted from displacements
-    u_since. They have n − 1 components, each for all vertices, one behind the other.
+    Arrays of displacements are those at the dofs of Γ0 and of Γ1. In derivatives by u Γ1's dofs
+    follow those of Γ0, with all components of a dof together. Slips are counted from displacements
+    u_since. They have n − 1 components: first the first one of all vertices, then the second one.
 
-    The only state is what was found at the last displacements, so that asking again there costs
-    nothing.
+    The only state is a cache of the results at the last displacements.
     """
 
     sides: Sides
@@ -127,7 +126,7 @@ class Segments(ABC):
     def linear_gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap for small sliding, as :meth:`gap`.
 
-        C is what displacements add to it if points that are opposite to each other stay so.
+        C is its derivative if opposite points stay opposite.
         """
         gaps = self._at(u)
         return gaps.g, gaps.m, gaps.parting

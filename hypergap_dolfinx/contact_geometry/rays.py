@@ -16,26 +16,28 @@ By its edge's normal a sheet has the weight
    W\Bigl(\frac{d / (-h\cos) - N_0}{N_1 - N_0}\Bigr)
 
 with a smooth step W, the cosine between the normals that face each other, C (:data:`COSINES`) and N
-(:data:`NEAREST`). It fades where Γ0 turns away; and, where h < 0, with the depth d of the
-point in Γ0's body by the edge that is nearest, if that is less than −h cos, the one by the sheet's
-plane: what pushes is what is near, and a sheet behind Γ1's body is that of a body in which the
-point isn't (d < 0). If that were all, it would jump at Γ0's vertices, and forces as one of them
-passes an end of Γ1's edge. So an edge gets of what it lacks the weights that the edges before and
-behind it, e ∓ 1, have by their normals at the vertex, at r between 0 and 1 along it:
+(:data:`NEAREST`). The first factor fades where Γ0 turns away. The second one acts where h < 0: it
+compares two depths of the point in Γ0's body, d by its nearest edge and −h cos by the sheet's
+plane. A sheet far from the point's nearest edge fades. So does a sheet behind Γ1's own body, as it
+belongs to a body in which the point isn't (d < 0).
+
+These weights alone would jump at Γ0's vertices, and forces would jump as one of them passes an end
+of Γ1's edge. So what an edge's weight lacks of 1 is filled from the edges before and behind it,
+e ∓ 1, with the weights that these have by their normals at the common vertex. At r between 0 and 1
+along the edge it becomes
 
 .. math:: \omega = \omega_e + (1 - \omega_e)\,W\Bigl(\frac{2 \cos}{C_0} - 1\Bigr)
    \bigl((1 - r)\,\omega_{e-1} + r\,\omega_{e+1}\bigr).
 
 That is continuous at a vertex, 1 on edges that face Γ1 fully, and 0 on those at a right angle.
-The product is what sheets farther behind leave of the ray: as one fades, it uncovers
-those in front of it with exactly what it loses. So gaps and areas are continuous functions of the
-displacements, whatever ends, corners and far sides pass; with one sheet of weight 1 they are
-volumes and lengths.
+The product is the share of the ray that sheets farther behind leave. A sheet that fades leaves what
+it loses to those in front of it. So gaps and areas are continuous functions of the displacements,
+whatever ends, corners and far sides pass; with one sheet of weight 1 they are volumes and lengths.
 
 A motion Δu of both sides has the slip :math:`\int \mathbf c\cdot(\Delta\mathbf u_0 -
-\Delta\mathbf u_1)\,d\xi` with the same weights: of points that are opposite to each other. It is
-the gap for a rotation, and zero if Δu is the position: with Δu = x − x_n a rotation of closed
-bodies, however large, is none.
+\Delta\mathbf u_1)\,d\xi` of opposite points, with the same weights. For an infinitesimal rotation
+it is the gap times the angle. If Δu is the position, it is zero. So with Δu = x − x_n a rotation of
+closed bodies, however large, is no slip.
 
 Of bodies of revolution gaps and slips have one more factor, the arc :math:`\varphi\,(r_0 + r_1)/2`
 with the distances from the axis of both ends of the ray (φ is 2π or 1): then a gap is the volume
@@ -43,8 +45,8 @@ that a ray's column sweeps, exactly, and pressures act on what they are on in sp
 
 Where ends of both sides slide along one wall, as one of symmetry, Γ0 goes on beyond it.
 
-Quadrature is exact on straight edges with one sheet of weight 1, and of a higher degree where
-weights aren't 1: forces would jump as pieces' ends pass each other. Derivatives are those of the
+Quadrature is exact on straight edges with one sheet of weight 1. Its degree is higher where weights
+aren't 1; else forces would jump as pieces' ends pass each other. Derivatives are those of the
 quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 """
 

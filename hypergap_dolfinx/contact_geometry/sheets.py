@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Weighted gaps of parts of Γ1's facets in space where sheets of Γ0 end, turn away or overlap.
 
-As in the plane (``rays.py``), with facets for edges and parts for halves: a sheet has the weight
-ω at a point, and hides those in front of it by that. With ω = 1 on all of a facet, as where one
-sheet of Γ0 lies opposite and reaches beyond it, that is the volume of columns, whose derivatives
-are simple (``heights.py``). Other facets, few in most scenes, are *faded*. There
+This is as in the plane (``rays.py``), with facets for edges and parts for halves: a sheet has the
+weight ω at a point, and covers those in front of it by that share. Where ω = 1 on all of a facet,
+since one sheet of Γ0 lies opposite and reaches beyond it, the gap is the volume of columns, whose
+derivatives are simple (``heights.py``). Other facets, few in most scenes, are *faded*. There
 
 .. math:: \sum_k \omega_k h_k \prod_{j<k} (1 - \omega_j)
    = \sum_S (-1)^{|S| + 1} \max_{k\in S} h_k \prod_{k\in S} \omega_k

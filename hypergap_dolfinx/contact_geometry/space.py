@@ -3,13 +3,14 @@
 r"""Contact segments in space: columns between pieces of Γ1 and Γ0.
 
 A column stands on a piece of a facet of Γ1, along the facet's normal, up to the facet of Γ0 there.
-The vertex of Γ1 next to it has all of its volume: :math:`g_a = \int f\,dX` over its pieces. So
-weights are never negative, and nothing jumps as nodes pass nodes. Pieces' edges move with Γ0; as f
-is continuous across them they are not in ∂g/∂u, and in ∂²g/∂u² only as jumps of f's derivatives.
+All of its volume belongs to the nearest vertex of Γ1: :math:`g_a = \int f\,dX` over its pieces. So
+weights are never negative, and nothing jumps as nodes pass nodes. Pieces' edges move with Γ0. Since
+f is continuous across them, their motion isn't in ∂g/∂u, and in ∂²g/∂u² only through jumps of f's
+derivatives.
 
-That is so on facets of Γ1 all of which lies opposite one sheet of Γ0. On others sheets have weights
-(``sheets.py``); vertices that Γ0 covers in part have rows that are blended with their neighbours'
-(``blending.py``).
+This holds on facets of Γ1 that lie as a whole opposite one sheet of Γ0. On others sheets have
+weights (``sheets.py``). Rows of vertices that Γ0 covers in part are blended with those of their
+neighbours (``blending.py``).
 """
 
 from dataclasses import dataclass, field

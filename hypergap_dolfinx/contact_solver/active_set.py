@@ -12,10 +12,10 @@ from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS
 
 @dataclass
 class Guesses:
-    """Guesses of a step's working set, each from the states of the solution before.
+    """Guesses of a step's working set, each from the states of the last solution.
 
-    They end where all states are right; or where as few are wrong as columns are solved for, or
-    they no longer become fewer: then the small problem is solved.
+    They end when all states are right. They also end when few states are wrong, or when their
+    number no longer falls: then the complementarity problem of these few is solved.
     """
 
     least: int

@@ -271,7 +271,7 @@ class ContactRows:
     def kept(self) -> dict[str, npt.NDArray]:
         """Arrays on which the next load step depends, by name; the same on every rank.
 
-        With ``start``, which is in another order on each number of ranks.
+        It also depends on ``start``, whose order differs with the number of ranks.
         """
         return {**self.state.arrays, "diagonal": np.array(self._diagonal)}
 
@@ -363,7 +363,8 @@ class ContactRows:
             y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
             f: Pressures and tractions, likewise.
             at: Numbers of the multipliers, ``(num,)``.
-            states: First of all what is closed, ``(num,)``; those of y and f if not given.
+            states: States of the multipliers, first the mask of closed ones, ``(num,)``; by default
+                those that y and f have.
 
         Returns:
             The errors, ``(n, num)``; their derivatives by y and f, ``(n, n, num)`` each; and the
@@ -494,11 +495,11 @@ class ContactRows:
     def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:
         """Largest distance over which a pressure acts, and largest overlap; and where they are.
 
-        A gap is a mean: a corner may touch, or be inside, within what a vertex has, and the rest be
-        far away.
+        A gap is a mean over the facets around a vertex. There a corner may touch or overlap while
+        the rest is far away.
 
         Args:
-            least: Length from which these are looked for; all are in facet sizes of Γ1.
+            least: Length below which neither is searched for; all are in facet sizes of Γ1.
         """
         at = self.sides[1].displaced(self.u[1]).x
         if self.state.opening is None or not self._follows:
@@ -532,7 +533,7 @@ class ContactRows:
     def subtract_forces(
         self, residual: Sequence[npt.NDArray], prescribed: Sequence[npt.NDArray[np.bool_]]
     ) -> list[npt.NDArray[np.float64]]:
-        """Subtract the contact forces from this rank's residual of each body; give them back.
+        """Subtract the contact forces from this rank's residual of each body, and return them.
 
         Prescribed dofs have no residual.
         """
@@ -617,10 +618,10 @@ class ContactRows:
         return self._rigid.slopes(len(self._is_free) + self.num_unknowns)
 
     def pattern(self) -> Pattern:
-        """Entries of the equations; in the plane also those that sliding may soon bring.
+        """Pattern of the equations; in the plane with entries that sliding may bring next.
 
-        In the plane that hardly fills the factors more; in space it takes half as many operations
-        again.
+        In the plane these hardly add to the fill of the factors. In space they would add half as
+        many operations again.
         """
         at, num, n = self._acting, len(self.g), self._n
         a, node = at.i % num, at.j // n
@@ -720,7 +721,7 @@ class ContactRows:
         return np.where(self.valid, left, 0)
 
     def is_closed(self, nothing: float) -> bool:
-        """True if active gaps are closed and none pulls, and no others overlap.
+        """True if active gaps are closed without tension, and no inactive one is negative.
 
         Args:
             nothing: Force treated as zero.
@@ -749,7 +750,7 @@ class ContactRows:
 
 
 def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
-    """Condense vertices of Γ1 whose gap ties, supports or other contacts hold already.
+    """Condense pressures of vertices of Γ1 whose gaps ties, supports or other contacts hold.
 
     Args:
         contacts: The contacts of a problem; their ``condensed_to`` is set.
@@ -782,9 +783,10 @@ class SystemState:
     """State of each contact."""
 
     def towards(self, other: "SystemState", share: float) -> "SystemState":
-        """A state on the way to another one, with that one's multipliers and sets.
+        """A state between this one and another one, or before this one at a negative share.
 
-        Before this one, at a negative share, multipliers go on backwards, and sets are this one's.
+        Between them, multipliers and sets are those of the other state. Before this one,
+        multipliers are extrapolated, and sets are those of this state.
 
         Args:
             other: The other state.

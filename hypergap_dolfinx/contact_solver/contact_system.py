@@ -58,31 +58,35 @@ T = TypeVar("T")
 
 
 class ContactSystem(NonlinearSystem):
-    """F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t, and the gaps of what is in contact.
+    """Residual F_i(u_i) − Σ_c Cᵀ_ci p_c + Σ_t Bᵀ_ti λ_t of the bodies, and gaps of the contacts.
 
-    A load step (:meth:`_newton`) has three parts, which know nothing of each other:
+    A load step (:meth:`_newton`) has three independent parts:
 
     1. *Predictor*, before the first step (:mod:`~hypergap_dolfinx.contact_solver.predictor`).
-       Bodies that are prescribed to move far or to turn together follow as rigid ones
-       (:meth:`_lead`).
-    2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The problem that
-       is linear in displacements, with its inequalities and the tangent at the last pressures, is
-       solved exactly: u ← u + d, p ← q, sets are its. The sets before, with what overlaps, are
-       only the start of that; they are enlarged where nothing else holds a body.
+       Bodies whose prescribed displacements move them far, or turn them together, are first moved
+       as rigid ones (:meth:`_lead`).
+    2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The linearised
+       contact problem, with its inequalities and the tangent at the last pressures, is solved
+       exactly. Displacements change by its solution; pressures and active sets are its own. The
+       last sets, with what overlaps, are only the first guess. They are enlarged where nothing
+       else holds a body.
     3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
        ``ContactProblem.solve``)::
 
-           residual is no number ───────────────→ the step is shortened, up to TRIALS times
+           residual isn't finite ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to BACK times
-           five steps along one line ───────────→ it is taken as far as they tell
+           five steps along one line ───────────→ it is taken to their limit
            STEPS steps ─────────────────────────→ the load step fails
            no solution, RAYS times in a row ────→ it fails: a body leaves
 
-    It ends where the residual of bodies, ties and contact forces is at most rtol times the forces
-    in the bodies, or round-off (:meth:`_balances`), and no gap is open where a pressure acts, none
-    negative, nothing slips that sticks, and tractions are μ p elsewhere
-    (``ContactRows.is_closed``): after at least one step, if it isn't round-off at the start. With
-    friction there is one more step if gaps aren't closed to round-off.
+    The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
+
+    - Forces balance: the residual of bodies, ties and contact forces is at most rtol times the
+      forces in the bodies, or round-off (:meth:`_balances`).
+    - Contact's laws hold: no gap is open where a pressure acts, none is negative, sticking vertices
+      don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
+
+    With friction there is one more step if gaps aren't closed to round-off.
     """
 
     def __init__(
@@ -291,9 +295,9 @@ class ContactSystem(NonlinearSystem):
             rows.restore(contact)
 
     def _go(self, start: SystemState, end: SystemState, share: float):
-        """Go a share of the way between two states, with the pressures and sets of the last one.
+        """Restore a state between two states, or before the first one at a negative share.
 
-        Backwards, with a negative share, sets are those of the first one.
+        Its multipliers and sets are those of :meth:`SystemState.towards`.
         """
         self._restore(start.towards(end, share))
 
@@ -700,10 +704,10 @@ class ContactSystem(NonlinearSystem):
         )
 
     def _lead(self):
-        """Let bodies that are prescribed to move far, or turn together, follow as rigid ones.
+        """Move bodies as rigid ones if they are prescribed to move far or to turn together.
 
-        Forces go along with bodies that stay together, and are forgotten where one leaves the
-        other. Collective.
+        Contact forces turn with bodies that stay together, and are zero where they separate.
+        Collective.
         """
         jump = self._jump()
         assert self._free is not None

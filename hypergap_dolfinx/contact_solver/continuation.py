@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Newton steps taken backwards, shortened or lengthened.
 
-Forces between bodies are continuous, with kinks where nodes pass. At a kink a branch of equilibria
-can end: where a corner ploughs with friction, bodies snap to another branch, which Newton steps
-from both sides of the kink never find. Beyond such an end the tangent does negative work on the
-Newton step, which leads back to it: then a step of the same length is taken backwards.
+Forces between bodies are continuous functions of the displacements, with kinks where nodes pass. A
+branch of equilibria can end at a kink, for example where a corner ploughs with friction. The bodies
+then snap to another branch, which Newton steps from both sides of the kink never find. Beyond such
+an end the Newton step leads back to it, and the tangent does negative work on the step. Then a step
+of the same length is taken backwards.
 
-Steps along one line, to and fro or slowly on, are a sequence whose limit two of them tell (Aitken's
-Δ² process): where d changes by a factor r as α of the step before it was taken, it vanishes at
-α / (1 − r). So steps that repeat each other backwards are halved, as where stiffness changes within
-them, and steps that creep on, as with stiffness added where a tangent isn't positive, are
+Newton steps d along one line are a sequence whose limit follows from two of them (Aitken's Δ²
+process). If a share α of one step was taken, and the next step is r times that step, d vanishes at
+the share α / (1 − r). So steps to and fro, as from a stiffness that changes within the step, are
+halved. Steps that creep on, as from stiffness added to a tangent that isn't positive, are
 lengthened.
 """
 

@@ -36,7 +36,7 @@ class FrictionState(NormalState):
 class FrictionRows(ContactRows):
     """Contact with friction: tractions q with |q| ≤ min(μ p, τ), against the slip s of a load step.
 
-    Rows and unknowns of q_k come after those of p: number k num_multipliers + a.
+    Multiplier a has the unknowns and rows k num_multipliers + a: of p for k = 0, then of q_k.
     """
 
     state: FrictionState
@@ -252,7 +252,8 @@ class FrictionRows(ContactRows):
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f.
 
-        Increments of sticking tractions have a weight, in case they are told twice.
+        A small weight of sticking tractions' increments keeps the system regular where these are
+        redundant.
         """
         now = self.state
         states = now.active, now.sticks, now.way
@@ -335,9 +336,9 @@ class FrictionRows(ContactRows):
     # Convergence
 
     def is_closed(self, nothing: float) -> bool:
-        """True if active gaps are closed, sticking ones don't slip, and |q| is μ p elsewhere.
+        """True if active gaps are closed, sticking vertices don't slip, and |q| is μ p at others.
 
-        There slip isn't along q, as it is where a body has turned back.
+        Slip must oppose q there. It is along q where a body has turned back.
         """
         now, rigid = self.state, self.stuck
         bound, _ = self._bounds(now.p)
@@ -359,7 +360,7 @@ class FrictionRows(ContactRows):
         return self.largest_gap <= EXACT * self._size
 
     def holds_too_much(self, nothing: float) -> bool:
-        """True if traction exceeds friction where sticking alone holds a body.
+        """True if tractions exceed friction's bound where sticking alone holds a body.
 
         Args:
             nothing: Force treated as zero.

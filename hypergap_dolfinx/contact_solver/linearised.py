@@ -2,17 +2,19 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """One linearised contact problem, solved exactly: factors, and a small complementarity problem.
 
-Without friction it is min ½ dᵀHd + rᵀd subject to g + Cd ≥ 0. With a working set A it is the
-linear system S = [H C_Aᵀ; C_A −c]. Where a pressure in A comes out negative, or a gap outside, such
-rows get another unknown: a slack z_a of a row of A, a pressure z_b outside. As all depends linearly
-on z, with right-hand sides of S alone, that is a linear complementarity problem of a few rows
-(:mod:`~hypergap_dolfinx.contact_solver.complementarity`): nothing is factorised again. Rows whose
-sign becomes wrong by that join, until there are none. The matrix is a principal pivot of C H⁻¹ Cᵀ,
-so the solution is unique if H is positive where the rows that push stay closed.
+Without friction the problem is min ½ dᵀHd + rᵀd subject to g + Cd ≥ 0. For a working set A it is a
+linear system with the matrix S = [H C_Aᵀ; C_A −c]. Its solution may have negative pressures in A,
+or negative gaps outside A. Each such row gets an unknown z: a slack in A, a pressure outside. The
+solution depends linearly on z, with one right-hand side of S for each unknown. So the signs of
+these few rows are a linear complementarity problem
+(:mod:`~hypergap_dolfinx.contact_solver.complementarity`), and nothing is factorised again. Rows
+that its solution gives a wrong sign join, until there are none. The matrix of the complementarity
+problem is a principal pivot of C H⁻¹ Cᵀ. So the solution is unique if H is positive on
+displacements that keep the rows under pressure closed.
 
-With friction a multiplier has n equations, of the gap and of slip, which sticks or slips; those
-that change get n unknowns each. Then the small problem has Coulomb's law, and Newton's method with
-a line search solves it.
+With friction a multiplier has n equations: one of the gap, the others of its slip, which sticks or
+slips. A multiplier with a wrong state gets n unknowns. The small problem then contains Coulomb's
+law, and is solved by Newton's method with a line search.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,15 +47,15 @@ class Solution:
     f: list[Array]
     """Pressures and tractions, times areas over √stiffness, likewise."""
     changed: list[npt.NDArray[np.bool_]]
-    """Those that were unknowns of the small problem, likewise."""
+    """Mask of those that were unknowns of the small problem, likewise."""
     is_solved: bool
-    """False if it has no solution: then it is that of the working set."""
+    """False if the problem has no solution; values are those of the working set then."""
     leaves: bool
-    """True if there was one only with bodies held near their places."""
+    """True if there is a solution only with bodies held near their places."""
     base: list[Array]
     """Multipliers of the working set, in the same units and order."""
     is_guess: bool = False
-    """True if so many would be unknowns that their states are a better working set."""
+    """True if so many states are wrong that those found are tried as a working set."""
 
 
 @dataclass
@@ -117,12 +119,13 @@ class LinearisedContact:
         guesses: Guesses,
         reach: float,
     ) -> Solution:
-        """Solve it; where H isn't positive, with a share of the stiffness without stress added.
+        """Solve the problem, with stiffness added to H if needed.
 
-        The same where a step goes too far, as near to snaps, where H is hardly positive. A matrix
-        with more negative pivots than multipliers is accepted where there is a solution on which H
-        does positive work. Bodies that contact doesn't hold in the linearised problem (a ray) get a
-        share of the diagonal.
+        A share of the stiffness without stress is added if H isn't positive, or if the step is too
+        long, which happens near a snap-through, where H is hardly positive. A matrix with more
+        negative pivots than multipliers is accepted if H does positive work on the solution.
+        Bodies that contact doesn't hold in the linearised problem (a ray) get a share of the
+        diagonal.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
@@ -224,8 +227,8 @@ class LinearisedContact:
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.
 
-        Where Newton's method fails it follows a path of falling compliances, which make gaps of
-        multipliers: there is one solution while they are large.
+        If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
+        With a large compliance there is one solution.
         """
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
@@ -241,8 +244,8 @@ class LinearisedContact:
     def _newton(self, y0, f0, A, B, of, z) -> Array | None:
         """Newton's method with a line search, and with full steps if that finds no descent.
 
-        Errors of gaps and of forces have no common scale: where a row hardly gives way, a smaller
-        error of the one has to cost a larger one of the other.
+        Errors of gaps and of forces have no common scale. In a stiff row a smaller error of the gap
+        may need a larger error of the force, and a line search finds no descent.
         """
         found = self._descended(y0, f0, A, B, of, z, TRIALS)
         return self._descended(y0, f0, A, B, of, z, 0) if found is None else found

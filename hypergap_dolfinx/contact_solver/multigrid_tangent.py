@@ -1,16 +1,17 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Newton's steps of bodies in contact by multigrid: the tie's projected iteration on active rows.
+r"""Newton steps of bodies in contact by multigrid, with the projected iteration of ties.
 
-The equations of the working set are :math:`\tilde K x + F^T f = r`, :math:`G x = c`, with the
-constraints G of closed gaps and of what sticks. Tractions of what slips have equations of their own
-and are eliminated: F isn't G then, and K̃ isn't symmetric. Without friction they are, and conjugate
-gradients do; else GMRES with the same preconditioner.
+The equations of the working set are :math:`\tilde K x + F^T f = r`, :math:`G x = c`. The rows of G
+are those of closed gaps and of slips that stick. Slipping tractions have equations of their own and
+are eliminated; then F differs from G, and K̃ isn't symmetric. Without friction F = G, K̃ is
+symmetric, and conjugate gradients solve the system. With friction GMRES does, with the same
+preconditioner.
 
-Aggregates are the bodies' own (:mod:`~hypergap_dolfinx.algebra.hierarchy`): they are made once.
-Springs in the preconditioner needn't be those of the present rows, which Π holds exactly: while
-sets are guessed they are made anew where half as many rows as there are have come or gone, and for
-an accurate solution where any have.
+Aggregates are those of the bodies (:mod:`~hypergap_dolfinx.algebra.hierarchy`) and are made once.
+The preconditioner has springs in the place of the rows. They may belong to earlier rows, since the
+projection Π satisfies the present ones exactly. While working sets are guessed, springs are renewed
+when half as many rows as there are have come or gone; for an accurate solution, when any has.
 """
 
 from collections.abc import Sequence
@@ -98,10 +99,10 @@ def _column(values: Array) -> Sparse:
 
 
 def _inverse(E: Sparse, start: Array, num: int, across: int, stiffness: float):
-    """Inverse of derivatives of tractions' equations by them, and of what that changes the rest.
+    """Inverse derivatives of slipping tractions' equations, and the change of the right-hand side.
 
-    Where a traction hardly grows less than it would if it stuck, the derivative is nearly singular:
-    then it is a larger one.
+    Where a traction grows nearly as it would if it stuck, the derivative is nearly singular. It is
+    replaced by a larger one there, which changes the right-hand side.
 
     Args:
         E: Derivatives, between the tractions of one multiplier each.
@@ -184,7 +185,7 @@ class MultigridTangent:
         self.iterations = 0
         """Number of iterations in all."""
         self.is_rough = False
-        """True if the last solution is a first one that shows signs."""
+        """True if the last solution is accurate enough only for signs."""
         self.floor = 0.0
         """Force that is a residual of zero."""
         self._equations: list[Linear] | None = None
@@ -269,7 +270,7 @@ class MultigridTangent:
             shift: Share of the bodies' stiffness, and of its diagonal without stress, that is
                 added.
             beside: What is subtracted from the right-hand side, in this rank's unknowns.
-            anew: True for an accurate solution, False for one that shows signs.
+            anew: True for an accurate solution, False for one whose signs alone matter.
 
         Raises:
             IterationFailed: The iteration failed.
@@ -311,7 +312,7 @@ class MultigridTangent:
             flat: The right-hand side.
             start: This rank's displacements to start with, or None.
             size: Size of the first residual, if it is known.
-            accurate: False for a solution that shows signs.
+            accurate: False for a solution whose signs alone matter.
             alone: True for a right-hand side that isn't that of the equations.
         """
         now = self._now

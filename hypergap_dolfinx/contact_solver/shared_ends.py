@@ -62,7 +62,7 @@ class _Places:
 
 
 def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.NDArray[np.intp]]:
-    """Vertices of Γ1 to which others without a pressure of their own are condensed.
+    """Vertices of Γ1 that carry the pressures of others, which have none of their own.
 
     At the end of a contact the gap may be held already: both bodies are tied or prescribed there,
     or another contact with the same normal ends there between the same bodies. A pressure of its

@@ -82,7 +82,7 @@ class StackedNumbering:
     """One numbering of the unknowns of several parts, by rank, then by part."""
 
     def __init__(self, ranges: Sequence[npt.NDArray]):
-        """Number them.
+        """Number the unknowns.
 
         Args:
             ranges: First number of each part on each rank, and the end, ``(num_ranks + 1,)`` each.
@@ -263,7 +263,7 @@ class Tangent:
         """Remember the present stiffness of the bodies, which is that without stress.
 
         Args:
-            of_rigid: What counts as that of each unknown of a rigid body.
+            of_rigid: Stiffness taken for each unknown of a rigid body.
         """
         self._elastic, self._diagonals = [], []
         num = len(self._fields)
@@ -437,7 +437,7 @@ class Tangent:
         return self._retained.vectors[0].getLocalSize()
 
     def watch(self, entries: Sequence[Sparse], sizes: Sequence[int]) -> Sparse:
-        """Rows of numbers of contacts' unknowns, for this rank's unknowns of the matrix.
+        """Rows by contacts' unknowns, given by this rank's unknowns of the matrix instead.
 
         Args:
             entries: Rows of each contact, columns are its unknowns.

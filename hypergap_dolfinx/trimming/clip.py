@@ -144,8 +144,9 @@ def clip(
         side0: A piece of Γ0.
         side1: The piece of Γ1 that faces it.
         snap: Distance treated as zero, in lengths of the outlines' edges.
-        of_one_curve: True if outlines that are polygons of one curve, within what the meshes can't
-            know, are one; else they are cut as they are: holes with different corners may be.
+        of_one_curve: True if outlines count as equal that are polygons of one curve, within the
+            uncertainty of the meshes. If False they are cut as they are, which holes with different
+            corners may need.
 
     Returns:
         Pairs of connected pieces; the two themselves if their outlines match.

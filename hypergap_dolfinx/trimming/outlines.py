@@ -59,8 +59,8 @@ class Rim:
     def curvature(self, corner: float) -> npt.NDArray[np.float64]:
         """Curvature of the polygon within the surface, at its nodes; zero at corners.
 
-        A curve goes on turning, a corner or a ragged outline don't. Coarse polygons of a closed
-        curve have no corner at all.
+        A curve turns at one node after the other, a corner or a ragged outline doesn't. A coarse
+        polygon of a closed curve has no corner.
 
         Args:
             corner: Turn from which a node is a corner; :data:`.CORNER_OUTLINE` if there is one.
@@ -114,8 +114,8 @@ class Rim:
     def off(self, other: "Rim", corner: float = CORNER_OUTLINE):
         """Distances of its nodes from another outline, less the uncertainty of both meshes.
 
-        Of one curve polygons through nodes on it are off by their sag, as far as both turn. Across
-        a gap they are off as far as normals are uncertain.
+        Two polygons with their nodes on one curve differ by their sag, where both turn. Across a
+        gap they also differ by the uncertainty of the normals.
 
         Args:
             other: The other one.

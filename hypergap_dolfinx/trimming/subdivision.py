@@ -43,7 +43,7 @@ class Cut(Nodes):
 
         Args:
             side: The piece.
-            rims: Loops of its outline, apart from those that are the other's all around.
+            rims: Loops of its outline, but for those that coincide with the other piece's.
             is_run: Tells which places on them are on the other's outline.
             snap: Distance below which two nodes are one.
         """
@@ -282,8 +282,8 @@ class Cut(Nodes):
     def _widen(self, triangle: int, nodes, weights, cells) -> set[int]:
         """Put nodes into edges opposite to blunt angles of a cut triangle's parts.
 
-        In a triangle with an angle near 180° functions of degree 2 have gradients of any size: a
-        node in the middle may differ from the mean of two beside it, on nearly the same line.
+        In a triangle with an angle near 180° functions of degree 2 can have gradients of any size:
+        the vertex of that angle lies nearly on the line between the others, but its value needn't.
 
         Returns:
             The triangles that have to be cut again.
