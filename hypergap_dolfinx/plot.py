@@ -160,6 +160,8 @@ def field(
             g["value"] = g["values"][:, 0] if scalar else np.linalg.norm(g["values"], axis=1)
         values = np.concatenate([g["value"] for g in drawn])
         clim = (values.min(), values.max())
+        if np.isclose(-clim[0], clim[1], rtol=1e-3):  # then the scale has a 0 in its middle
+            clim = (-clim[1], clim[1])
         for g in drawn:
             bar = _bar(title)
             _add(plotter, g, scalars="value", cmap="inferno", clim=clim, scalar_bar_args=bar)
