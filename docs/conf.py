@@ -37,7 +37,8 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.strikethrough"]
 
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "inherited-members": True}
+# A default for "members" would replace the lists of members on the pages
+autodoc_default_options = {"inherited-members": True}
 autodoc_typehints = "none"  # the docstrings say it in words
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
