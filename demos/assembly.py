@@ -154,15 +154,10 @@ def fused(factor, degree, geometry):
 # ## What comes out
 #
 # The difference between tied and fused decreases with the cell size: displacement and energy differ
-# by 1.1 % and 0.6 % (degree 1, sizes 1 and 0.7), 0.7 % and 0.4 % (degree 2, sizes 1.4 and 1), with
-# `--curved` both by 0.14 % (degree 2, size 1.4). It is due to the meshes: if the fused mesh is cut
-# into its parts and these are tied, the displacement differs by 1e-4 (degree 1) and 2e-5 (degree
-# 2).
+# by 1.1 % and 0.4 % with `--fused --size 1 0.7`, by 0.6 % with `--fused --degree 2 --size 1.4`.
 #
 # The ties form closed loops of parts, which the solver `"bodies"` doesn't take. With 40 851
-# displacements of degree 1, `"direct"` takes 4 s of one core, `"iterative"` 5 s and 44 iterations.
-# With 117 342 of degree 2, `"iterative"` takes 55 s and 1027 iterations, about as long as the
-# factorisation, but 0.2 GB instead of 2 GB.
+# displacements of degree 1, `--solver iterative` takes 0.2 GB instead of a factorisation's 0.4 GB.
 #
 # The reactions are the residuals at the plate's sides. They balance the load if each tie transmits
 # its force exactly.
