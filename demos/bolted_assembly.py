@@ -38,7 +38,7 @@ from meshes.cad import parts_of_assembly
 # -
 
 # Units are newtons and millimetres, as in `assembly`. Bolts and the rod are cut at half their
-# length, and a slice is removed there. The load acts on the rod, which slides from about 2 kN on.
+# length, and a slice is removed there. The load acts on the rod, which friction alone holds.
 
 AXIS = {"bolt": 2, "rod": 0}
 SLICE = {"bolt": 0.05, "rod": 0.4}

@@ -243,15 +243,14 @@ def errors(problem, contact):
 
 # ## Published scenes
 #
-# These bodies have finite sizes and strains of 2 to 7 %, while Hertz's are infinitesimal. For an
+# These bodies have finite sizes and strains, while Hertz's strains are infinitesimal. For an
 # agreement within 1 %, two things matter:
 #
 # - Linear elastic bodies are in equilibrium on their undeformed surfaces. These shrink under
 #   pressure, by (1 + ν)(1 - 2ν) p0 / E. So forces per undeformed area are compared; per deformed
-#   area they are 1.6 to 2.9 % larger in the plane.
+#   area they are larger by that in the plane.
 # - Prescribing the displacement of a half body's middle plane isn't the same as moving a half-space
-#   far away: spheres moved by 2 mm each transmit 13 % more than Hertz's force. So the load is his
-#   force.
+#   far away: the force is larger than Hertz's. So the load is his force.
 #
 # Spheres are axisymmetric: forms have 2πr in their measures, and so has the contact.
 
