@@ -24,7 +24,9 @@ from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
-from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidComponent
+from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
+from hypergap_dolfinx.interface_laws.reference_point import PointComponent
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -76,6 +78,7 @@ class ContactProblem(ContactSystem):
         bcs: Sequence[fem.DirichletBC] = (),
         contacts: Sequence[Contact],
         ties: Sequence[Tie] = (),
+        couplings: Sequence[Coupling] = (),
         J: Sequence[ufl.Form] | None = None,
         rtol: float = 1e-8,
         before_step: Callable[[], Any] | None = None,
@@ -97,6 +100,7 @@ class ContactProblem(ContactSystem):
             bcs: Dirichlet conditions of all bodies, in any order.
             contacts: The contacts.
             ties: The ties.
+            couplings: Couplings of surfaces with points.
             J: Jacobian form of each body with a residual form. By default the derivative of F; in
                 slender bodies with the stress that the last Newton step predicted.
             rtol: Tolerance of the residual, relative to the forces in the bodies.
@@ -165,6 +169,8 @@ class ContactProblem(ContactSystem):
             accepted=accepted,
             taken_back=taken_back,
         )
+        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
+        check_couplings(couplings)
         rigid = {i: one for i, one in enumerate(F) if isinstance(one, RigidBody)}
         _check_rigid(rigid, u, contacts, ties, bcs)
         _check_apart(contacts, ties)
@@ -203,10 +209,14 @@ class ContactProblem(ContactSystem):
             pairs,
             parts=[
                 *(_displacements(i, u[i].function_space, contacts) for i in elastic),
-                *map(RigidComponent.of_rigid, rigid.values()),
+                *map(PointComponent.of_point, (*rigid.values(), *couplings)),
             ],
-            names=[name_of_body(i, u[i].function_space) for i in moving],
+            names=[
+                *(name_of_body(i, u[i].function_space) for i in moving),
+                *(f"coupling {k}" for k in range(len(couplings))),
+            ],
             rigid=list(rigid.values()),
+            couplings=couplings,
             rtol=rtol,
             solver=solver,
             petsc_options_prefix=petsc_options_prefix,
@@ -227,6 +237,8 @@ class ContactProblem(ContactSystem):
         for i, body in rigid.items():
             names = (f"{what} of body {i}, a rigid one," for what in OF_RIGID)
             values += list(zip(names, body.given, strict=True))
+        for k, end in enumerate(couplings):
+            values += list(zip((f"{w} of coupling {k}" for w in OF_RIGID), end.given, strict=True))
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
@@ -235,6 +247,7 @@ class ContactProblem(ContactSystem):
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
         revolution.tell(of_bodies, ties, "tie")
+        revolution.tell_couplings(forms, couplings)
 
     def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""
@@ -332,6 +345,8 @@ class ContactProblem(ContactSystem):
         raise_on_all(self._comm, message, SolveError)
         for body in self._rigid:
             raise_on_all(self._comm, body.wrong(), ValueError)
+        self._read_couplings()
+        self._constraints.check_coupled(self._lifted())
         changes = self._comm.allreduce(self._path.changes, MPI.LOR)
         self._prepare()
         if not self._num_steps:
@@ -375,7 +390,7 @@ class ContactProblem(ContactSystem):
                 self._interrupted(before, values, done)
                 raise
             else:
-                for one in (*self._rows, *self._rigid):
+                for one in (*self._rows, *self._points):
                     one.commit()
                 done, size = s, min(2 * size, 1.0)
                 if done < 1:
@@ -403,7 +418,8 @@ class ContactProblem(ContactSystem):
         )
 
     def _react(self):
-        """Find the reactions of what is held of rigid bodies."""
+        """Find the reactions of what is held of rigid bodies and couplings. Collective."""
+        self._take_couplings()
         for body in self._rigid:
             body.react([load for rows in self._rows for load in rows.loads_on(body)])
 

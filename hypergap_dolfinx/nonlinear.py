@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings, check_turns
+from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -81,7 +81,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             u: Solution function of each body, as used in F; its values are the initial guess.
             bcs: Dirichlet conditions of all bodies, in any order.
             ties: The ties.
-            couplings: Couplings of surfaces with points, with all rotations held at 0.
+            couplings: Couplings of surfaces with points.
             J: Jacobian form of each body; the derivative of F by default.
             solver: Solver of the Newton steps as for :class:`TiedProblem`; ``"direct"`` by default.
             before_step: Callback ``f()`` before each evaluation of the residual at new values of u,
@@ -107,7 +107,11 @@ class NonlinearTiedProblem(NonlinearSystem):
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
         check_couplings(couplings)
-        check_turns(couplings)
+        search = "snes_linesearch_type"
+        given = f"{petsc_options_prefix}{search}" in PETSc.Options().getAll()
+        turning = any(one.can_turn for one in couplings) and isinstance(petsc_options, dict | None)
+        if turning and not given:  # residuals of rotations, of another unit, shorten good steps
+            petsc_options = {search: "basic", **(petsc_options or {})}
         hooks = Hooks(
             internal_variables,
             unknowns=u,
@@ -172,7 +176,6 @@ class NonlinearTiedProblem(NonlinearSystem):
 
     def _solve_step(self):
         """Solve for the present values. Collective."""
-        check_turns(self._couplings)
         self._read_couplings()
         self._constraints.check_coupled(self._lifted())
         for u, x in zip(self._u, self._x.getNestSubVecs()):
@@ -201,7 +204,10 @@ class NonlinearTiedProblem(NonlinearSystem):
                 self._check_constants()
             self._assign(self._x)
             self._take_couplings()
+            self._constraints.check_coupled(self._lifted())
             self._hooks("accepted", 1.0)
+            for one in self._couplings:
+                one.commit()
         except BaseException as error:
             for part, values in zip(of_ties, before, strict=True):
                 part.array[:] = values

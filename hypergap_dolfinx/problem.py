@@ -148,13 +148,13 @@ class TiedProblem(TiedSystem):
 
     def assemble_matrix(self):
         """Assemble stiffness, springs and compliances into A. Collective."""
-        self._read_couplings()
+        self._read_couplings(linear=True)
         super().assemble_matrix()
 
     def assemble_vector(self):
         """Assemble loads and prescribed displacements into b. Collective."""
         prescribed = []
-        self._read_couplings()
+        self._read_couplings(linear=True)
         bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)
         for i, (b, a, L, bcs) in enumerate(bodies):
             with b.localForm() as local:
@@ -170,6 +170,7 @@ class TiedProblem(TiedSystem):
             petsc.set_bc(g, bcs)
             prescribed.append(g)
         checks.check_finite(self._b_bodies, "the load", self._system.spaces)
+        self._constraints.check_coupled([part.array_r for part in prescribed], linear=True)
         self._constraints.check_prescribed(prescribed)
         self._constraints.read_jumps()
         for t, c in enumerate(self._b_ties):
@@ -213,7 +214,7 @@ class TiedProblem(TiedSystem):
             raise SolveError(failure)
         self._check_constants()
         self._assign(self._x)
-        self._take_couplings()
+        self._take_couplings(linear=True)
         self._solved = True
         return self.u
 

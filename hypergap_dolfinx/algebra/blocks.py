@@ -18,6 +18,7 @@ from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError, PrescribedSideError
 from hypergap_dolfinx.interface_laws.compliance import Conductance
 from hypergap_dolfinx.interface_laws.coupling import Coupling
+from hypergap_dolfinx.interface_laws.coupling_rows import CouplingRows
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.law_fields import Compliances, Extension, JumpField
@@ -98,7 +99,8 @@ class ConstraintBlocks:
         self.full = self._pulled_back()
         """B on all dofs, ``[interface][field]``; then the couplings' rows."""
         self.coupled = [self._couple(k, one) for k, one in enumerate(self.couplings)]
-        """The bodies of each coupling: the surface's, and its unknowns."""
+        """Equations of each coupling, and its bodies: the surface's, and its unknowns."""
+        self._check_redundant()
         self._wanted: list[PETSc.Vec | None] | None = None  # Σ_i B_i u_i of each interface
         self.free = [
             [self._without_prescribed(i, B) for i, B in enumerate(row)] for row in self.full
@@ -111,7 +113,7 @@ class ConstraintBlocks:
         for obj in chain(*(r.values() for r in self._rows), *self.full, *self.free, wanted):
             if obj is not None:
                 obj.destroy()
-        for owner in (self.compliances, *self.jump_fields):
+        for owner in (self.compliances, *self.jump_fields, *(rows for rows, *_ in self.coupled)):
             owner.destroy()
 
     @property
@@ -195,18 +197,59 @@ class ConstraintBlocks:
                 E.add_transposed(offset, wanted)
             offset.destroy()
 
-    def check_coupled(self, values: Sequence[npt.NDArray]):
+    def update_couplings(
+        self, fields: Sequence[PETSc.Vec], multipliers: Sequence[PETSc.Vec]
+    ) -> list[npt.NDArray]:
+        """Set the couplings' blocks at a state. Collective.
+
+        Args:
+            fields: Displacements of each body.
+            multipliers: Multipliers of each row of blocks.
+
+        Returns:
+            This rank's c(u, q) of each coupling.
+        """
+        found, first = [], len(self._interfaces)
+        for g, (rows, i, own) in enumerate(self.coupled, first):
+            found.append(
+                rows.update(fields[i].array_r, fields[own].array_r, multipliers[g].array_r)
+            )
+            self._free_again(g)
+        return found
+
+    def reset_couplings(self):
+        """Set the couplings' blocks to those of small rotations. Collective."""
+        for g, (rows, *_) in enumerate(self.coupled, len(self._interfaces)):
+            rows.reset()
+            self._free_again(g)
+
+    def _free_again(self, g: int):
+        """Set the blocks of free dofs of a row of blocks from the full ones. Collective."""
+        for i, (B, free) in enumerate(zip(self.full[g], self.free[g], strict=True)):
+            if B is not None and free is not None:
+                B.copy(free, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+                self._drop_prescribed(i, free)
+
+    def mixed(self) -> dict[tuple[int, int], PETSc.Mat]:
+        """Second derivatives of couplings' equations by two bodies' unknowns."""
+        found: dict[tuple[int, int], PETSc.Mat] = {}
+        for rows, i, own in self.coupled:
+            found |= dict(zip(((i, own), (own, i)), rows.mixed, strict=False))
+        return found
+
+    def check_coupled(self, values: Sequence[npt.NDArray], *, linear: bool = False):
         """Raise if prescribed displacements aren't those of a rigid coupling. Collective.
 
         Args:
             values: Displacements of each body with the prescribed ones, this rank's owned.
+            linear: True for small rotations.
 
         Raises:
             InterfaceError: With the place and the values.
         """
-        for k, (one, (i, _)) in enumerate(zip(self.couplings, self.coupled, strict=True)):
-            field = one.component.of_body
-            wrong = one.contradiction(field(values[i]), field(self.prescribed[i]))
+        for k, (one, (_, i, _)) in enumerate(zip(self.couplings, self.coupled, strict=True)):
+            held = one.component.of_body(self.prescribed[i])
+            wrong = one.contradiction(one.component.of_body(values[i]), held, linear=linear)
             if wrong:
                 raise InterfaceError(f"coupling {k}: {wrong}")
 
@@ -219,7 +262,6 @@ class ConstraintBlocks:
         Raises:
             InterfaceError: With the place and the values.
         """
-        self.check_coupled([part.array_r for part in values])
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
@@ -365,8 +407,8 @@ class ConstraintBlocks:
                 full[g][field] = block
         return full
 
-    def _couple(self, k: int, one: Coupling) -> tuple[int, int]:
-        """Append a coupling's row of blocks; the bodies in it. Collective."""
+    def _couple(self, k: int, one: Coupling) -> tuple[CouplingRows, int, int]:
+        """Append a coupling's row of blocks; its equations and bodies. Collective."""
         body = one.component.among(self._spaces)
         if body is None:
             raise ValueError(
@@ -375,22 +417,55 @@ class ConstraintBlocks:
             )
         own = self._spaces.index(one.q.function_space)
         row: list[PETSc.Mat | None] = [None] * self._num_fields
-        held = one.component.of_body(self.prescribed[body])
-        row[body], row[own] = one.blocks(held)
+        rows = CouplingRows(one, one.component.of_body(self.prescribed[body]))
+        row[body], row[own] = rows.blocks
         self.full.append(row)
-        return body, own
+        return rows, body, own
+
+    def _check_redundant(self):
+        """Raise if distributing couplings hold what others hold, or conditions. Collective."""
+        some = [k for k, one in enumerate(self.couplings) if not one.is_rigid and one.held.any()]
+        if not some:
+            return
+        num = len(self.couplings[0].components)
+        found = [np.zeros((len(held), num * len(some))) for held in self.prescribed]
+        for s, k in enumerate(some):
+            rows, i, _ = self.coupled[k]
+            rows.add_means(found[i], num * s)
+        comm = self._spaces[0].mesh.comm
+        size = np.sqrt(comm.allreduce(sum((part**2).sum(axis=0) for part in found)))
+        by_points = [np.diag(1.0 - np.concatenate([self.couplings[k].held for k in some]))]
+        rigid = (of for of, one in zip(self.coupled, self.couplings) if one.is_rigid)
+        by_points += [rows.drop_rigid(found[i]) for rows, i, _ in rigid]
+        gram = comm.allreduce(sum(part.T @ part for part in found))
+        gram += sum(part @ part.T for part in by_points)
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+        if values[0] > NOTHING:
+            return
+        part = np.abs(vectors[:, 0])
+        s, component = divmod(int(np.flatnonzero(part > part.max() / 2)[-1]), num)
+        one = self.couplings[some[s]]
+        raise ValueError(
+            f"coupling {some[s]} holds what others or boundary conditions hold already (its "
+            f"{one.components[component]}): leave that out of its held=."
+        )
 
     def _without_prescribed(self, i: int, B: PETSc.Mat | None) -> PETSc.Mat | None:
         """A block without the columns of prescribed dofs. Collective."""
         if B is None:
             return None
         B = B.copy()
+        self._drop_prescribed(i, B)
+        return B
+
+    def _drop_prescribed(self, i: int, B: PETSc.Mat):
+        """Set the columns of prescribed dofs to 0. Collective."""
         if i < len(self.prescribed):
             mask = B.createVecRight()
             mask.array[:] = ~self.prescribed[i]
             B.diagonalScale(R=mask)
             mask.destroy()
-        return B
 
     def _check_lost_rows(self, t: int, lost: npt.NDArray[np.intp]):
         """Raise if rows without a multiplier face dofs of Γ0 that can move. Collective."""

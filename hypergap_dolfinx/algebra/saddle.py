@@ -6,7 +6,7 @@ A compliance enters as the block −C in place of the zero; without one a stored
 stands there, since factorisations need the entries.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from petsc4py import PETSc
 
@@ -21,6 +21,7 @@ def saddle_matrix(
     K: Sequence[PETSc.Mat],
     B: Sequence[Sequence[PETSc.Mat | None]],
     C: Sequence[Sequence[PETSc.Mat | None]] = (),
+    mixed: Mapping[tuple[int, int], PETSc.Mat] | None = None,
 ) -> tuple[PETSc.Mat, list[PETSc.Mat]]:
     """The nested matrix of several bodies and ties. Collective.
 
@@ -28,13 +29,15 @@ def saddle_matrix(
         K: Stiffness of each body.
         B: For each tie, its block on each body, or None.
         C: Blocks −C for each pair of ties; None, or nothing given, for zero.
+        mixed: Blocks of pairs of bodies.
 
     Returns:
         [K Bᵀ; B −C], and the transposes that it is made of.
     """
-    transposes = [[b and b.copy().transpose() for b in row] for row in B]
+    transposes = [[b and b.transpose(PETSc.Mat()) for b in row] for row in B]
+    of_bodies = {**(mixed or {}), **{(i, i): block for i, block in enumerate(K)}}
     blocks: list[list[PETSc.Mat | None]] = [
-        [K[i] if i == j else None for j in range(len(K))] + [Bt[i] for Bt in transposes]
+        [of_bodies.get((i, j)) for j in range(len(K))] + [Bt[i] for Bt in transposes]
         for i in range(len(K))
     ]
     for t, row in enumerate(B):
@@ -95,9 +98,14 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
 class Errors:
     """Errors of solutions with a nested matrix, whose blocks are measured when it has changed."""
 
-    def __init__(self, A: PETSc.Mat):
-        """Start without measurements."""
-        self._A = A
+    def __init__(self, A: PETSc.Mat, num_ties: int):
+        """Start without measurements.
+
+        Args:
+            A: The matrix.
+            num_ties: Number of the last rows of blocks, which are ties'.
+        """
+        self._A, self._num_ties = A, num_ties
         self._state: int | None = None
         self._sizes: list[dict[int, float]] = []
         self.norms: tuple[list[float], list[float]] | None = None
@@ -131,7 +139,7 @@ class Errors:
 
     def residual(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[float, float]:
         """|b − Ax| and |b|, with rows of ties in units of K (forces). Collective."""
-        units, norms = scales(self._measured()), self.norms or self._residuals(x, b)
+        units, norms = scales(self._measured(), self._num_ties), self.norms or self._residuals(x, b)
         r, size = (np.linalg.norm(np.multiply(units, part)) for part in norms)
         return float(r), float(size)
 
@@ -221,14 +229,14 @@ def block_sizes(A: PETSc.Mat) -> list[dict[int, float]]:
     return [{j: row_length(block) for j, block in enumerate(row) if block} for row in rows]
 
 
-def scales(sizes: Sequence[dict[int, float]]) -> list[float]:
+def scales(sizes: Sequence[dict[int, float]], num_ties: int) -> list[float]:
     """Units of the rows of blocks: 1 for bodies, for ties the size of the softest K over B's.
 
     Args:
         sizes: The :func:`block_sizes`.
+        num_ties: Number of the last rows of blocks, which are ties'.
     """
-    # The first tie is the first with blocks on the left of its own
-    tie = next((i for i, row in enumerate(sizes) if any(j < i for j in row)), len(sizes))
+    tie = len(sizes) - num_ties
     stiffness = [row.get(i, 0.0) if i < tie else 0.0 for i, row in enumerate(sizes)]
     scales = []
     for i, row in enumerate(sizes):

@@ -44,6 +44,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 )
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.interface_laws.coupling import Coupling
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
@@ -100,6 +101,7 @@ class ContactSystem(NonlinearSystem):
         parts: Sequence[Component],
         names: Sequence[str],
         rigid: Sequence[RigidBody] = (),
+        couplings: Sequence[Coupling] = (),
         rtol: float,
         solver: str | None = None,
         petsc_options_prefix: str,
@@ -116,6 +118,8 @@ class ContactSystem(NonlinearSystem):
             pairs: The contacts with their bodies.
             parts: Displacements of each body among its fields.
             rigid: The rigid bodies among them, the last ones.
+            couplings: Couplings of surfaces with points; their unknowns are behind the bodies in
+                parts and names.
             names: Names of the bodies, for messages.
             rtol: Residual, over the forces in the bodies, treated as zero.
             solver: ``"direct"``, ``"iterative"``, or None: chosen by the size.
@@ -125,10 +129,12 @@ class ContactSystem(NonlinearSystem):
         """
         self._pairs, self._stresses = list(pairs), list[PredictedStress]()
         self._fields = [
-            DisplacementField(part, f.function_space) for part, f in zip(parts, u, strict=True)
+            DisplacementField(part, f.function_space)
+            for part, f in zip(parts, [*u, *(one.q for one in couplings)], strict=True)
         ]
         self._rigid, self._num_elastic = list(rigid), len(u) - len(rigid)
-        super().__init__(F, u, bcs, pieces, **compiling)
+        self._points = [*rigid, *couplings]
+        super().__init__(F, u, bcs, pieces, couplings=couplings, **compiling)
         pieces = self._pieces  # ties may have exchanged their sides
         self._rtol, self._names, self._moving = rtol, names, list(parts)
         others = [field.others for field in self._fields]
@@ -145,7 +151,7 @@ class ContactSystem(NonlinearSystem):
         self._prefix, self._given = petsc_options_prefix, petsc_options
         self._tangent: Tangent | MultigridTangent = self._chosen(solver)
         self._free: FreeMotions | None = None
-        self._tied = bool(pieces.interfaces)
+        self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
@@ -170,7 +176,7 @@ class ContactSystem(NonlinearSystem):
             ValueError: An unknown name, or a solver that isn't possible.
         """
         reason = multigrid_tangent.why_not(self._system, self._rows)
-        symmetric = not self._frictional and not any(b.can_turn_freely for b in self._rigid)
+        symmetric = not self._frictional and not any(b.can_turn_freely for b in self._points)
         if solver is None:
             large = self._dim == 3 and sum(K.getSize()[0] for K in self._K) >= LARGE_CONTACT
             can = symmetric and not reason and not self._names_types
@@ -184,7 +190,8 @@ class ContactSystem(NonlinearSystem):
             return MultigridTangent(self._system, self._rows, *options, symmetric=symmetric)
         found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
         fields = self._fields[: self._num_elastic]
-        return Tangent(self._A, fields, self._rows, self._prefix, found, len(self._rigid))
+        sizes = len(self._points), self._num_ties
+        return Tangent(self._A, fields, self._rows, self._prefix, found, *sizes)
 
     def _assign(self, x: PETSc.Vec):
         """Copy a vector into u, and move the nodes of rigid bodies. Collective."""
@@ -251,10 +258,10 @@ class ContactSystem(NonlinearSystem):
             x.array[:] = u.x.array[: x.getLocalSize()]
         for rows in self._rows:
             rows.start_solve()
-        for body in self._rigid:
+        for body in self._points:
             body.assign()
         if self._free is None:
-            for body in self._rigid:
+            for body in self._points:
                 body.read(springs=False)
             self._hooks("before_step")
             self.assemble_matrix()
@@ -453,11 +460,11 @@ class ContactSystem(NonlinearSystem):
     def _check_turns(self, changes: Sequence[npt.NDArray]):
         """Raise if a step turns a rigid body by more than a turn: then nothing holds it."""
         n, names = self._num_elastic, self._names[self._num_elastic :]
-        for name, body, change in zip(names, self._rigid, changes[n:], strict=False):
+        for name, body, change in zip(names, self._points, changes[n:], strict=False):
             turn = body.turn_by(change)
             if not turn <= 2 * np.pi:
                 raise SolveError(
-                    f"{name}, a rigid one, turns by {np.degrees(turn):.3g}° in a Newton step: its "
+                    f"{name} turns by {np.degrees(turn):.3g}° in a Newton step: its "
                     "load is more than contact, friction and springs can hold."
                 )
 
@@ -606,7 +613,8 @@ class ContactSystem(NonlinearSystem):
 
     def _lost(self, state: SystemState, error: Exception) -> str:
         """Message on where a failed step led bodies that only contact holds. Collective."""
-        return self._strays.lost(state.values, self._owned(), str(error)) if self._num_free else ""
+        before = state.values[: len(self._u)]
+        return self._strays.lost(before, self._owned(), str(error)) if self._num_free else ""
 
     def _load(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
@@ -621,7 +629,7 @@ class ContactSystem(NonlinearSystem):
 
     def _springs(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
         """Elongations of rigid bodies' springs by free motions, ``(num, num_free)``. Collective."""
-        pairs = zip(self._rigid, modes[self._num_elastic :], strict=True)
+        pairs = zip(self._points, modes[self._num_elastic :], strict=True)
         rows = [body.shared(part)[body.springs > 0] for body, part in pairs]
         return np.vstack([np.zeros((0, self._num_free)), *rows])
 
@@ -649,10 +657,11 @@ class ContactSystem(NonlinearSystem):
         self._comm.Allreduce(MPI.IN_PLACE, squares)
         *found, jumps = np.split(squares, np.cumsum([len(part) for part in found[:-1]]))
         errors, values = found[:bodies], found[bodies:]
-        self._unbalanced = worst = np.sqrt(sum(error[0] for error in errors) + jumps.sum())
+        apart, extent = self._of_couplings(left)
+        self._unbalanced = worst = np.sqrt(sum(error[0] for error in errors) + jumps.sum() + apart)
         self._stiffness()
         sizes = [L**2 @ part for L, part in zip(self._row_lengths, values, strict=True)]
-        least = sum(float(size[0]) for size in sizes)
+        least = sum(float(size[0]) for size in sizes) + extent
         self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
         nothing = ROUND_OFF_FORCES * self._largest
         # The same of other fields' equations, each field's by itself
@@ -672,6 +681,18 @@ class ContactSystem(NonlinearSystem):
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
         return bool(none or worst <= self._rtol * size) or self._stagnates(worst, size)
+
+    def _of_couplings(self, left: Sequence[npt.NDArray]) -> tuple[float, float]:
+        """Squares of couplings' residuals and of their extents, as forces. Collective."""
+        if not self._couplings:
+            return 0.0, 0.0
+        found = np.zeros(2)
+        for one, part in zip(
+            self._couplings, left[len(left) - len(self._couplings) :], strict=True
+        ):
+            found += part @ part, len(part) * one.length**2
+        found = self._comm.allreduce(found) * self._stiffness() ** 2
+        return float(found[0]), float(found[1])
 
     def _stagnates(self, worst: float, size: float) -> bool:
         """True if forces are off by little, and four more steps to and fro haven't halved that.
@@ -713,7 +734,7 @@ class ContactSystem(NonlinearSystem):
         assert self._free is not None
         moves = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         pushes = any(rows.state.p.any() for rows in self._rows)
-        if self._tied or self._rigid or self._num_free or not (moves and pushes):
+        if self._tied or self._points or self._num_free or not (moves and pushes):
             return
         now, ways, held = map(self._of_displacements, (self._owned(), jump, self._held))
         motions = prescribed_motions(self._comm, self._free.places, now, ways, held)

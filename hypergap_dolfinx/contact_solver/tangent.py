@@ -228,6 +228,7 @@ class Tangent:
         prefix: str,
         ways: Sequence[Way],
         num_rigid: int = 0,
+        num_ties: int = 0,
     ):
         """Store the matrix and the contacts.
 
@@ -238,9 +239,10 @@ class Tangent:
             prefix: Prefix of the KSP's options.
             ways: Ways to solve; where one fails, the next one replaces it for good.
             num_rigid: Number of rigid bodies, whose block rows come next.
+            num_ties: Number of ties, whose block rows come last.
         """
         self._nest, self._num_bodies, self._rows = A, len(fields) + num_rigid, list(rows)
-        self._fields = list(fields)
+        self._fields, self._num_ties = list(fields), num_ties
         self._mine = [part.mine for part in rows]
         self._prefix, self._ways = prefix, list(ways)
         self._retained: _Retained | None = None
@@ -548,7 +550,8 @@ class Tangent:
         if num > self._num_bodies:
             units = np.ones(size)
             of_nest = np.repeat(
-                saddle.scales(saddle.block_sizes(nest)), numbering.sizes[:num, comm.rank]
+                saddle.scales(saddle.block_sizes(nest), self._num_ties),
+                numbering.sizes[:num, comm.rank],
             )
             units[: len(of_nest)] = of_nest
         return _Retained(

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,6 @@ import dolfinx.mesh
 import ufl
 from dolfinx import default_scalar_type, fem, la
 from hypergap_dolfinx.core.collective import raise_on_all, spot
-from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.interface_laws.reference_point import ReferencePoint, in_space
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
@@ -28,11 +26,12 @@ class Coupling(ReferencePoint):
     """A surface coupled with a point, which forces and torques load or which is held.
 
     The point has a displacement and a rotation: x, y and rotation in the plane, x, y, z, rx, ry, rz
-    in space, each free, held, or in a spring. Rotations are small: the motion of the surface is
-    v = t + θ × (x − X₀), with the point X₀ anywhere. :class:`TiedProblem` and
-    :class:`NonlinearTiedProblem` take couplings.
+    in space, each free, held, or in a spring. The motion that goes with it is
+    v = t + (R − 1) (X − X₀), with the point X₀ anywhere, and a rotation R of any size in
+    :class:`NonlinearTiedProblem` and :class:`ContactProblem`, where it is made of those of load
+    steps as a :class:`RigidBody`'s. In a :class:`TiedProblem` v = t + θ × (X − X₀).
 
-    - ``"distributing"``: t and θ are the surface's mean motion, ``∫ |u − v|² dΓ`` is least. Forces
+    - ``"distributing"``: t and R are the surface's mean motion, ``∫ |u − v|² dΓ`` is least. Forces
       and torques act as tractions that vary linearly over the surface, as in a beam's section, and
       don't stiffen it.
     - ``"rigid"``: the surface moves as a rigid body, u = v at its nodes.
@@ -105,25 +104,22 @@ class Coupling(ReferencePoint):
         self._arms = in_space(self._x - self._point)
         sums = self._comm.allreduce(np.array([(self._arms**2).sum(), len(self._arms)]))
         self._make_unknowns(float(np.sqrt(sums[0] / sums[1])))
-        self._means = self._weights(side[1]) if kind == "distributing" else None
+        if not self.is_rigid:
+            self._weigh(side[1])
 
     @property
     def is_rigid(self) -> bool:
         """True if the surface moves as a rigid body."""
         return self.kind == "rigid"
 
-    def _slopes(self) -> Array:
-        """Displacements of the owned nodes by the unknowns, ``(num_nodes, n, num_components)``."""
-        n = self._n
-        found = np.zeros((len(self._arms), n, len(self.components)))
-        found[:, range(n), range(n)] = 1.0
-        turned = np.stack([np.cross(axis, self._arms) for axis in np.eye(3)], axis=2)
-        found[:, :, n:] = turned[:, :n, self._rotates] / self._length
-        return found
+    @property
+    def own_arms(self) -> Array:
+        """X − X₀ of this rank's owned nodes of the surface, ``(num_nodes, 3)``."""
+        return self._arms
 
-    def _weights(self, facets: npt.ArrayLike) -> Array:
-        """W in q = W u of the owned nodes, ``(num_components, num_nodes, n)``. Collective."""
-        V, n, num = self.component.space, self._n, len(self.components)
+    def _weigh(self, facets: npt.ArrayLike):
+        """Integrals of the shape functions φ of the owned nodes. Collective."""
+        V, n = self.component.space, self._n
         mesh, v = V.mesh, ufl.TestFunction(V)
         mark = la.vector(mesh.topology.index_map(n - 1))  # any rank may have been given a facet
         mark.array[np.asarray(facets, dtype=np.int32)] = 1.0
@@ -131,66 +127,42 @@ class Coupling(ReferencePoint):
         mark.scatter_forward()
         some = np.flatnonzero(mark.array).astype(np.int32)
         tags = dolfinx.mesh.meshtags(mesh, n - 1, some, np.ones_like(some))
-        t, axis, point = (
-            fem.Constant(mesh, np.zeros(size, dtype=default_scalar_type))
-            for size in (n, num - n, n)
-        )
-        point.value[:] = self._point
-        x = ufl.SpatialCoordinate(mesh) - point
-        turned = ufl.cross(axis, x) if n == 3 else axis[0] * ufl.as_vector((-x[1], x[0]))
+        f = fem.Function(V)
         ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
-        form = fem.form(ufl.inner(t + turned / self._length, v) * ds, default_scalar_type)
-        loads = []
-        for k in range(num):
-            t.value[:], axis.value[:] = np.split(np.eye(num)[k], [n])
+        form, found = fem.form(ufl.inner(f, v) * ds, default_scalar_type), []
+        # Not X itself, on curved facets: with its nodes' values motions v of nodes are exact
+        for values in (np.ones(n), V.tabulate_dof_coordinates()[:, :n] - self._point):
+            f.x.array.reshape(-1, n)[:] = values
             b = fem.assemble_vector(form)
             b.scatter_reverse(la.InsertMode.add)
-            loads.append(b.array.reshape(-1, n)[self._nodes])
-        whole = np.stack(loads)
-        # Not ∫ v · v dΓ: with this, motions v of the nodes have means of exactly q = 1
-        M = self._comm.allreduce(np.einsum("kai,ail->kl", whole, self._slopes()))
-        return np.linalg.solve(M, whole.reshape(num, -1)).reshape(whole.shape)
+            found.append(b.array.reshape(-1, n)[self._nodes].real)
+        self.weights: Array = found[0][:, 0]
+        """∫ φ dΓ, ``(num_nodes,)``."""
+        self.arm_weights: Array = in_space(found[1])
+        """∫ φ (X − X₀) dΓ, ``(num_nodes, 3)``."""
 
-    def blocks(self, prescribed: npt.NDArray[np.bool_]) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """B on the body's dofs and on the unknowns: mean motions, or nodes', less v. Collective.
+    def bend(self, bends: Array):
+        """Set what its equations add to the derivative of its residual, of free components."""
+        self._bends = bends * np.outer(~self.held, ~self.held)
+        self.read()
+
+    def check_prescribed_nodes(self, kept: npt.NDArray[np.bool_]):
+        """Raise if prescribed displacements of a rigid surface depend on free unknowns. Collective.
 
         Args:
-            prescribed: Mask of the field's owned dofs (unrolled) that are prescribed.
-
-        Raises:
-            ValueError: A rigid surface is prescribed where its point is free.
+            kept: Mask of the nodes' displacements that aren't prescribed, ``(num_nodes, n)``.
         """
-        n, num, comm = self._n, len(self.components), self._comm
-        V = self.component.space
-        dofs = (V.dofmap.index_map.local_range[0] + self._nodes)[:, None] * n + np.arange(n)
-        kept = ~prescribed.reshape(-1, n)[self._nodes]
-        nothing = not comm.allreduce(int(kept.sum()))
-        message = "all displacements of a coupling's surface are prescribed: leave it out."
-        raise_on_all(comm, message if nothing else None, ValueError)
-        columns, own = V.dofmap.index_map.size_local * n, num if comm.rank == 0 else 0
-        if self._means is not None:
-            rows, one = own, np.arange(own)
-            i, j, values = np.indices(self._means.shape)[0], dofs, self._means
-            of_point = one, one, -np.ones(own)
-        else:
-            slopes = self._slopes()
-            self._check_prescribed_nodes(slopes, kept)
-            rows = int(kept.sum())
-            i = sum(comm.allgather(rows)[: comm.rank]) + np.arange(rows)
-            j, values = dofs[kept], np.ones(rows)
-            of_point = np.repeat(i, num), np.tile(np.arange(num), rows), -slopes[kept].ravel()
-        of_surface = [np.ravel(part) for part in np.broadcast_arrays(i, j, values)]
-        B = coo_matrix(comm, (rows, columns), *of_surface)
-        return self.component.columns_of_body(B), coo_matrix(comm, (rows, own), *of_point)
-
-    def _check_prescribed_nodes(self, slopes: Array, kept: npt.NDArray[np.bool_]):
-        """Raise if prescribed displacements of a rigid surface depend on free unknowns."""
-        moves = np.abs(slopes) > FILE_DIGITS
-        loose = (moves & ~self.held).any(axis=2) & ~kept
+        n, at, free = self._n, self._rotates, ~self.held
+        second = self._turned(self._arms, None)[2][:, :n]
+        moves = np.abs(self.slopes(self._arms, None)) > FILE_DIGITS
+        # By rotations of any size about the free axes
+        bent = (np.abs(second[:, :, at, at]) > FILE_DIGITS * self.length)[..., free[n:]]
+        moves[:, :, n:] |= bent.any(axis=3)
+        loose = (moves & free).any(axis=2) & ~kept
         message = None
         if loose.any():
             a, i = (int(k[0]) for k in np.nonzero(loose))
-            names = [name for name, by in zip(self.components, moves[a, i] & ~self.held) if by]
+            names = [name for name, by in zip(self.components, moves[a, i] & free) if by]
             message = (
                 f"a boundary condition prescribes {'xyz'[i]} of a rigid coupling's surface at "
                 f"{spot(self._x[a : a + 1])}, where its {' and '.join(names)} "
@@ -199,20 +171,24 @@ class Coupling(ReferencePoint):
             )
         raise_on_all(self._comm, message, ValueError)
 
-    def contradiction(self, values: npt.NDArray, prescribed: npt.NDArray[np.bool_]) -> str | None:
+    def contradiction(
+        self, values: npt.NDArray, prescribed: npt.NDArray[np.bool_], *, linear: bool
+    ) -> str | None:
         """Message if prescribed displacements aren't those of what is held, or None. Collective.
 
         Args:
             values: Prescribed values of the field's owned dofs; others don't matter.
             prescribed: Mask of those.
+            linear: True for small rotations.
         """
         if not self.is_rigid:
             return None
         n = self._n
         both = prescribed.reshape(-1, n)[self._nodes]
         given = np.where(both, values.reshape(-1, n)[self._nodes], 0.0)
-        q = np.where(self.held, self._prescribed / self._units, 0.0)
-        carried = np.where(both, self._slopes() @ q, 0.0)
+        q = np.where(self.held, self._prescribed / self._units, 0.0 if linear else self._values)
+        moved = self.slopes(self._arms, None) @ q if linear else self.moved(self._arms, q)
+        carried = np.where(both, moved, 0.0)
         size = max(self._comm.allreduce(np.abs(given).max(initial=0), MPI.MAX), np.abs(q).max())
         wrong = np.abs(given - carried) > FILE_DIGITS * size
         at = None
@@ -223,38 +199,6 @@ class Coupling(ReferencePoint):
                 f"those of the rigid coupling there, {carried[a]}; prescribe the same."
             )
         return next((one for one in self._comm.allgather(at) if one), None)
-
-    def take(self, force: npt.NDArray):
-        """Take the solution of its unknowns, and find reactions. Collective.
-
-        Args:
-            force: Forces of the surface on this rank's unknowns.
-        """
-        self._values = self.shared(self.q.x.array)
-        values = np.append(self.displacement, self.angles)
-        loads = np.append(self._force, self._torque) + self._springs * (self._anchors - values)
-        loads += self.shared(np.asarray(force, dtype=np.float64)) / self._units
-        self._reaction = np.where(self.held, -loads, 0.0)
-
-    def resume(self, reaction: npt.NDArray):
-        """Go on from a reaction, with unknowns that are set already. Collective."""
-        self._values, self._reaction = self.shared(self.q.x.array), np.array(reaction)
-
-    def turns(self) -> str | None:
-        """Message if the point can turn, which is linear here, or None."""
-        n = self._n
-        names = [name for name, fixed in zip(self.components[n:], self.held[n:]) if not fixed]
-        if names:
-            return (
-                f"its {' and '.join(names)} can turn, and couplings are linear in rotations: in "
-                "nonlinear problems hold these by held=."
-            )
-        if self._prescribed[n:].any():
-            return (
-                f"its rotation is prescribed as {self._prescribed[n:]}, and couplings are linear "
-                "in rotations: in nonlinear problems leave it 0."
-            )
-        return None
 
 
 def check_couplings(couplings: Sequence[Coupling]):
@@ -280,15 +224,3 @@ def check_couplings(couplings: Sequence[Coupling]):
                     f"the rigid couplings {j} and {k} have {len(shared)} nodes in common: give "
                     "all facets to one of them."
                 )
-
-
-def check_turns(couplings: Sequence[Coupling]):
-    """Raise if a coupling of a nonlinear problem can turn.
-
-    Raises:
-        ValueError: Names it.
-    """
-    for k, one in enumerate(couplings):
-        wrong = one.turns()
-        if wrong:
-            raise ValueError(f"coupling {k}: {wrong}")

@@ -3,6 +3,7 @@
 """Unknowns of a point that moves and turns, under forces, torques and springs, or held."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import factorial
 from typing import ClassVar
 
@@ -16,7 +17,9 @@ import dolfinx.mesh
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.core.rotation import moment_of, rotated, rotation
 from hypergap_dolfinx.interface_laws.given_values import as_numbers
+from hypergap_dolfinx.surface.component import Component
 
 Array = npt.NDArray[np.float64]
 COMPONENTS = {2: ("x", "y", "rotation"), 3: ("x", "y", "z", "rx", "ry", "rz")}
@@ -57,6 +60,7 @@ class ReferencePoint:
         self._force, self._torque = np.zeros(n), np.zeros(across)
         self._prescribed, self._springs, self._anchors = np.zeros((3, num))
         self._values, self._reaction = np.zeros((2, num))
+        self._start, self._turn, self._bends = np.zeros(across), np.eye(3), np.zeros((num, num))
 
     def _make_unknowns(self, length: float):
         """Function of the unknowns, on one cell of volume 1, and its forms. Collective.
@@ -64,7 +68,8 @@ class ReferencePoint:
         Args:
             length: Unit of rotations, which are unknowns times a length.
         """
-        self._length = length
+        self.length = length
+        """Unit of rotations."""
         across = len(self.components) - self._n
         self._units = np.append(np.ones(self._n), np.full(across, 1 / length))
         n, num, comm = self._n, len(self.components), self._comm
@@ -91,6 +96,9 @@ class ReferencePoint:
         own = ufl.as_vector([self._own[k] * dq[k] for k in range(num)])
         self.a: ufl.Form = ufl.inner(own, v) * ufl.dx
         """Bilinear form of its springs."""
+        self._slope = fem.Constant(mesh, np.zeros((num, num)))
+        self.J: ufl.Form = self.a + ufl.inner(self._slope * dq, v) * ufl.dx
+        """Derivative of its residual at a rotation."""
         self.L: ufl.Form = ufl.inner(self._load, v) * ufl.dx
         """Linear form of its loads."""
         self.F: ufl.Form = ufl.action(self.a, self.q) - self.L
@@ -176,11 +184,20 @@ class ReferencePoint:
     @property
     def angles(self) -> Array:
         """Rotations added up, in radians, ``(1,)`` in the plane, ``(3,)`` in space."""
-        return self._values[self._n :] / self._length
+        return self._values[self._n :] / self.length
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation R, ``(n, n)``; 1 in linear problems."""
+        return (rotation(self._theta) @ self._turn)[: self._n, : self._n]
 
     @property
     def reaction(self) -> Array:
-        """Forces and torques that hold it, after a solve, ``(num_components,)``; 0 if free."""
+        """Forces and torques after a solve by which it is held, ``(num_components,)``; 0 if free.
+
+        In space the torque has three components if any rotation is held: those of load steps aren't
+        about axes of space alone, but for one axis.
+        """
         return self._reaction.copy()
 
     # What a problem asks for
@@ -206,25 +223,142 @@ class ReferencePoint:
             )
         return None
 
-    def read(self, *, springs: bool = True):
-        """Set the constants of its forms from what the user has set.
+    @property
+    def own_arms(self) -> Array:
+        """X − X₀ of this rank's owned nodes that move with it, ``(num_nodes, 3)``."""
+        raise NotImplementedError
+
+    @property
+    def can_turn(self) -> bool:
+        """True if a rotation is free."""
+        return not self.held[self._n :].all()
+
+    @property
+    def can_turn_freely(self) -> bool:
+        """True if its rotation has no fixed axis."""
+        return self._n == 3 and int((~self.held[3:]).sum()) > 1
+
+    @property
+    def _theta(self) -> Array:
+        """Rotation vector since the last accepted state, ``(3,)``."""
+        return self._theta_of(self._values)
+
+    def _theta_of(self, values: Array) -> Array:
+        theta = np.zeros(3)
+        theta[self._rotates] = values[self._n :] / self.length - self._start
+        return theta
+
+    def read(self, *, springs: bool = True, linear: bool = False):
+        """Set the constants of its forms from what the user has set, at the present rotation.
 
         Args:
             springs: False to leave out the stiffness of springs.
+            linear: True for small rotations.
         """
-        self._set(self._torque, springs)
-
-    def _set(self, torque: Array, springs: bool):
-        """The same, with generalised forces of a rotation in place of the torque."""
-        load = np.append(self._force, torque) + self._springs * self._anchors
+        n, at, M = self._n, self._rotates, np.zeros(3)
+        M[at] = self._torque
+        moment, slope = moment_of(0 * M if linear else self._theta, M)
+        load = np.append(self._force, moment[at]) + self._springs * self._anchors
         self._load.value[:] = load * self._units
         self._own.value[:] = springs * self._springs * self._units**2
+        self._slope.value[:] = self._bends
+        self._slope.value[n:, n:] -= slope[at, at] / self.length**2
         for goal, value in zip(self._goals, self._prescribed / self._units, strict=True):
             goal.value = value
+
+    def turn_by(self, change: Array) -> float:
+        """Angle of a change of this rank's unknowns, in radians. Collective."""
+        return float(np.linalg.norm(self.shared(change)[self._n :])) / self.length
+
+    def assign(self):
+        """Take the values of the unknowns. Collective."""
+        self._values = self.shared(self.q.x.array)
+
+    def _turned(self, arms: Array, values: Array | None) -> tuple[Array, Array, Array]:
+        """R (X − X₀) with derivatives by the rotation vector; at R = 1 without values."""
+        if values is None:
+            return rotated(np.zeros(3), arms)
+        return rotated(self._theta_of(values), arms @ self._turn.T)
+
+    def moved(self, arms: Array, values: Array) -> Array:
+        """Displacements of points X, from X − X₀, ``(num, n)`` from ``(num, 3)``, by unknowns."""
+        n = self._n
+        return (self._turned(arms, values)[0] - arms)[:, :n] + values[:n]
+
+    def slopes(self, arms: Array, values: Array | None) -> Array:
+        """Derivatives of displacements by the unknowns, ``(num, n, num_components)``."""
+        n = self._n
+        found = np.zeros((len(arms), n, len(self.components)))
+        found[:, range(n), range(n)] = 1.0
+        found[:, :, n:] = self._turned(arms, values)[1][:, :n, self._rotates] / self.length
+        return found
+
+    def curvature(self, arms: Array, forces: Array, values: Array) -> Array:
+        """Forces times second derivatives of displacements, ``(num_components, num_components)``.
+
+        Args:
+            arms: X − X₀, ``(num, 3)``.
+            forces: ``(num, n)``.
+            values: The unknowns.
+        """
+        n, at = self._n, self._rotates
+        found = np.zeros((len(self.components),) * 2)
+        both = np.einsum("ak,akij->ij", forces, self._turned(arms, values)[2][:, :n])
+        found[n:, n:] = both[at, at] / self.length**2
+        return found
+
+    def _react(self, force: Array, torque: Array):
+        """Find the reactions to a force and a torque about the point, ``(3,)`` each."""
+        n, held = self._n, self.held.copy()
+        held[n:] = held[n:].any()
+        values = np.append(self.displacement, self.angles)
+        total = np.append(self._force, self._torque) + self._springs * (self._anchors - values)
+        total += np.append(force[:n], torque[self._rotates])
+        self._reaction = np.where(held, -total, 0.0)
+
+    def commit(self):
+        """Accept the state: the next rotation vector starts from it."""
+        self._turn = rotation(self._theta) @ self._turn
+        self._start = self.angles
+
+    def kept(self) -> Array:
+        """What the next load step depends on beside the unknowns, and the reaction, flat."""
+        return np.concatenate((self._reaction, self._start, self._turn.ravel()))
+
+    def resume(self, kept: Array):
+        """Go on from what was kept, with unknowns that are set already. Collective."""
+        num = len(self._reaction)
+        self._reaction, self._start, turn = np.split(kept.copy(), [num, num + len(self._start)])
+        self._turn = turn.reshape(3, 3)
+        self.assign()
 
     def shared(self, values: npt.NDArray) -> Array:
         """Values of its unknowns on every rank, from this rank's. Collective."""
         return self._comm.bcast(np.array(values[: len(self.components)]))  # rank 0 has the cell
+
+
+@dataclass(frozen=True)
+class PointComponent(Component):
+    """The unknowns of a point in the place of a field; its nodes are those that move with it."""
+
+    remedy: ClassVar[str] = "held="
+    point: ReferencePoint
+
+    @classmethod
+    def of_point(cls, point: ReferencePoint) -> "PointComponent":
+        """That of a point."""
+        V = point.q.function_space
+        return cls(V, V, None, point)
+
+    def nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """Positions of this rank's owned ones of these nodes, ``(num_nodes, n)``. Collective."""
+        arms, point = self.point.own_arms, self.point
+        return point.point + arms[:, : point._n] + point.moved(arms, point.shared(values))
+
+    def at_nodes(self, values: npt.NDArray) -> npt.NDArray:
+        """Velocities of this rank's owned ones, ``(num_nodes, n)``. Collective."""
+        point = self.point
+        return point.slopes(point.own_arms, point._values) @ point.shared(values)
 
 
 def in_space(x: Array) -> Array:

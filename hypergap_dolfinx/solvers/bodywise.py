@@ -136,7 +136,8 @@ class BodywiseSystem(Substitute):
         return True
 
     def _scales_now(self) -> npt.NDArray[np.float64]:
-        return np.array(saddle.scales(saddle.block_sizes(self._A))[len(self._K) :])
+        sizes, num = saddle.block_sizes(self._A), len(self._K)
+        return np.array(saddle.scales(sizes, len(sizes) - num)[num:])
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""

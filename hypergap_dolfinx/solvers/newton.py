@@ -4,7 +4,6 @@
 
 import logging
 from collections.abc import Sequence
-from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -145,7 +144,7 @@ class NonlinearSystem(TiedSystem):
         checks.check_scalars((*F, *J), u)
         options = form_compiler_options, jit_options
         self._forms, self._given_bcs = list(F), bcs
-        F, J = [*F, *(one.F for one in couplings)], [*J, *(one.a for one in couplings)]
+        F, J = [*F, *(one.F for one in couplings)], [*J, *(one.J for one in couplings)]
         u = [*u, *(one.q for one in couplings)]
         bcs = [*bcs, *(bc for one in couplings for bc in one.bcs)]
         self._F = create_forms(F, *options)
@@ -180,9 +179,21 @@ class NonlinearSystem(TiedSystem):
     def _release(self) -> list:
         return [*super()._release(), *self.__dict__.pop("_now", [])]
 
+    def _mixed(self) -> dict[tuple[int, int], PETSc.Mat]:
+        return self._constraints.mixed()
+
+    def _renew_couplings(self) -> bool:
+        blocks = [B for row in self._constraints.free for B in row if B is not None]
+        num = 2 * len(self._couplings)
+        for B, Bt in zip(blocks[len(blocks) - num :], self._Bt[len(self._Bt) - num :], strict=True):
+            B.transpose(Bt)
+        return bool(num)
+
     def _assign(self, x: PETSc.Vec):
         """Copy displacements from a vector into u, and jumps into the laws."""
         super()._assign(x)
+        for one in self._couplings:
+            one.assign()
         jumps = self._constraints.jump_fields
         parts = x.getNestSubVecs()
         start = len(parts) - self._num_ties - len(jumps)
@@ -235,17 +246,24 @@ class NonlinearSystem(TiedSystem):
         for jump, b in zip(jumps, of_ties[len(of_ties) - len(jumps) :], strict=True):
             jump.add_force(b)
         fields = [*self._now, *x_parts[num_bodies : len(x_parts) - num_ties]]
+        gaps_of = self._constraints.update_couplings(fields, multipliers)
         for t, multiplier in enumerate(multipliers):
             for b, B in zip(r_parts, self._constraints.free[t]):
                 if B is not None:
                     B.multTransposeAdd(multiplier, b, b)
             gaps = r_parts[len(r_parts) - num_ties + t]
+            k = t - num_ties + len(gaps_of)
+            if k >= 0:
+                gaps.array[:] = gaps_of[k]
+                continue
             self._constraints.apply(t, fields, gaps)
             self._constraints.compliances.apply(t, multipliers, gaps)
         r.assemble()
 
     def _lifted(self) -> list[npt.NDArray]:
         """Displacements of each body with prescribed values inserted, ghosts included."""
+        for one in self._couplings:
+            one.read()
         lifted = [u.x.array.copy() for u in self._u]
         for values, bcs in zip(lifted, self._bcs, strict=True):
             for bc in bcs:
@@ -340,6 +358,7 @@ class NonlinearSystem(TiedSystem):
         parts += [checkpoint.function(f"u{i}", u) for i, u in enumerate(self._u)]
         of_ties = self._x.getNestSubVecs()[len(self._u) :]
         if of_ties:
+            self._constraints.reset_couplings()  # the same rows at any rotation
             orders = list(map(checkpoint.order, spaces))
             rows, columns = orders_of_multipliers(self._constraints.full, orders)
             for k, (order, x) in enumerate(zip((*columns, *rows), of_ties, strict=True)):
@@ -350,8 +369,7 @@ class NonlinearSystem(TiedSystem):
             parts.append(checkpoint.function(f"internal variable {k}", value))
 
         for k, one in enumerate(self._couplings):
-            name = f"reaction of coupling {k}"
-            parts.append(checkpoint.shared(name, partial(getattr, one, "reaction"), one.resume))
+            parts.append(checkpoint.shared(f"coupling {k}", one.kept, one.resume))
 
         def count(numbers: npt.NDArray):
             self._num_steps, self._solved = int(numbers[0]), bool(numbers[1])

@@ -213,7 +213,7 @@ class KSPSolver(Solver):
         self.options = Options(prefix, options or {}, defaults, self.UNFIT)
         self._system, self._prefix = system, prefix
         self._state: int | None = None  # of A, at the last update
-        self._errors = saddle.Errors(system.A)
+        self._errors = saddle.Errors(system.A, len(system.constraints.full))
         self._ksp = PETSc.KSP().create(system.A.comm)
         self._ksp.setOperators(system.A)
         self._ksp.setOptionsPrefix(prefix)

@@ -127,7 +127,7 @@ class TiedSystem(collective.Owner):
         self._zeros = [saddle.zero_matrix(size, self._K[0].comm) for size in sizes]
         of_ties = [*self._zeros, *(jump.K for jump in self._constraints.jump_fields)]
         B, C = self._constraints.free, self._constraints.compliances.blocks
-        self._A, self._Bt = saddle.saddle_matrix([*self._K, *of_ties], B, C)
+        self._A, self._Bt = saddle.saddle_matrix([*self._K, *of_ties], B, C, self._mixed())
         self._b_bodies = [compat.create_vector(V) for V in spaces]
         self._b_interiors = [K.createVecLeft() for K in of_ties]
         self._b_ties = [next(b for b in row if b).createVecLeft() for row in self._constraints.free]
@@ -142,6 +142,10 @@ class TiedSystem(collective.Owner):
         return [
             side for tie in self._pieces.ties for side in zip(tie.spaces, tie.facets, strict=True)
         ]
+
+    def _mixed(self) -> dict[tuple[int, int], PETSc.Mat]:
+        """Blocks of pairs of bodies, in the matrix of nonlinear problems."""
+        return {}
 
     def _create_constraints(self, spaces: Sequence[fem.FunctionSpace]) -> ConstraintBlocks:
         """B and C; exchanges the sides of ties that may be exchanged if necessary. Collective."""
@@ -217,8 +221,12 @@ class TiedSystem(collective.Owner):
         for part in soft:
             part.update()
         self._constants_known &= not self._constraints.conducts
-        if any(changed) or soft:  # else factors can be kept
+        if self._renew_couplings() or any(changed) or soft:  # else factors can be kept
             self._A.assemble()
+
+    def _renew_couplings(self) -> bool:
+        """Renew transposed blocks of couplings; True if there are any. Collective."""
+        return False
 
     def _assemble(self, i: int) -> bool:
         """Assemble a body's stiffness; True if it changed. Collective."""
@@ -252,27 +260,28 @@ class TiedSystem(collective.Owner):
             u.x.array[: part.getLocalSize()] = part.array_r
             u.x.scatter_forward()
 
-    def _read_couplings(self):
-        """Set the constants of couplings' forms from what the user has set. Collective."""
+    def _read_couplings(self, *, linear: bool = False):
+        """Set the constants of couplings' forms from what the user has set. Collective.
+
+        Args:
+            linear: True for small rotations.
+        """
         comm = self._u[0].function_space.mesh.comm
         for k, one in enumerate(self._couplings):
             wrong = one.wrong()
             collective.raise_on_all(comm, wrong and f"coupling {k}: {wrong}", ValueError)
-            one.read()
+            one.read(linear=linear)
 
-    def _take_couplings(self):
-        """Give couplings their solution and reactions. Collective."""
-        rows = self._constraints.full[len(self._constraints.full) - len(self._couplings) :]
+    def _take_couplings(self, *, linear: bool = False):
+        """Give couplings their solution and reactions. Collective.
+
+        Args:
+            linear: True for small rotations.
+        """
         parts = self._x.getNestSubVecs()
         multipliers = parts[len(parts) - len(self._couplings) :]
-        bodies = (own for _, own in self._constraints.coupled)
-        for one, row, own, part in zip(self._couplings, rows, bodies, multipliers, strict=True):
-            B = row[own]
-            assert B is not None
-            force = B.createVecRight()
-            B.multTranspose(part, force)
-            one.take(-force.array_r)
-            force.destroy()
+        for (rows, i, _), part in zip(self._constraints.coupled, multipliers, strict=True):
+            rows.take(parts[i].array_r, part.array_r, linear=linear)
 
     def _check_usable(self):
         """Raise if the problem was destroyed."""

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Couplings of a surface with a point: exact solutions, balance, rigid sections, messages."""
 
+from contextlib import nullcontext
+from itertools import zip_longest
+
 from mpi4py import MPI
 
 import numpy as np
@@ -13,6 +16,8 @@ import meshes
 import ufl
 from dolfinx import fem, mesh
 from hypergap_dolfinx import (
+    Contact,
+    ContactProblem,
     Coupling,
     InterfaceError,
     NonlinearTiedProblem,
@@ -20,6 +25,7 @@ from hypergap_dolfinx import (
     Tie,
     TiedProblem,
 )
+from hypergap_dolfinx.core.rotation import rotation
 
 comm = MPI.COMM_WORLD
 BALANCED = 1e-10  # of the loads
@@ -271,9 +277,9 @@ def test_bad_input():
     other = Coupling((V, np.sort(np.append(right, tags.find(meshes.TOP)))), **good)
     elsewhere = Coupling((bar(2)[0], right), **good)
     fixed = [held(V, tags.find(meshes.LEFT))]
-    with raises(ValueError, "coupling 0: its rotation can turn.*nonlinear problems hold these by"):
-        body = Elastic.on(V)
-        NonlinearTiedProblem([body.F], [body.u], bcs=fixed, couplings=end)
+    turn = {"point": (2, 0), "kind": "distributing", "held": "rotation"}
+    means, again = (Coupling((V, right), **turn) for _ in range(2))
+    grip = Coupling((V, right), **good, held=("x", "y", "rotation"))
     for couplings, options, match in (
         ([V], {}, "couplings has a FunctionSpace"),
         ([end, end], {}, "coupling 1 is given twice"),
@@ -281,8 +287,11 @@ def test_bad_input():
         ([elsewhere], {}, "coupling 0 is on a space that is in no form"),
         ([end], {"u": []}, "0 functions u for 1 bodies"),
         ([end], {"solver": "bodies"}, "a coupling's point has no stiffness"),
+        ([means, again], {}, "coupling 1 holds what others .*its rotation.: leave that out"),
+        ([end, means], {}, None),
+        ([grip, means], {}, "coupling 1 holds what others or boundary conditions hold already"),
     ):
-        with raises(ValueError, match):
+        with raises(ValueError, match) if match else nullcontext():
             TiedProblem(both, [None], bcs=fixed, couplings=couplings, **options)
     problem = TiedProblem(both, [None], bcs=fixed, couplings=[end])
     end.prescribed[0] = 1.0
@@ -316,7 +325,7 @@ def nonlinear_bars(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nonlinear(kind):
-    """Finite strains: balance, and a state that goes on; rotations are refused."""
+    """Finite strains: balance, and a state that goes on."""
     problem, tie, end = nonlinear_bars(kind)
     for share in (1, 2):
         end.force = 0.1 * share, 0.01 * share
@@ -333,6 +342,158 @@ def test_nonlinear(kind):
     again.solve()
     close(other.displacement, end.displacement, SOLVED)
     close(other.reaction, end.reaction, SOLVED)
-    end.prescribed[2] = 0.1
-    with raises(ValueError, "coupling 0: its rotation is prescribed as .* linear in rotations"):
+
+
+def derivative_is_exact(problem, size=0.05):
+    """The tangent is the derivative of the residual, by differences, at a random state."""
+    rng = np.random.default_rng(comm.rank)
+    free = [~mask for mask in problem._held]
+
+    def random(vector, size):
+        for part, mask in zip_longest(vector.getNestSubVecs(), free, fillvalue=True):
+            part.array[:] += size * mask * rng.standard_normal(part.getLocalSize())
+
+    x, (d, r) = problem.x, (problem.x.duplicate() for _ in range(2))
+    random(x, size)
+    d.set(0.0)
+    random(d, 1.0)
+    found = []
+    for step in (1e-5, -1e-5, 0.0):
+        y = x.duplicate()
+        x.copy(y)
+        y.axpy(step, d)
+        problem._residual(y, r)
+        found.append([part.array_r.copy() for part in r.getNestSubVecs()])
+    problem.assemble_matrix()
+    problem.A.mult(d, r)
+    for after, before, part, mask in zip_longest(
+        *found[:2], r.getNestSubVecs(), free, fillvalue=True
+    ):
+        off = np.abs((after - before) / 2e-5 - part.array_r)[np.broadcast_to(mask, after.shape)]
+        assert comm.allreduce(off.max(initial=0.0), MPI.MAX) < 1e-7 * (1 + part.norm())
+
+
+def turning(axis, angle, dim):
+    """Rotation matrix and the angles of a coupling."""
+    found = rotation(angle * np.asarray(axis, dtype=float))[:dim, :dim]
+    return found, (angle * np.asarray(axis, dtype=float))[2 if dim == 2 else slice(0, 3)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_turned(kind, dim):
+    """A bar that its coupling turns by 60° has no stress; then loads, balance, the tangent."""
+    V, tags = bar(dim)
+    body, point = Elastic.on(V, large=True), np.full(dim, 0.7)
+    names = ("x", "y", "rotation") if dim == 2 else ("x", "y", "z", "rx", "ry", "rz")
+    first, last = FIRST[dim]
+    grip = Coupling((V, tags.find(first)), point=point, kind=kind, held=names)
+    end = Coupling((V, tags.find(last)), point=point + 1, kind=kind)
+    options = {"snes_rtol": 1e-13, "snes_atol": 1e-14}
+    problem = NonlinearTiedProblem([body.F], [body.u], couplings=[grip, end], petsc_options=options)
+    axis = (0, 0, 1) if dim == 2 else np.ones(3) / np.sqrt(3)
+    for angle in np.radians((20, 40, 60)):
+        R, angles = turning(axis, angle, dim)
+        grip.prescribed[dim:] = angles
         problem.solve()
+    x = V.tabulate_dof_coordinates()[:, :dim] - point
+    close(body.u.x.array.reshape(-1, dim), x @ R.T - x, 1e-12)
+    close(end.rotation, R, 1e-12)
+    assert np.abs(grip.reaction).max() < 1e-13
+    end.force[:] = (0.01 if dim == 2 else 0.003) * np.arange(1, dim + 1)
+    end.torque[:] = 0.02 if dim == 2 else 0.004
+    problem.solve()
+    balances(grip, end)
+    assert np.abs(end.angles - angles).max() > 0.05
+    derivative_is_exact(problem)
+
+
+def balances(grip, end):
+    """What holds one point balances the loads at another one, where both are now."""
+    n = len(grip.point)
+    arm, force = (
+        np.pad(v, (0, 3 - n))
+        for v in (end.point + end.displacement - grip.point - grip.displacement, end.force)
+    )
+    torque = np.cross(arm, force)[2 if n == 2 else slice(0, 3)] + end.torque
+    found, loads = grip.reaction, np.append(end.force, torque)
+    assert np.abs(found + loads).max() < BALANCED * np.abs(loads).max()
+
+
+def pressed(dim, kind, friction=None, free=False):
+    """A narrow block on a base, each with a coupling; that of the base is held."""
+    up, low = (1, np.array([0.5, 1.0])) if dim == 2 else (2, np.array([0.5, 0.1, 1.0]))
+    size, cell = np.ones(dim), "triangle" if dim == 2 else "hexahedron"
+    base, tags0 = meshes.block(
+        comm, (4, 2, 2)[:dim], lambda s: np.append(2.0, size[1:]) * s, cell=cell
+    )
+    size[1] = 0.8 if dim == 3 else 1.0
+    block, tags1 = meshes.block(comm, (3,) * dim, lambda s: low + size * s, cell=cell)
+    V0, V1 = (fem.functionspace(body, ("Lagrange", 1, (dim,))) for body in (base, block))
+    bodies = [Elastic.on(V, large=True) for V in (V0, V1)]
+    bottom, top = (meshes.BOTTOM, meshes.TOP) if dim == 2 else (meshes.BACK, meshes.FRONT)
+    contact = Contact((V0, tags0.find(top)), (V1, tags1.find(bottom)), friction=friction)
+    names = ("x", "y", "rotation") if dim == 2 else ("x", "y", "z", "rx", "ry", "rz")
+    grip = Coupling((V0, tags0.find(bottom)), point=np.full(dim, 0.3), kind=kind, held=names)
+    point = (1.0, 2.2) if dim == 2 else (1.0, 0.5, 2.2)
+    lid = Coupling((V1, tags1.find(top)), point=point, kind=kind, held=() if free else names)
+    problem = ContactProblem(
+        [body.F for body in bodies],
+        [body.u for body in bodies],
+        contacts=[contact],
+        couplings=[grip, lid],
+        rtol=1e-12,
+    )
+    return problem, contact, grip, lid, up
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_turned_in_contact(kind, dim):
+    """Bodies in contact whose couplings turn them by 60°: forces turn along."""
+    problem, contact, grip, lid, up = pressed(dim, kind)
+    shift = np.zeros(dim)
+    shift[up] = -0.1
+    lid.prescribed[up] = -0.1
+    problem.solve()
+    before = contact.force(problem, on=problem.u[1])
+    nodes = problem.u[1].function_space.tabulate_dof_coordinates()[:, :dim] - grip.point
+    pressed_nodes = nodes + problem.u[1].x.array.reshape(-1, dim)
+    axis = (0, 0, 1) if dim == 2 else (1, 0, 0)
+    for angle in np.radians((30, 60)):
+        R, angles = turning(axis, angle, dim)
+        grip.prescribed[dim:] = lid.prescribed[dim:] = angles
+        lid.prescribed[:dim] = R @ (lid.point + shift - grip.point) + grip.point - lid.point
+        problem.solve()
+    close(nodes + problem.u[1].x.array.reshape(-1, dim), pressed_nodes @ R.T, 1e-9)
+    close(contact.force(problem, on=problem.u[1]), R @ before, 1e-9)
+    close(lid.reaction[:dim], -R @ before, 1e-9)
+    close(grip.reaction[:dim], R @ before, 1e-9)
+    assert np.abs(before).max() > 0.03
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_loaded_in_contact(kind, dim):
+    """A block that friction and a lever hold: balance; a state goes on to the same digits."""
+    problem, contact, grip, lid, up = pressed(dim, kind, friction=0.4, free=True)
+    for share in (1, 2):
+        lid.force[[0, up]] = 0.002 * share, -0.02 * share
+        lid.torque[-1 if dim == 2 else 1] = 0.0005 * share
+        problem.solve()
+        for end, u, loads in (
+            (lid, problem.u[1], np.append(lid.force, lid.torque)),
+            (grip, problem.u[0], grip.reaction),
+        ):
+            at = end.point + end.displacement
+            found = contact.force(problem, on=u), contact.moment(problem, at, on=u)
+            assert np.abs(loads + np.concatenate(found)).max() < BALANCED * np.abs(loads).max()
+        if share == 1:
+            state = problem.state()
+    again, _, other_grip, other, _ = pressed(dim, kind, friction=0.4, free=True)
+    again.restore(state)
+    other.force, other.torque = lid.force, lid.torque
+    again.solve()
+    close(other.displacement, lid.displacement, 1e-12)
+    close(other_grip.reaction, grip.reaction, 1e-12)
+    assert "coupling 1, at" in problem.status() and lid.angles.any()
