@@ -42,17 +42,23 @@ CHARTS = {
     "bolted_assembly": ("bolted_assembly",),
     "bouncing": ("bouncing",),
     "cad_assemblies": ("cad_assemblies",),
-    "contact_run_time": ("contact", "--scene", "contact", "--peers", "--repeats", "3"),
+    "contact_run_time": (
+        *("contact", "--scene", "contact", "--dims", "2", "--degrees", "1"),
+        *("--sizes", "2,3,5,10", "--peers", "--repeats", "1"),
+    ),
     "friction": ("friction", "--scene", "cattaneo"),
     "hertz": ("hertz",),
-    "error_against_run_time": ("cylinder", "--scene", "cylinder", "--degrees", "1,2,3", "--peers"),
+    "error_against_run_time": (
+        *("cylinder", "--scene", "cylinder", "--degrees", "1,2,3"),
+        *("--peers", "--repeats", "1"),
+    ),
     "plasticity": ("plasticity",),
     "rolling": ("rolling",),
     "slender_contact": ("slender_contact",),
     "stability": ("stability",),
 }
 SCRIPTS = {"contact_run_time": "error_against_run_time"}  # others' are called as the picture
-BESIDE = {"bolted_assembly": 2, "contact_run_time": 3}  # charts of other shapes
+BESIDE = {"bolted_assembly": 2, "contact_run_time": 2}  # charts of other shapes
 COMPLEX = {"wave": ("wave", "--degrees", "2")}
 FILMS = {"ironing": ("ironing", "--steps", "40", "--step", "0.5", "--friction", "0.3")}
 
@@ -70,7 +76,7 @@ def thumbnail(picture: Path, file: Path):
 def first_chart(picture: Path, file: Path):
     """Of charts side by side the first."""
     image = Image.open(picture).convert("RGB")
-    if image.width > 2 * image.height:
+    if file.stem in BESIDE or image.width > 2 * image.height:
         width = image.width / BESIDE[file.stem] if file.stem in BESIDE else 1.28 * image.height
         image = image.crop((0, 0, int(width), image.height))
     _save(image, file)

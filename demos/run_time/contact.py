@@ -336,6 +336,7 @@ def print_ratios(rows):
 def draw(rows, folder):
     """Error over seconds for each dimension, and where the time goes."""
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     dims = sorted({r["dim"] for r in rows})
     figure, axes = plt.subplots(
@@ -357,6 +358,9 @@ def draw(rows, folder):
             )
         ax.set(xlabel="seconds of the processor", ylabel="relative L² error of the pressure")
         ax.set_title("Hertz: a cylinder" if dim == 2 else "Hertz: a sphere")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
         ax.grid(which="both", alpha=0.25)
         ax.legend(fontsize=7)
     own = {
