@@ -28,11 +28,11 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     rows_of,
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
-from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
-from hypergap_dolfinx.interface_laws.given_values import as_numbers
+from hypergap_dolfinx.interface_laws.given_values import Settable, as_numbers
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.component import Component
@@ -53,7 +53,7 @@ LOG = logging.getLogger("hypergap_dolfinx")
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
 
-class Contact:
+class Contact(Settable):
     """Contact between two surfaces that can touch, part and slide, with or without friction.
 
     The gap domain Σ lies between Γ0 and Γ1 in their present positions. Each vertex a of Γ1 has a
@@ -195,6 +195,7 @@ class Contact:
         for doubt in self._doubts(below, above):
             if comm.rank == 0:
                 LOG.warning(doubt)
+        self._made = True
 
     def _is_itself(self, side0: Side, side1: Side) -> bool:
         """True if both sides are one surface. Collective.
@@ -271,6 +272,12 @@ class Contact:
         if doubt and not self._geometry.is_wall:  # of a wall a problem knows if it is rigid
             yield doubt
         for surface in surfaces:
+            if surface.folded.any():
+                yield (
+                    f"{surface.name}: {surface.folded.sum()} curved facets are folded, the first "
+                    f"at {spot(surface.nodes[surface.folded.argmax()])}: their middle nodes are "
+                    "too far off, and contact stops there; refine the mesh or straighten them."
+                )
             if surface.element.degree > 1 and not surface.curved.any() and _is_round(surface):
                 yield (
                     f"{surface.name} is round with straight facets, of degree "

@@ -24,9 +24,9 @@ from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
-from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
+from hypergap_dolfinx.interface_laws.coupling import Coupling, motions_of
 from hypergap_dolfinx.interface_laws.reference_point import PointComponent
-from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidBodyMotion
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -169,9 +169,8 @@ class ContactProblem(ContactSystem):
             accepted=accepted,
             taken_back=taken_back,
         )
-        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
-        check_couplings(couplings)
-        rigid = {i: one for i, one in enumerate(F) if isinstance(one, RigidBody)}
+        coupled = motions_of(couplings)
+        rigid = {i: one.motion for i, one in enumerate(F) if isinstance(one, RigidBody)}
         _check_rigid(rigid, u, contacts, ties, bcs)
         _check_apart(contacts, ties)
         of_bodies = [None if isinstance(form, RigidBody) else form for form in F]
@@ -209,14 +208,14 @@ class ContactProblem(ContactSystem):
             pairs,
             parts=[
                 *(_displacements(i, u[i].function_space, contacts) for i in elastic),
-                *map(PointComponent.of_point, (*rigid.values(), *couplings)),
+                *map(PointComponent.of_point, (*rigid.values(), *coupled)),
             ],
             names=[
                 *(name_of_body(i, u[i].function_space) for i in moving),
-                *(f"coupling {k}" for k in range(len(couplings))),
+                *(f"coupling {k}" for k in range(len(coupled))),
             ],
             rigid=list(rigid.values()),
-            couplings=couplings,
+            couplings=coupled,
             rtol=rtol,
             solver=solver,
             petsc_options_prefix=petsc_options_prefix,
@@ -237,7 +236,7 @@ class ContactProblem(ContactSystem):
         for i, body in rigid.items():
             names = (f"{what} of body {i}, a rigid one," for what in OF_RIGID)
             values += list(zip(names, body.given, strict=True))
-        for k, end in enumerate(couplings):
+        for k, end in enumerate(coupled):
             values += list(zip((f"{w} of coupling {k}" for w in OF_RIGID), end.given, strict=True))
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
@@ -247,7 +246,7 @@ class ContactProblem(ContactSystem):
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
         revolution.tell(of_bodies, ties, "tie")
-        revolution.tell_couplings(forms, couplings)
+        revolution.tell_couplings(forms, coupled)
 
     def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""
@@ -346,7 +345,7 @@ class ContactProblem(ContactSystem):
         for body in self._rigid:
             raise_on_all(self._comm, body.wrong(), ValueError)
         self._read_couplings()
-        self._constraints.check_coupled(self._lifted())
+        self._check_prescribed()
         changes = self._comm.allreduce(self._path.changes, MPI.LOR)
         self._prepare()
         if not self._num_steps:
@@ -614,7 +613,7 @@ def _displacements(i: int, V: fem.FunctionSpace, contacts: Sequence[Contact]) ->
 
 
 def _check_rigid(
-    rigid: dict[int, RigidBody],
+    rigid: dict[int, RigidBodyMotion],
     u: Sequence[fem.Function],
     contacts: Sequence[Contact],
     ties: Sequence[Tie],

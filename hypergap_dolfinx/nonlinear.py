@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
+from hypergap_dolfinx.interface_laws.coupling import Coupling, motions_of
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -105,11 +105,10 @@ class NonlinearTiedProblem(NonlinearSystem):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
-        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
-        check_couplings(couplings)
+        coupled = motions_of(couplings)
         search = "snes_linesearch_type"
         given = f"{petsc_options_prefix}{search}" in PETSc.Options().getAll()
-        turning = any(one.can_turn for one in couplings) and isinstance(petsc_options, dict | None)
+        turning = any(one.can_turn for one in coupled) and isinstance(petsc_options, dict | None)
         if turning and not given:  # residuals of rotations, of another unit, shorten good steps
             petsc_options = {search: "basic", **(petsc_options or {})}
         hooks = Hooks(
@@ -125,7 +124,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             bcs,
             Joined(ties),
             J=J,
-            couplings=couplings,
+            couplings=coupled,
             hooks=hooks,
             form_compiler_options=form_compiler_options,
             jit_options=jit_options,
@@ -134,7 +133,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             self._system, solver, petsc_options_prefix, petsc_options, newton=True
         )
         revolution.tell(F, self._pieces.ties, "tie")
-        revolution.tell_couplings(F, couplings)
+        revolution.tell_couplings(F, coupled)
         self._failed: BaseException | None = None
         self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
@@ -177,7 +176,7 @@ class NonlinearTiedProblem(NonlinearSystem):
     def _solve_step(self):
         """Solve for the present values. Collective."""
         self._read_couplings()
-        self._constraints.check_coupled(self._lifted())
+        self._check_prescribed()
         for u, x in zip(self._u, self._x.getNestSubVecs()):
             x.array[:] = u.x.array[: x.getLocalSize()]
         self._solved = False

@@ -14,7 +14,7 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks, revolution
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.interface_laws.coupling import Coupling, check_couplings
+from hypergap_dolfinx.interface_laws.coupling import Coupling, motions_of
 from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.system import TiedSystem
@@ -128,21 +128,20 @@ class TiedProblem(TiedSystem):
                 raise ValueError(
                     f"a and L are UFL forms, not {type(form).__name__}; they are compiled here."
                 )
-        couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
-        check_couplings(couplings)
+        coupled = motions_of(couplings)
         loads = [_load(i, *forms) for i, forms in enumerate(zip(a, L, strict=True))]
 
         checks.check_scalars((*a, *loads), u or ())
         if u is not None and len(u) != len(a):
             raise ValueError(f"{len(u)} functions u for {len(a)} bodies: give one for each.")
         solutions = list(u) if u is not None else [fem.Function(_space(L)) for L in loads]
-        revolution.tell_couplings(a, couplings)
-        loads += [one.L for one in couplings]
+        revolution.tell_couplings(a, coupled)
+        loads += [one.L for one in coupled]
         self._L = create_forms(loads, form_compiler_options, jit_options)
-        compiled = create_forms([*a, *(c.a for c in couplings)], form_compiler_options, jit_options)
-        bcs = [*(bcs or ()), *(bc for one in couplings for bc in one.bcs)]
-        solutions += [one.q for one in couplings]
-        super().__init__(compiled, bcs, Joined(ties), solutions, couplings)
+        compiled = create_forms([*a, *(c.a for c in coupled)], form_compiler_options, jit_options)
+        bcs = [*(bcs or ()), *(bc for one in coupled for bc in one.bcs)]
+        solutions += [one.q for one in coupled]
+        super().__init__(compiled, bcs, Joined(ties), solutions, coupled)
         self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
         revolution.tell(a, self._pieces.ties, "tie")
 

@@ -23,7 +23,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
-from hypergap_dolfinx.interface_laws.given_values import Given, as_numbers
+from hypergap_dolfinx.interface_laws.given_values import Given, Settable, as_numbers
 from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
 from hypergap_dolfinx.mortar import fields
 from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
@@ -39,7 +39,7 @@ from hypergap_dolfinx.tolerances import ALIKE, THIN_LAYER
 LOG = logging.getLogger("hypergap_dolfinx")
 
 
-class Tie(collective.Owner):
+class Tie(Settable, collective.Owner):
     """A tie between two surfaces whose meshes don't match.
 
     The gap domain Σ between Γ0 and Γ1 has a mesh of its own, with a field α that is 0 on Γ0 and 1
@@ -240,6 +240,7 @@ class Tie(collective.Owner):
         if len(self._gives) > 1:
             raise ValueError(f"give a {' or a '.join(self._gives)}, not both.")
         _ = self.compliance, self.law  # raises for wrong ones
+        self._made = True
 
     @classmethod
     def between(

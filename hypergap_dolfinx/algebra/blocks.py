@@ -17,7 +17,7 @@ from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import InterfaceError, PrescribedSideError
 from hypergap_dolfinx.interface_laws.compliance import Conductance
-from hypergap_dolfinx.interface_laws.coupling import Coupling
+from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.interface_laws.coupling_rows import CouplingRows
 from hypergap_dolfinx.multipliers.existence import Choice, Columns, choose
 from hypergap_dolfinx.multipliers.interface import Interface
@@ -43,7 +43,7 @@ class ConstraintBlocks:
         bcs: Sequence[Sequence[fem.DirichletBC]],
         ties: Sequence[Interface],
         names: Sequence[str] | None = None,
-        couplings: Sequence[Coupling] = (),
+        couplings: Sequence[CoupledMotion] = (),
     ):
         """Pull the ties back to the bodies. Collective.
 
@@ -407,7 +407,7 @@ class ConstraintBlocks:
                 full[g][field] = block
         return full
 
-    def _couple(self, k: int, one: Coupling) -> tuple[CouplingRows, int, int]:
+    def _couple(self, k: int, one: CoupledMotion) -> tuple[CouplingRows, int, int]:
         """Append a coupling's row of blocks; its equations and bodies. Collective."""
         body = one.component.among(self._spaces)
         if body is None:

@@ -28,7 +28,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     ROUND_OFF_FORCES,
 )
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
-from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidSides
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion, RigidSides
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.component import Component
@@ -46,7 +46,7 @@ class ContactPair:
     """Numbers of the bodies; None for a rigid one."""
     components: tuple[Component, Component]
     """The sides' displacements among the fields of u."""
-    rigid: tuple[RigidBody | None, RigidBody | None] = (None, None)
+    rigid: tuple[RigidBodyMotion | None, RigidBodyMotion | None] = (None, None)
     """Rigid bodies that forces move."""
 
 
@@ -550,8 +550,8 @@ class ContactRows:
                 residual[body][dofs] -= force[mine].ravel() * ~prescribed[body][dofs]
         return forces
 
-    def loads_on(self, body: RigidBody) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """Contact forces on a rigid body, as :meth:`RigidBody.react` takes them."""
+    def loads_on(self, body: RigidBodyMotion) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """Contact forces on a rigid body, as :meth:`RigidBodyMotion.react` takes them."""
         return self._rigid.loads(body, self.contact_forces()) if self._rigid else []
 
     @cached_property

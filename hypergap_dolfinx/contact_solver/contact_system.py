@@ -44,8 +44,8 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 )
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.interface_laws.coupling import Coupling
-from hypergap_dolfinx.interface_laws.rigid_body import RigidBody
+from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
+from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
@@ -100,8 +100,8 @@ class ContactSystem(NonlinearSystem):
         *,
         parts: Sequence[Component],
         names: Sequence[str],
-        rigid: Sequence[RigidBody] = (),
-        couplings: Sequence[Coupling] = (),
+        rigid: Sequence[RigidBodyMotion] = (),
+        couplings: Sequence[CoupledMotion] = (),
         rtol: float,
         solver: str | None = None,
         petsc_options_prefix: str,

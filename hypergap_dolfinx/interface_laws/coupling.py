@@ -14,7 +14,7 @@ import dolfinx.mesh
 import ufl
 from dolfinx import default_scalar_type, fem, la
 from hypergap_dolfinx.core.collective import raise_on_all, spot
-from hypergap_dolfinx.interface_laws.reference_point import ReferencePoint, in_space
+from hypergap_dolfinx.interface_laws.reference_point import PointMotion, ReferencePoint, in_space
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
 from hypergap_dolfinx.surface.trace import check_sides, create_surface
@@ -22,63 +22,19 @@ from hypergap_dolfinx.surface.trace import check_sides, create_surface
 Array = npt.NDArray[np.float64]
 
 
-class Coupling(ReferencePoint):
-    """A surface coupled with a point, which forces and torques load or which is held.
-
-    The point has a displacement and a rotation: x, y and rotation in the plane, x, y, z, rx, ry, rz
-    in space, each free, held, or in a spring. The motion that goes with it is
-    v = t + (R − 1) (X − X₀), with the point X₀ anywhere, and a rotation R of any size in
-    :class:`NonlinearTiedProblem` and :class:`ContactProblem`, where it is made of those of load
-    steps as a :class:`RigidBody`'s. In a :class:`TiedProblem` v = t + θ × (X − X₀).
-
-    - ``"distributing"``: t and R are the surface's mean motion, ``∫ |u − v|² dΓ`` is least. Forces
-      and torques act as tractions that vary linearly over the surface, as in a beam's section, and
-      don't stiffen it.
-    - ``"rigid"``: the surface moves as a rigid body, u = v at its nodes.
-
-    Balance of forces and torques is exact. ``force`` and ``torque`` are fixed in space; arrays may
-    be changed between solves.
-
-    Example:
-        A bar whose end is twisted by a torque, or by an angle::
-
-            end = Coupling((V, facets), point=(0, 0, 4), kind="distributing")
-            problem = TiedProblem([a], [L], bcs=bcs, couplings=[end])
-            end.torque = 0, 0, 5.0
-            problem.solve()
-            print(end.displacement, end.angles)
-
-            end = Coupling((V, facets), point=(0, 0, 4), kind="rigid", held="rz")
-            ...
-            end.prescribed[5] = 0.01
-            problem.solve()
-            print(end.reaction[5])
-    """
+class CoupledMotion(PointMotion):
+    """Motion of a surface's nodes with a reference point, or of the point with the surface."""
 
     NAME: ClassVar[str] = "a coupling"
 
     def __init__(
         self,
         side: tuple[fem.FunctionSpace, npt.ArrayLike],
-        *,
         point: npt.ArrayLike,
         kind: str,
-        held: Sequence[str] | str = (),
+        held: Sequence[str] | str,
     ):
-        """Find the surface's nodes and its mean motion. Collective.
-
-        Args:
-            side: A pair ``(V, facets)`` as for a :class:`Tie`: a Lagrange space of displacements,
-                or one such as ``W.sub(0)``, and exterior facets of its mesh.
-            point: The reference point X₀.
-            kind: ``"distributing"`` or ``"rigid"``.
-            held: Names of the components that are held, of :attr:`components`, at the values in
-                :attr:`prescribed`.
-
-        Raises:
-            InterfaceError: Facets or a space that form no surface.
-            ValueError: No displacements, another kind, a point or a name that is none.
-        """
+        """Find the nodes, as for :class:`Coupling`. Collective."""
         if kind not in ("distributing", "rigid"):
             raise ValueError(f'kind is {kind!r}: give "distributing" or "rigid".')
         check_sides("coupling", side)
@@ -101,7 +57,7 @@ class Coupling(ReferencePoint):
         dofs = np.unique(self.surface.dofs)
         self._nodes = dofs[(start <= dofs) & (dofs < end)] - start  # owned ones
         self._x = V.tabulate_dof_coordinates()[self._nodes, :n]
-        self._arms = in_space(self._x - self._point)
+        self._arms = in_space(self._x - self.point)
         sums = self._comm.allreduce(np.array([(self._arms**2).sum(), len(self._arms)]))
         self._make_unknowns(float(np.sqrt(sums[0] / sums[1])))
         if not self.is_rigid:
@@ -131,7 +87,7 @@ class Coupling(ReferencePoint):
         ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
         form, found = fem.form(ufl.inner(f, v) * ds, default_scalar_type), []
         # Not X itself, on curved facets: with its nodes' values motions v of nodes are exact
-        for values in (np.ones(n), V.tabulate_dof_coordinates()[:, :n] - self._point):
+        for values in (np.ones(n), V.tabulate_dof_coordinates()[:, :n] - self.point):
             f.x.array.reshape(-1, n)[:] = values
             b = fem.assemble_vector(form)
             b.scatter_reverse(la.InsertMode.add)
@@ -186,7 +142,7 @@ class Coupling(ReferencePoint):
         n = self._n
         both = prescribed.reshape(-1, n)[self._nodes]
         given = np.where(both, values.reshape(-1, n)[self._nodes], 0.0)
-        q = np.where(self.held, self._prescribed / self._units, 0.0 if linear else self._values)
+        q = np.where(self.held, self.prescribed / self._units, 0.0 if linear else self._values)
         moved = self.slopes(self._arms, None) @ q if linear else self.moved(self._arms, q)
         carried = np.where(both, moved, 0.0)
         size = max(self._comm.allreduce(np.abs(given).max(initial=0), MPI.MAX), np.abs(q).max())
@@ -201,19 +157,83 @@ class Coupling(ReferencePoint):
         return next((one for one in self._comm.allgather(at) if one), None)
 
 
-def check_couplings(couplings: Sequence[Coupling]):
-    """Raise if they are no couplings, or two rigid ones have nodes in common.
+class Coupling(ReferencePoint):
+    """A surface coupled with a point, which forces and torques load or which is held.
+
+    The point has a displacement and a rotation: x, y and rotation in the plane, x, y, z, rx, ry, rz
+    in space, each free, held, or in a spring. The motion that goes with it is
+    v = t + (R − 1) (X − X₀), with the point X₀ anywhere, and a rotation R of any size in
+    :class:`NonlinearTiedProblem` and :class:`ContactProblem`, where it is made of those of load
+    steps as a :class:`RigidBody`'s. In a :class:`TiedProblem` v = t + θ × (X − X₀).
+
+    - ``"distributing"``: t and R are the surface's mean motion, ``∫ |u − v|² dΓ`` is least. Forces
+      and torques act as tractions that vary linearly over the surface, as in a beam's section, and
+      don't stiffen it.
+    - ``"rigid"``: the surface moves as a rigid body, u = v at its nodes.
+
+    Balance of forces and torques is exact. ``force`` and ``torque`` are fixed in space; arrays may
+    be changed between solves.
+
+    Example:
+        A bar whose end is twisted by a torque, or by an angle::
+
+            end = Coupling((V, facets), point=(0, 0, 4), kind="distributing")
+            problem = TiedProblem([a], [L], bcs=bcs, couplings=[end])
+            end.torque = 0, 0, 5.0
+            problem.solve()
+            print(end.displacement, end.angles)
+
+            end = Coupling((V, facets), point=(0, 0, 4), kind="rigid", held="rz")
+            ...
+            end.prescribed[5] = 0.01
+            problem.solve()
+            print(end.reaction[5])
+    """
+
+    def __init__(
+        self,
+        side: tuple[fem.FunctionSpace, npt.ArrayLike],
+        *,
+        point: npt.ArrayLike,
+        kind: str,
+        held: Sequence[str] | str = (),
+    ):
+        """Find the surface's nodes and its mean motion. Collective.
+
+        Args:
+            side: A pair ``(V, facets)`` as for a :class:`Tie`: a Lagrange space of displacements,
+                or one such as ``W.sub(0)``, and exterior facets of its mesh.
+            point: The reference point X₀.
+            kind: ``"distributing"`` or ``"rigid"``.
+            held: Names of the components that are held, of :attr:`components`, at the values in
+                :attr:`prescribed`.
+
+        Raises:
+            InterfaceError: Facets or a space that form no surface.
+            ValueError: No displacements, another kind, a point or a name that is none.
+        """
+        super().__init__(CoupledMotion(side, point, kind, held))
+        self.kind = kind
+        """"distributing" or "rigid"."""
+        self._made = True
+
+
+def motions_of(couplings: Coupling | Sequence[Coupling]) -> list[CoupledMotion]:
+    """Motions of couplings that fit to each other.
 
     Raises:
-        ValueError: Names them.
+        ValueError: They are no couplings, or two rigid ones have nodes in common.
     """
-    for k, one in enumerate(couplings):
+    couplings = [couplings] if isinstance(couplings, Coupling) else list(couplings)
+    for one in couplings:
         if not isinstance(one, Coupling):
             raise ValueError(
                 f"couplings has a {type(one).__name__}: make each with Coupling(side, point=, "
                 "kind=)."
             )
-        for j, other in enumerate(couplings[:k]):
+    found = [one.motion for one in couplings]
+    for k, one in enumerate(found):
+        for j, other in enumerate(found[:k]):
             if one is other:
                 raise ValueError(f"coupling {k} is given twice; once is enough.")
             if not (one.is_rigid and other.is_rigid and one.component.overlaps(other.component)):
@@ -224,3 +244,4 @@ def check_couplings(couplings: Sequence[Coupling]):
                     f"the rigid couplings {j} and {k} have {len(shared)} nodes in common: give "
                     "all facets to one of them."
                 )
+    return found

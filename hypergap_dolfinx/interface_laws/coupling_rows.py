@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compat import Triplets
-from hypergap_dolfinx.interface_laws.coupling import Coupling
+from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.interface_laws.reference_point import in_space
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class _Block:
 class CouplingRows:
     """The equations of a coupling in one problem, with their derivatives. All is collective."""
 
-    def __init__(self, one: Coupling, prescribed: npt.NDArray[np.bool_]):
+    def __init__(self, one: CoupledMotion, prescribed: npt.NDArray[np.bool_]):
         """Set up the derivatives at R = 1.
 
         Args:

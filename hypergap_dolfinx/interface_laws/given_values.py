@@ -14,6 +14,26 @@ from dolfinx import fem
 Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 
 
+class Settable:
+    """Base class of what users make: once it is made, names that can't be set are refused."""
+
+    def __setattr__(self, name: str, value: Any):
+        """Set an attribute; only a property with a setter after ``_made`` is set.
+
+        Raises:
+            AttributeError: Another one, such as a misspelt name.
+        """
+        if not name.startswith("_") and self.__dict__.get("_made", False):
+            properties = {key: getattr(type(self), key) for key in dir(type(self))}
+            can = [key for key, one in properties.items() if getattr(one, "fset", None)]
+            if name not in can:
+                raise AttributeError(
+                    f"{name} of a {type(self).__name__} can't be set; "
+                    f"{', '.join(can) or 'nothing'} can."
+                )
+        super().__setattr__(name, value)
+
+
 def is_read(value: Any) -> bool:
     """True for values that are read anew each time: a function, a constant, or a callable of x."""
     if isinstance(value, fem.Constant | fem.Function):

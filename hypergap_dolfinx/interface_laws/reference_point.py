@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import factorial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 
@@ -18,15 +18,15 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.rotation import moment_of, rotated, rotation
-from hypergap_dolfinx.interface_laws.given_values import as_numbers
+from hypergap_dolfinx.interface_laws.given_values import Settable, as_numbers
 from hypergap_dolfinx.surface.component import Component
 
 Array = npt.NDArray[np.float64]
 COMPONENTS = {2: ("x", "y", "rotation"), 3: ("x", "y", "z", "rx", "ry", "rz")}
 
 
-class ReferencePoint:
-    """Displacement and rotation of a point: free, in springs, or held, under force and torque."""
+class PointMotion:
+    """Unknowns of a reference point, their forms, and the motion that goes with them."""
 
     NAME: ClassVar[str]
     """Its owner's name in messages."""
@@ -53,13 +53,15 @@ class ReferencePoint:
         for name in held:
             if name not in self.components:
                 raise ValueError(f"held has {name!r}; components are {', '.join(self.components)}.")
-        self._point = given
-        self._held = np.array([name in held for name in self.components])
+        self.point = given
+        """The reference point X₀, ``(n,)``."""
+        self.held = np.array([name in held for name in self.components])
+        """Mask of the components that are held, ``(num_components,)``."""
         num, across = len(self.components), len(self.components) - n
         self._rotates = slice(0, 3) if n == 3 else slice(2, 3)  # of a rotation vector
-        self._force, self._torque = np.zeros(n), np.zeros(across)
-        self._prescribed, self._springs, self._anchors = np.zeros((3, num))
-        self._values, self._reaction = np.zeros((2, num))
+        self.force, self.torque = np.zeros(n), np.zeros(across)
+        self.prescribed, self.springs, self.anchors = np.zeros((3, num))
+        self._values, self.reaction = np.zeros((2, num))
         self._start, self._turn, self._bends = np.zeros(across), np.eye(3), np.zeros((num, num))
 
     def _make_unknowns(self, length: float):
@@ -110,72 +112,6 @@ class ReferencePoint:
         ]
         """Conditions of what is held."""
 
-    # What users set and read
-
-    def _assign(self, name: str, value: npt.ArrayLike):
-        """Set one of the arrays in which users change values."""
-        array = getattr(self, name)
-        array[:] = as_numbers(value, array.shape, f"the {name} of {self.NAME}")
-
-    @property
-    def held(self) -> npt.NDArray[np.bool_]:
-        """Mask of the components that are held, ``(num_components,)``; not to be changed."""
-        return self._held
-
-    @held.setter
-    def held(self, value):
-        raise ValueError(f"held is for good: make {self.NAME} with held={value!r}.")
-
-    @property
-    def point(self) -> Array:
-        """The reference point X₀, ``(n,)``."""
-        return self._point.copy()
-
-    @property
-    def force(self) -> Array:
-        """Force at the reference point, ``(n,)``."""
-        return self._force
-
-    @force.setter
-    def force(self, value: npt.ArrayLike):
-        self._assign("force", value)
-
-    @property
-    def torque(self) -> Array:
-        """Torque about the reference point, ``(1,)`` in the plane, ``(3,)`` about axes of space."""
-        return self._torque
-
-    @torque.setter
-    def torque(self, value: npt.ArrayLike):
-        self._assign("torque", value)
-
-    @property
-    def prescribed(self) -> Array:
-        """Values of what is held: displacements of the point, and angles, ``(num_components,)``."""
-        return self._prescribed
-
-    @prescribed.setter
-    def prescribed(self, value: npt.ArrayLike):
-        self._assign("prescribed", value)
-
-    @property
-    def springs(self) -> Array:
-        """Stiffness of springs to the anchors, ``(num_components,)``; 0 for none."""
-        return self._springs
-
-    @springs.setter
-    def springs(self, value: npt.ArrayLike):
-        self._assign("springs", value)
-
-    @property
-    def anchors(self) -> Array:
-        """Values of the components at which springs have no force, ``(num_components,)``."""
-        return self._anchors
-
-    @anchors.setter
-    def anchors(self, value: npt.ArrayLike):
-        self._assign("anchors", value)
-
     @property
     def displacement(self) -> Array:
         """Displacement t of the reference point, ``(n,)``, the same on every rank."""
@@ -183,42 +119,31 @@ class ReferencePoint:
 
     @property
     def angles(self) -> Array:
-        """Rotations added up, in radians, ``(1,)`` in the plane, ``(3,)`` in space."""
+        """Rotations added up, in radians, ``(num_rotations,)``."""
         return self._values[self._n :] / self.length
 
     @property
     def rotation(self) -> Array:
-        """The rotation R, ``(n, n)``; 1 in linear problems."""
+        """The rotation R, ``(n, n)``."""
         return (rotation(self._theta) @ self._turn)[: self._n, : self._n]
-
-    @property
-    def reaction(self) -> Array:
-        """Forces and torques after a solve by which it is held, ``(num_components,)``; 0 if free.
-
-        In space the torque has three components if any rotation is held: those of load steps aren't
-        about axes of space alone, but for one axis.
-        """
-        return self._reaction.copy()
-
-    # What a problem asks for
 
     @property
     def given(self) -> list[Array]:
         """Arrays in which a user changes its values."""
-        return [self._force, self._torque, self._prescribed, self._springs, self._anchors]
+        return [self.force, self.torque, self.prescribed, self.springs, self.anchors]
 
     def wrong(self) -> str | None:
         """Message about values that are contradictory, or None."""
-        at = np.flatnonzero((self._prescribed != 0) & ~self.held)
+        at = np.flatnonzero((self.prescribed != 0) & ~self.held)
         if len(at):
             name = self.components[at[0]]
             return (
                 f"a value is prescribed for {name} of {self.NAME}, which isn't held: make the "
                 f"{self.NAME.removeprefix('a ')} with held={name!r}, or set 0."
             )
-        if (self._springs < 0).any():
+        if (self.springs < 0).any():
             return (
-                f"a spring of {self.NAME} has the stiffness {self._springs.min():.3g}; give "
+                f"a spring of {self.NAME} has the stiffness {self.springs.min():.3g}; give "
                 "numbers ≥ 0."
             )
         return None
@@ -256,14 +181,14 @@ class ReferencePoint:
             linear: True for small rotations.
         """
         n, at, M = self._n, self._rotates, np.zeros(3)
-        M[at] = self._torque
+        M[at] = self.torque
         moment, slope = moment_of(0 * M if linear else self._theta, M)
-        load = np.append(self._force, moment[at]) + self._springs * self._anchors
+        load = np.append(self.force, moment[at]) + self.springs * self.anchors
         self._load.value[:] = load * self._units
-        self._own.value[:] = springs * self._springs * self._units**2
+        self._own.value[:] = springs * self.springs * self._units**2
         self._slope.value[:] = self._bends
         self._slope.value[n:, n:] -= slope[at, at] / self.length**2
-        for goal, value in zip(self._goals, self._prescribed / self._units, strict=True):
+        for goal, value in zip(self._goals, self.prescribed / self._units, strict=True):
             goal.value = value
 
     def turn_by(self, change: Array) -> float:
@@ -312,9 +237,9 @@ class ReferencePoint:
         n, held = self._n, self.held.copy()
         held[n:] = held[n:].any()
         values = np.append(self.displacement, self.angles)
-        total = np.append(self._force, self._torque) + self._springs * (self._anchors - values)
+        total = np.append(self.force, self.torque) + self.springs * (self.anchors - values)
         total += np.append(force[:n], torque[self._rotates])
-        self._reaction = np.where(held, -total, 0.0)
+        self.reaction = np.where(held, -total, 0.0)
 
     def commit(self):
         """Accept the state: the next rotation vector starts from it."""
@@ -323,12 +248,12 @@ class ReferencePoint:
 
     def kept(self) -> Array:
         """What the next load step depends on beside the unknowns, and the reaction, flat."""
-        return np.concatenate((self._reaction, self._start, self._turn.ravel()))
+        return np.concatenate((self.reaction, self._start, self._turn.ravel()))
 
     def resume(self, kept: Array):
         """Go on from what was kept, with unknowns that are set already. Collective."""
-        num = len(self._reaction)
-        self._reaction, self._start, turn = np.split(kept.copy(), [num, num + len(self._start)])
+        num = len(self.reaction)
+        self.reaction, self._start, turn = np.split(kept.copy(), [num, num + len(self._start)])
         self._turn = turn.reshape(3, 3)
         self.assign()
 
@@ -337,15 +262,116 @@ class ReferencePoint:
         return self._comm.bcast(np.array(values[: len(self.components)]))  # rank 0 has the cell
 
 
+class ReferencePoint(Settable):
+    """Displacement and rotation of a point: free, in springs, or held, under force and torque."""
+
+    def __init__(self, motion: PointMotion):
+        """Store its motion."""
+        self.motion: Any = motion
+        """What problems ask for."""
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of its unknowns."""
+        return self.motion.components
+
+    def _assign(self, name: str, value: npt.ArrayLike):
+        array = getattr(self.motion, name)
+        array[:] = as_numbers(value, array.shape, f"the {name} of {self.motion.NAME}")
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Mask of the components that are held, ``(num_components,)``; not to be changed."""
+        return self.motion.held
+
+    @held.setter
+    def held(self, value):
+        raise ValueError(f"held is for good: make {self.motion.NAME} with held={value!r}.")
+
+    @property
+    def point(self) -> Array:
+        """The reference point X₀, ``(n,)``."""
+        return self.motion.point.copy()
+
+    @property
+    def force(self) -> Array:
+        """Force at the reference point, ``(n,)``."""
+        return self.motion.force
+
+    @force.setter
+    def force(self, value: npt.ArrayLike):
+        self._assign("force", value)
+
+    @property
+    def torque(self) -> Array:
+        """Torque about the reference point, ``(1,)`` in the plane, ``(3,)`` about axes of space."""
+        return self.motion.torque
+
+    @torque.setter
+    def torque(self, value: npt.ArrayLike):
+        self._assign("torque", value)
+
+    @property
+    def prescribed(self) -> Array:
+        """Values of what is held: displacements of the point, and angles, ``(num_components,)``."""
+        return self.motion.prescribed
+
+    @prescribed.setter
+    def prescribed(self, value: npt.ArrayLike):
+        self._assign("prescribed", value)
+
+    @property
+    def springs(self) -> Array:
+        """Stiffness of springs to the anchors, ``(num_components,)``; 0 for none."""
+        return self.motion.springs
+
+    @springs.setter
+    def springs(self, value: npt.ArrayLike):
+        self._assign("springs", value)
+
+    @property
+    def anchors(self) -> Array:
+        """Values of the components at which springs have no force, ``(num_components,)``."""
+        return self.motion.anchors
+
+    @anchors.setter
+    def anchors(self, value: npt.ArrayLike):
+        self._assign("anchors", value)
+
+    @property
+    def displacement(self) -> Array:
+        """Displacement t of the reference point, ``(n,)``, the same on every rank."""
+        return self.motion.displacement
+
+    @property
+    def angles(self) -> Array:
+        """Rotations added up, in radians, ``(1,)`` in the plane, ``(3,)`` in space."""
+        return self.motion.angles
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation R, ``(n, n)``; 1 in linear problems."""
+        return self.motion.rotation
+
+    @property
+    def reaction(self) -> Array:
+        """Forces and torques after a solve by which it is held, ``(num_components,)``; 0 if free.
+
+        In space the torque has three components if any rotation is held: those of load steps aren't
+        about axes of space alone, but for one axis.
+        """
+        return self.motion.reaction.copy()
+
+
 @dataclass(frozen=True)
 class PointComponent(Component):
     """The unknowns of a point in the place of a field; its nodes are those that move with it."""
 
     remedy: ClassVar[str] = "held="
-    point: ReferencePoint
+    point: PointMotion
 
     @classmethod
-    def of_point(cls, point: ReferencePoint) -> "PointComponent":
+    def of_point(cls, point: PointMotion) -> "PointComponent":
         """That of a point."""
         V = point.q.function_space
         return cls(V, V, None, point)

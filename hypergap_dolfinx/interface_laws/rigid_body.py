@@ -11,61 +11,26 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.interface_laws.reference_point import ReferencePoint, in_space
+from hypergap_dolfinx.interface_laws.reference_point import PointMotion, ReferencePoint, in_space
 from hypergap_dolfinx.surface.moving import Sparse, joined
 from hypergap_dolfinx.surface.trace import lagrange_element
 
 Array = npt.NDArray[np.float64]
 
 
-class RigidBody(ReferencePoint):
-    """A rigid body that contact, forces and torques move; it takes the place of a form.
-
-    Its displacements are u = (R − 1) (X − X₀) + t: t is that of its reference point X₀, R a
-    rotation of any size. Components are x, y and the rotation in the plane, x, y, z and rotations
-    rx, ry, rz about axes of space in space; each is free or held. The mesh needs no more than the
-    cells at its surface.
-
-    Loads are ``force``, at X₀, and ``torque``, both fixed in space. All arrays may be changed
-    between load steps, and are ramped where one is halved. In space a rotation is the product of
-    those of load steps, each about the sum of the increments of rx, ry and rz.
-
-    Example:
-        A wheel on an axle in springs, which a torque turns::
-
-            wheel = RigidBody(u1, point=(0.0, 1.0))
-            problem = ContactProblem([F0, wheel], [u0, u1], contacts=[contact])
-            wheel.force = 0.0, -100.0
-            wheel.torque = 20.0
-            wheel.springs[0] = 1e4
-            problem.solve()
-            print(wheel.displacement, wheel.angles)
-
-        A mass m, by Newmark's method or another one that is linear in accelerations: springs are
-        m / (β Δt²), anchors the predicted displacements; of rotations with the moment of inertia
-        about their axis (gyroscopic moments aren't in it).
-    """
+class RigidBodyMotion(PointMotion):
+    """Motion of a rigid body's nodes with its reference point."""
 
     NAME: ClassVar[str] = "a rigid body"
 
-    def __init__(self, u: fem.Function, *, point: npt.ArrayLike, held: Sequence[str] | str = ()):
-        """Find its nodes. Collective.
-
-        Args:
-            u: Displacement of the body, on a Lagrange space of vectors; it is set by the problem.
-            point: The reference point X₀, in the body or elsewhere.
-            held: Names of the components that are held, of :attr:`components`, at the values in
-                :attr:`prescribed`.
-
-        Raises:
-            ValueError: No displacement, a point or a name that is none.
-        """
+    def __init__(self, u: fem.Function, point: npt.ArrayLike, held: Sequence[str] | str):
+        """Find the nodes, as for :class:`RigidBody`. Collective."""
         self._check(u)
         V = u.function_space
         n = V.mesh.geometry.dim
         super().__init__(V.mesh.comm, n, point, held)
         self.u = u
-        self._arms = in_space(V.tabulate_dof_coordinates()[:, :n] - self._point)
+        self._arms = in_space(V.tabulate_dof_coordinates()[:, :n] - self.point)
         mine = self._arms[: V.dofmap.index_map.size_local]
         sums = self._comm.allreduce(np.array([(mine**2).sum(), len(mine)]))
         self._make_unknowns(float(np.sqrt(sums[0] / sums[1])) or 1.0)
@@ -115,10 +80,56 @@ class RigidBody(ReferencePoint):
         return self._arms[: self.u.function_space.dofmap.index_map.size_local]
 
 
+class RigidBody(ReferencePoint):
+    """A rigid body that contact, forces and torques move; it takes the place of a form.
+
+    Its displacements are u = (R − 1) (X − X₀) + t: t is that of its reference point X₀, R a
+    rotation of any size. Components are x, y and the rotation in the plane, x, y, z and rotations
+    rx, ry, rz about axes of space in space; each is free or held. The mesh needs no more than the
+    cells at its surface.
+
+    Loads are ``force``, at X₀, and ``torque``, both fixed in space. All arrays may be changed
+    between load steps, and are ramped where one is halved. In space a rotation is the product of
+    those of load steps, each about the sum of the increments of rx, ry and rz.
+
+    Example:
+        A wheel on an axle in springs, which a torque turns::
+
+            wheel = RigidBody(u1, point=(0.0, 1.0))
+            problem = ContactProblem([F0, wheel], [u0, u1], contacts=[contact])
+            wheel.force = 0.0, -100.0
+            wheel.torque = 20.0
+            wheel.springs[0] = 1e4
+            problem.solve()
+            print(wheel.displacement, wheel.angles)
+
+        A mass m, by Newmark's method or another one that is linear in accelerations: springs are
+        m / (β Δt²), anchors the predicted displacements; of rotations with the moment of inertia
+        about their axis (gyroscopic moments aren't in it).
+    """
+
+    def __init__(self, u: fem.Function, *, point: npt.ArrayLike, held: Sequence[str] | str = ()):
+        """Find its nodes. Collective.
+
+        Args:
+            u: Displacement of the body, on a Lagrange space of vectors; it is set by the problem.
+            point: The reference point X₀, in the body or elsewhere.
+            held: Names of the components that are held, of :attr:`components`, at the values in
+                :attr:`prescribed`.
+
+        Raises:
+            ValueError: No displacement, a point or a name that is none.
+        """
+        super().__init__(RigidBodyMotion(u, point, held))
+        self.u = u
+        """Its displacement."""
+        self._made = True
+
+
 class RigidSides:
     """Rigid bodies at the sides of a contact: their unknowns in the place of surfaces' dofs."""
 
-    def __init__(self, bodies: Sequence[RigidBody | None], arms: Sequence[Array]):
+    def __init__(self, bodies: Sequence[RigidBodyMotion | None], arms: Sequence[Array]):
         """Store them.
 
         Args:
@@ -178,7 +189,7 @@ class RigidSides:
         assert body is not None
         return np.einsum("aik,ai->k", body.slopes(arms, body._values), force)
 
-    def loads(self, body: RigidBody, forces: Sequence[Array]) -> list[tuple[Array, Array]]:
-        """X − X₀ and forces on one body, as :meth:`RigidBody.react` takes them."""
+    def loads(self, body: RigidBodyMotion, forces: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """X − X₀ and forces on one body, as :meth:`RigidBodyMotion.react` takes them."""
         pairs = zip(self._sides, forces, strict=True)
         return [(arms, force) for (other, arms), force in pairs if other is body]

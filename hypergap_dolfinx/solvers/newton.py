@@ -20,7 +20,7 @@ from hypergap_dolfinx.algebra.load_path import Value, values_of
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.forms import create_forms
 from hypergap_dolfinx.core.interrupt import Interrupts
-from hypergap_dolfinx.interface_laws.coupling import Coupling
+from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.hooks import Hooks
@@ -96,7 +96,7 @@ class NonlinearSystem(TiedSystem):
         pieces: TiedInterfaces,
         *,
         J: Sequence[ufl.Form] | None = None,
-        couplings: Sequence[Coupling] = (),
+        couplings: Sequence[CoupledMotion] = (),
         hooks: Hooks | None = None,
         form_compiler_options: dict | None = None,
         jit_options: dict | None = None,
@@ -269,6 +269,14 @@ class NonlinearSystem(TiedSystem):
             for bc in bcs:
                 bc.set(values)
         return lifted
+
+    def _check_prescribed(self):
+        """Raise if prescribed displacements contradict ties or rigid couplings. Collective."""
+        lifted = self._lifted()
+        self._constraints.check_coupled(lifted)
+        for now, held, wanted in zip(self._now, self._held, lifted, strict=True):
+            now.array[:] = np.where(held, wanted[: len(held)], 0)
+        self._constraints.check_prescribed(self._now)
 
     def assemble_matrix(self):
         """Assemble changed blocks into A; the stiffness of a linear body only once. Collective."""

@@ -16,7 +16,7 @@ from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import PrescribedSideError, SolveError
-from hypergap_dolfinx.interface_laws.coupling import Coupling
+from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
@@ -74,7 +74,7 @@ class TiedSystem(collective.Owner):
         bcs: Sequence[fem.DirichletBC],
         pieces: TiedInterfaces,
         u: Sequence[fem.Function],
-        couplings: Sequence[Coupling] = (),
+        couplings: Sequence[CoupledMotion] = (),
     ):
         """Make the matrix and the vectors, without values in K and b. Collective.
 

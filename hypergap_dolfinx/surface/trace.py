@@ -104,6 +104,22 @@ class Surface:
         return self._is_off(np.abs(self.nodes - self.straight_nodes).max(axis=(1, 2)))
 
     @cached_property
+    def folded(self) -> npt.NDArray[np.bool_]:
+        """Mask of curved facets that face back somewhere, ``(num_facets,)``."""
+        points, _ = basix.make_quadrature(self.geometry.cell_type, 2 * self.geometry.degree)
+        dX = self.geometry.tabulate(1, points)[1:, :, :, 0]  # (X_j, point, node)
+        on = np.flatnonzero(self.curved)
+        d = [np.einsum("pa,fai->fpi", derivative, self.nodes[on]) for derivative in dX]
+        if self.gdim == 2:
+            ends = self.x[self.facets[on]]
+            ahead = np.einsum("fpi,fi->fp", d[0], ends[:, 1] - ends[:, 0])
+        else:
+            ahead = np.einsum("fpi,fi->fp", np.cross(*d), self.normals[on])
+        found = np.zeros(len(self.facets), dtype=bool)
+        found[on] = (ahead <= 0).any(axis=1)
+        return found
+
+    @cached_property
     def affine(self) -> npt.NDArray[np.bool_]:
         """Mask of facets that are affine images of the reference facet, ``(num_facets,)``."""
         v = self.x[self.facets]

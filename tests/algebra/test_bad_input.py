@@ -15,7 +15,13 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import InterfaceError, SolveError, Tie, TiedProblem
+from hypergap_dolfinx import (
+    InterfaceError,
+    NonlinearTiedProblem,
+    SolveError,
+    Tie,
+    TiedProblem,
+)
 from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.core import compat
 from meshes import BOTTOM, LEFT, RIGHT, TOP
@@ -179,8 +185,12 @@ def test_contradiction_in_a_later_step():
     a, L = forms(bodies)
     p = TiedProblem(a, L, bcs=bcs, ties=[tie(bodies, *TIED)])
     p.solve()
+    u = [fem.Function(b.V) for b in bodies]
+    F = [ufl.action(*pair) for pair in zip(a, u, strict=True)]
+    nonlinear = NonlinearTiedProblem(F, u, bcs=bcs, ties=[tie(bodies, *TIED)])
     values[1].value[0] = 1.0
-    raises(InterfaceError, "^the prescribed displacements contradict tie 0", p.solve)
+    for one in (p, nonlinear):
+        raises(InterfaceError, "^the prescribed displacements contradict tie 0", one.solve)
 
 
 @two_ranks()

@@ -260,6 +260,30 @@ def test_failed_load_step(monkeypatch, sliding):
         free.problem([contact]).solve()
 
 
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron", "tetrahedron"])
+def test_folded_facets(cell, caplog):
+    """Middle nodes that are too far along their edges."""
+    n, dim = ((2, 1), 2) if cell == "quadrilateral" else ((2, 1, 1), 3)
+    for shift in (0.1, 0.2):  # a facet is 0.5 long
+
+        def moved(s, shift=shift):
+            return s + shift * np.isclose(s[:, :1] % 0.5, 0.25) * np.eye(dim)[0]
+
+        (above, tags), (below, under) = (
+            meshes.block(comm, n, mapping, cell=cell, degree=degree)
+            for mapping, degree in ((moved, 2), (lambda s: s - np.eye(dim)[-1], 1))
+        )
+        bottom, top = (meshes.BOTTOM, meshes.TOP) if dim == 2 else (meshes.BACK, meshes.FRONT)
+        V, W = (fem.functionspace(mesh, ("Lagrange", 2, (dim,))) for mesh in (above, below))
+        caplog.clear()
+        Contact((W, under.find(top)), (V, tags.find(bottom)))
+        if comm.rank == 0:
+            assert ("Γ1: 2 curved facets are folded" in caplog.text) == (
+                shift == 0.2 and cell != "tetrahedron"
+            )
+            assert ("curved facets are folded, the first at" in caplog.text) == (shift == 0.2)
+
+
 def test_round_with_straight_facets(caplog):
     """Of degree 2, in the plane and in space; a corner is not round."""
 

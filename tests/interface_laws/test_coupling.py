@@ -21,6 +21,7 @@ from hypergap_dolfinx import (
     Coupling,
     InterfaceError,
     NonlinearTiedProblem,
+    RigidBody,
     SolveError,
     Tie,
     TiedProblem,
@@ -497,3 +498,52 @@ def test_loaded_in_contact(kind, dim):
     close(other.displacement, lid.displacement, 1e-12)
     close(other_grip.reaction, grip.reaction, 1e-12)
     assert "coupling 1, at" in problem.status() and lid.angles.any()
+
+
+def screw(held, spring=0.0):
+    """A rigid blade with rounded ends in a slot between two jaws, which couplings hold."""
+
+    def jaw(sign, s):
+        return np.column_stack((3 * s[:, 0] - 1.5, sign * 0.2 + s[:, 1] - (sign < 0)))
+
+    def blade(s):
+        x = 2 * s[:, 0] - 1
+        half = 0.19 * np.sqrt(1 - 0.75 * (np.maximum(np.abs(x) - 0.6, 0) / 0.4) ** 2)
+        return np.column_stack((x, (2 * s[:, 1] - 1) * half))
+
+    made = [meshes.block(comm, (24, 8), lambda s, k=k: jaw(k, s)) for k in (1, -1)]
+    made.append(meshes.block(comm, (16, 2), blade))
+    V = [fem.functionspace(body, ("Lagrange", 1, (2,))) for body, _ in made]
+    jaws, u = [Elastic.on(W, large=True) for W in V[:2]], fem.Function(V[2])
+    driver, sides = RigidBody(u, point=(0, 0), held=("x", "y")), (meshes.TOP, meshes.BOTTOM)
+    grips, contacts = [], []
+    for W, (_, tags), outer, inner in zip(V, made, sides, sides[::-1], strict=False):
+        facets = made[2][1].find(outer)
+        grips.append(Coupling((W, tags.find(outer)), point=(0, 0), kind="rigid", held=held))
+        grips[-1].springs[2] = spring
+        contacts.append(Contact((V[2], facets), (W, tags.find(inner))))
+    problem = ContactProblem(
+        [*(one.F for one in jaws), driver],
+        [*(one.u for one in jaws), u],
+        contacts=contacts,
+        couplings=grips,
+        rtol=1e-11,
+    )
+    return problem, driver, grips
+
+
+def test_screwdriver():
+    """A blade turns its slot by a radian against springs: balance, and the play as in a vice."""
+    torque, angles = 0.04, []
+    for held_parts, spring in ((("x", "y", "rotation"), 0.0), (("x", "y"), 0.02)):
+        problem, driver, grips = screw(held_parts, spring)
+        for share in (0.25, 0.5, 0.75, 1.0):
+            driver.torque = torque * share
+            problem.solve()
+        angles.append(np.concatenate([one.angles for one in (driver, *grips)]))
+        resisting = sum(one.springs[2] * one.angles[0] - one.reaction[2] for one in grips)
+        assert abs(resisting - torque) < BALANCED * torque
+        assert np.abs(sum(one.reaction[:2] for one in grips)).max() < BALANCED * torque
+    close(angles[1][1:], [1.0, 1.0], 1e-2)
+    close(angles[1] - angles[1][1], angles[0], 1e-9)
+    assert angles[0][0] > 0.07

@@ -290,3 +290,15 @@ def test_bad_input():
     body.springs[0], body.force[1] = 0.0, np.nan
     with raises(SolveError, "is no number"):
         scene.problem.solve()
+
+
+def test_names():
+    """``help`` shows what users need; names that can't be set are told, as misspelt ones."""
+    names = {name for name in dir(RigidBody) if not name.startswith("_")}
+    results = {"angles", "components", "displacement", "point", "reaction", "rotation"}
+    given = {"anchors", "force", "held", "prescribed", "springs", "torque"}
+    assert names == results | given
+    scene = bed_and_block(2)
+    for one, name in ((scene.body, "moment"), (scene.body, "u"), (scene.contact, "force")):
+        with raises(AttributeError, f"^{name} of a .* can't be set; .* can"):
+            setattr(one, name, 5.0)
