@@ -40,7 +40,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.opposite import Frames, cross
-from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON_FACET
+from hypergap_dolfinx.contact_geometry.tolerances import LAST, NEWTON
 from hypergap_dolfinx.core.compiled import call, doubles, ints, struct
 from hypergap_dolfinx.surface.moving import Sparse
 from hypergap_dolfinx.surface.trace import lengths
@@ -202,7 +202,7 @@ def cast(frames: Frames, facets, X) -> Rays:
         frames.slopes,
     )
     sides, pointer = frames.in_c, rays.pointer
-    given = doubles(frames.tangents), 1 if straight else NEWTON_FACET, LAST, *map(ints, facets)
+    given = doubles(frames.tangents), 1 if straight else NEWTON, LAST, *map(ints, facets)
     call("cast_columns", sides, *given, doubles(X), pointer)
     return rays
 

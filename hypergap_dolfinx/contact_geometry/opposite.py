@@ -23,10 +23,8 @@ import numpy.typing as npt
 
 import basix
 from hypergap_dolfinx.contact_geometry.tolerances import (
-    DRIFT,
     LAST,
-    NEWTON_CURVES,
-    NEWTON_FACET,
+    NEWTON,
     PARALLEL_CURVES,
     ROUND_OFF_FACET,
     SLACK,
@@ -430,7 +428,7 @@ def _in_curved(frames: Frames, facet, y) -> npt.NDArray[np.float64]:
     surface = frames.surfaces[1]
     nodes = frames.project(np.arange(len(surface.nodes)), surface.nodes)[facet]
     X = reference_corners(surface.geometry.cell_type).mean(axis=0) + y
-    for _ in range(NEWTON_FACET):
+    for _ in range(NEWTON):
         table = surface.geometry.tabulate(1, X.reshape(-1, 2))[..., 0]  # (value or slope, ...)
         at, p, q = table.reshape(3, *y.shape[:2], -1) @ nodes
         rest, det = y - at, _cross2(p, q)
@@ -513,18 +511,23 @@ def _evaluate(curves, t) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float6
 
 
 def _crossings(a, b, s, t) -> npt.NDArray[np.float64]:
-    """Crossings of curves with others, moved to those of straight ones if nearly parallel."""
-    first, s, t = s, s.copy(), t.copy()
+    """Crossings of curves with others, moved to those of straight ones if nearly parallel.
+
+    They are at most an edge from these.
+    """
+    first = s
     straight = np.abs(_sine(a[:, 1:].sum(axis=1), b[:, 1:].sum(axis=1)))
-    for _ in range(NEWTON_CURVES):
+    for _ in range(NEWTON):
         (x, dx), (y, dy) = _evaluate(a, s), _evaluate(b, t)
         rest, det = y - x, _cross2(dx, dy)
         det = np.where(np.abs(det) > 1e-300, det, np.inf)
-        s += np.clip(_cross2(rest, dy) / det, -1, 1)
-        t += np.clip(_cross2(rest, dx) / det, -1, 1)
+        step = np.clip(np.stack((_cross2(rest, dy), _cross2(rest, dx))) / det, -1, 1)
+        s, t = s + step[0], t + step[1]
+        if np.abs(step).max(initial=0) < LAST:
+            break
     sine = np.minimum(np.abs(_sine(dx, dy)), straight)
     share = np.minimum(sine / PARALLEL_CURVES, 1)
-    return first + share**2 * (3 - 2 * share) * np.clip(s - first, -DRIFT, DRIFT)
+    return first + share**2 * (3 - 2 * share) * np.clip(s - first, -1, 1)
 
 
 def _sine(a, b) -> npt.NDArray[np.float64]:

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_geometry.tolerances import END
 from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
+from hypergap_dolfinx.gap_mesh.tolerances import END
 from hypergap_dolfinx.surface.moving import Displacements, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
 

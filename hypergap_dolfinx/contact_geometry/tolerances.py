@@ -8,23 +8,16 @@ one on the reference facet, treated as zero.
 Measured: round-off 1e-16; for areas 1e-6 changes nothing where two blocks pass, with 1e-4 gaps jump
 by 1e-7."""
 
-NEWTON_FACET = 10
-"""Most Newton steps to a point of a curved facet, and to where a ray meets one.
-Measured: round-off after 4."""
-
-NEWTON_CURVES = 5
-"""Newton steps to the crossing of two curved edges.
-Measured: steps of at most 2e-2, 1e-4, 4e-9 and 3e-16 of an edge at 3316 crossings of P2 facets."""
+NEWTON = 10
+"""Most Newton steps to a point of a curved facet, to where a ray meets one, and to the crossing of
+two curved edges.
+Measured: round-off after 4; steps of at most 2e-2, 1e-4, 4e-9 and 3e-16 of an edge at 3316
+crossings of P2 facets."""
 
 PARALLEL_CURVES = 0.1
 """Sine of the angle between two curved edges below which their crossing moves towards that of
 straight ones.
 Measured: outlines that are one, moved by 1e-9: C changes by 1e-7 without it."""
-
-DRIFT = 0.5
-"""Largest distance of the crossing of two curved edges from that of the straight ones, in edge
-lengths.
-Measured: rough P2 facets, 24 scenes: the same with 0.25, 1."""
 
 LAST = 1e-8
 """Step of Newton's method on a facet, in reference coordinates, that is the last one.
@@ -79,7 +72,3 @@ SHARED = 0.7
 Measured: force on a flat punch: changes by 1.3 %, with .02 2.4 %, with .95 .9 %; peak of
 Hertz's pressure .25 % off, with .5 .18 %; flat die drawn along in two ways: both converge, with .5,
 .6 and .65 one of them doesn't; least eigenvalue of C K⁻¹ Cᵀ .69 of that with .02."""
-
-END = 1e-7
-"""Distance of ends that are at one wall, in edge lengths.
-Measured: 1e-12 to 1e-6 change nothing in 128 tests of contact."""

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem
 from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.floating import FreeMotions, RigidBodyDiagnostics
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_solver import active_set, multigrid_tangent
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
@@ -33,14 +34,12 @@ from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
     AT_KINK,
     LARGE_CONTACT,
-    LONGER,
-    RAYS,
+    PATIENCE,
     REUSED,
     ROUND_OFF_FORCES,
     SHORTENED,
     STEPS,
     TRIALS,
-    UNPRESSED,
 )
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import SolveError
@@ -75,10 +74,10 @@ class ContactSystem(NonlinearSystem):
        ``ContactProblem.solve``)::
 
            residual isn't finite ───────────────→ the step is shortened, up to TRIALS times
-           step turns back, with negative work ─→ it is taken backwards, up to BACK times
-           five steps along one line ───────────→ it is taken to their limit
+           step turns back, with negative work ─→ it is taken backwards, up to PATIENCE times
+           PATIENCE + 2 steps along one line ───→ it is taken to their limit
            STEPS steps ─────────────────────────→ the load step fails
-           no solution, RAYS times in a row ────→ it fails: a body leaves
+           no solution, PATIENCE times in a row → it fails: a body leaves
 
     The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
 
@@ -441,7 +440,7 @@ class ContactSystem(NonlinearSystem):
             again = self._falling_back(solve)
             found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
-        if not found.is_solved or self._num_rays == RAYS:
+        if not found.is_solved or self._num_rays == PATIENCE:
             raise SolveError(self._unsolved(found))
         self._check_turns(found.changes)
         for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
@@ -450,7 +449,7 @@ class ContactSystem(NonlinearSystem):
             x.array[:] -= dx
         self._assign(self._x)
         largest = largest_change(self._comm, found.changes, self._fixed)
-        self._reach = np.inf if found.leaves else LONGER * largest  # held near its place
+        self._reach = np.inf if found.leaves else largest / SHORTENED  # held near its place
         changes = self._of_displacements(found.changes)
         work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
@@ -553,7 +552,7 @@ class ContactSystem(NonlinearSystem):
     def _zero_pressure(self) -> float:
         """Pressure treated as zero beside the largest one."""
         states = [rows.state for rows in self._rows]
-        return UNPRESSED * max(
+        return NOTHING * max(
             float(np.abs(state.p[state.active]).max(initial=0)) for state in states
         )
 

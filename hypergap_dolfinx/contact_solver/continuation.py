@@ -22,7 +22,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import BACK, IN_LINE, LONGER, OSCILLATES
+from hypergap_dolfinx.contact_solver.tolerances import IN_LINE, OSCILLATES, PATIENCE, SHORTENED
 
 
 class Continuation:
@@ -56,11 +56,11 @@ class Continuation:
         self._num_in_line = self._num_in_line + 1 if in_line else 0
         moves_on = square > self._least**2
         share = 1.0
-        if moves_on and turned and work < 0 and self._num_back < BACK:
+        if moves_on and turned and work < 0 and self._num_back < PATIENCE:
             share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
-        elif moves_on and self._num_in_line > 3:
+        elif moves_on and self._num_in_line > PATIENCE:
             falls = 1 / self._share - product / before  # over a whole step
-            share = min(1 / falls, LONGER * self._share) if falls > 0 else 1.0
+            share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
         self._last, self._square = [share * part for part in moves], share**2 * square
         self._share = share
         return share

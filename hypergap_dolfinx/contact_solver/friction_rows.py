@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.rigid_motions import places
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -16,7 +17,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     joined,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
-from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS, UNTOLD
+from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS
 from hypergap_dolfinx.surface.moving import Displacements, Sparse
 from hypergap_dolfinx.surface.trace import lengths
 
@@ -265,7 +266,7 @@ class FrictionRows(ContactRows):
             by_y[1:, 1:] = np.where(sticks, np.eye(self._n - 1)[..., None], by_y[1:, 1:])
             by_f[1:] = np.where(sticks, 0, by_f[1:])
         for k in range(1, self._n):
-            by_f[k, k] += UNTOLD * sticks
+            by_f[k, k] += NOTHING * sticks
         return error, by_y, by_f
 
     def law(self, y, f, at, states=None):

@@ -30,7 +30,7 @@ from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, DENSE, SHORTENED, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, SHORTENED, STEPS, TRIALS
 from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
@@ -253,7 +253,7 @@ class LinearisedContact:
     def _descended(self, y0, f0, A, B, of, z, trials: int) -> Array | None:
         """Newton's method with so many trials of a shorter step; all steps are full for none."""
         laws = self._laws(y0 + B @ z, f0 + A @ z, of)
-        for _ in range(DENSE):
+        for _ in range(STEPS):
             if laws.are_satisfied:
                 return z
             slope = laws.slope(A, B)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import NEAR_ENDS, PARALLEL_ENDS
+from hypergap_dolfinx.contact_solver.tolerances import SAME_END
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import Surface, normals_by_area
 
@@ -36,11 +36,11 @@ class EndingSide:
         return self.space, int(self.moving.vertex_dofs[vertex])
 
     def is_held(self, vertex: int, normal: npt.NDArray[np.float64]) -> bool:
-        """True if the components along a normal are prescribed at a vertex."""
+        """True if the displacement along a normal is prescribed at a vertex."""
         if self.held is None:
             return False
         at = np.searchsorted(self.moving.dofs, self.moving.vertex_dofs[vertex])
-        return bool(self.held[at][np.abs(normal) > PARALLEL_ENDS].all())
+        return bool(np.linalg.norm(normal[~self.held[at]]) <= SAME_END)
 
 
 Ends = Sequence[EndingSide]
@@ -133,7 +133,7 @@ def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     ends0, found = _ends(surface0), []
     for v in _ends(surface1).tolist():
         distance = np.linalg.norm(surface0.x[ends0] - surface1.x[v], axis=1)
-        near = len(ends0) > 0 and distance.min() <= NEAR_ENDS * size[v]
+        near = len(ends0) > 0 and distance.min() <= SAME_END * size[v]
         found.append((v, int(ends0[distance.argmin()]) if near else None))
     return found
 
@@ -148,7 +148,7 @@ def _connected(a: Hashable, b: Hashable, normal, along) -> bool:
             other
             for node in front
             for other, n in along.get(node, ())
-            if abs(n @ normal) > PARALLEL_ENDS and other not in seen
+            if 1 - (n @ normal) ** 2 <= SAME_END**2 and other not in seen
         ]
         seen.update(front)
     return False

@@ -19,13 +19,13 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.pattern import Pattern
+from hypergap_dolfinx.algebra.tolerances import BACKWARD
 from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tolerances import (
     GUESSED,
     ITERATIONS,
     REDUCED,
-    RESIDUAL_LDLT,
     REUSED,
 )
 from hypergap_dolfinx.core import compat
@@ -74,7 +74,7 @@ def ways(prefix: str, given: dict[str, Any] | None, *, plane: bool, symmetric: b
     if symmetric and not named:
         defaults = {**defaults, **ROOM, **({} if plane else SPACE), "pc_type": "cholesky"}
         options = Options(prefix, given or {}, defaults, UNFIT)
-        found.insert(0, Way(options, RESIDUAL_LDLT, keeps=True))
+        found.insert(0, Way(options, BACKWARD, keeps=True))
     return found
 
 
