@@ -252,7 +252,7 @@ class ContactRows:
             np.bincount(self.C.i, weights * self.C.values**2, len(g))
             for weights in (1.0, self._moves[self.C.j])
         )
-        self.valid = (self.m > HOLDS * self._area) & (free > HOLDS**2 * every)
+        self.valid = (self.m > 0) & (free > HOLDS**2 * every)
         self._lengths, self._acting = self.g, self.C
 
     def activate(self, active: npt.NDArray[np.bool_]):

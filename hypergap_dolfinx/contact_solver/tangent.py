@@ -204,19 +204,6 @@ def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
     return a is b or np.array_equal(a, b)
 
 
-class _Progress:
-    """Convergence test of a KSP beside PETSc's own: the residual falls in 100 iterations."""
-
-    _last = np.inf
-
-    def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float):
-        """Reason to stop, or False. Collective."""
-        if iteration % 100:
-            return False
-        last, self._last = self._last if iteration else np.inf, norm
-        return PETSc.KSP.ConvergedReason.DIVERGED_BREAKDOWN if norm > 0.9 * last else False
-
-
 class Tangent:
     """[K Bᵀ; B −C] of bodies and ties with the equations of contacts. All is collective."""
 
@@ -566,8 +553,6 @@ class Tangent:
         try:
             with way.options.in_use():
                 ksp.setFromOptions()
-            if not way.keeps:
-                compat.add_convergence_test(ksp, _Progress())
         except SolveError:
             ksp.destroy()
             raise

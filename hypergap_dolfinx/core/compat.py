@@ -111,12 +111,6 @@ def read_from_msh(filename, comm: MPI.Comm, gdim: int = 3):
     return module.read_from_msh(filename, comm, gdim=gdim)[:3]
 
 
-def add_convergence_test(ksp: PETSc.KSP, test):
-    """Let a test end a KSP too, beside PETSc's own; old petsc4py replaces that only."""
-    if hasattr(ksp, "addConvergenceTest"):
-        ksp.addConvergenceTest(test)
-
-
 def is_used(options: PETSc.Options, name: str) -> bool:
     """True if PETSc has asked for an option, or petsc4py is too old to say."""
     return options.used(name) if hasattr(options, "used") else True
