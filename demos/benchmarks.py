@@ -65,7 +65,17 @@ class Body:
     """An elastic or rigid body: mesh, displacement, residual, boundary conditions."""
 
     def __init__(
-        self, comm, n, place, E=None, nu=NU, *, degree=2, kind="plane strain", finite=False
+        self,
+        comm,
+        n,
+        place,
+        E=None,
+        nu=NU,
+        *,
+        degree=2,
+        kind="plane strain",
+        finite=False,
+        rubber=False,
     ):
         """Mesh a mapped square and set up the residual.
 
@@ -79,6 +89,7 @@ class Body:
             kind: ``"plane strain"``, ``"plane stress"`` or ``"axisymmetric"``, with the axis
                 x = 0 and the weight 2πr in every integral.
             finite: Whether strains are Green's (St. Venant–Kirchhoff's material), else small.
+            rubber: Whether it is neo-Hookean, in plane strain.
         """
         self.mesh, self.tags = meshes.block(comm, n, place, degree=degree)
         self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (2,)))
@@ -97,6 +108,10 @@ class Body:
             eps, eps_hoop = eps + grad.T * grad / 2, hoop + hoop**2 / 2
         trace = ufl.tr(eps) + eps_hoop
         W = lame / 2 * trace**2 + mu * (ufl.inner(eps, eps) + eps_hoop**2)
+        if rubber:
+            G = ufl.Identity(2) + grad
+            log = ufl.ln(ufl.det(G))
+            W = mu / 2 * (ufl.inner(G, G) - 2 - 2 * log) + lame / 2 * log**2
         dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
         self.F = ufl.derivative(self.around * W * dx, self.u)
 
@@ -331,6 +346,37 @@ def plate(comm):
     return rows
 
 
+def squeezed_ring(comm):
+    """SSNP501 (Saleeb, Chen, Chang 1994): a ring between two plates.
+
+    What is public has radii, E and ν, but neither the law nor the thickness, and says plane
+    stress. A neo-Hookean ring, 1 cm thick, in plane strain meets all four numbers; in plane stress
+    forces are 16 to 25 % too small, and with St. Venant–Kirchhoff's law they bend off. A quarter is
+    meshed, and the plate goes half of the path; its force is half of the plate's.
+    """
+    inner, outer, cells = 4.15, 6.35, (6, 30)
+
+    def place(s):
+        r, angle = inner + (outer - inner) * s[:, 0], np.pi / 2 * s[:, 1]
+        return np.column_stack((r * np.cos(angle), r * np.sin(angle)))
+
+    ring = Body(comm, cells, place, 407.0, 0.48, rubber=True)
+    plate = Body(comm, (14, 1), lambda s: (7, 1) * s + (-0.5, outer), degree=1)
+    ring.hold(meshes.TOP, 0)
+    ring.hold(meshes.BOTTOM, 1)
+    contact = Contact(plate.side(meshes.BOTTOM), ring.side(meshes.RIGHT))
+    problem, rows = problem_of([plate, ring], [contact]), []
+    paths = (1.1125, 2.225, 3.3375, 4.45)
+    published = zip(paths, (8.008, 16.017, 24.025, 32.033), (0.1, 0.05, 0.02, 0.03), strict=True)
+    for k, (path, known, tolerance) in enumerate(published):
+        for share in (1 / 3, 2 / 3, 1):
+            plate.u.x.array.reshape(-1, 2)[:, 1] = -paths[0] * (k + share) / 2
+            problem.solve()
+        here = -contact.force(problem, on=ring.u)[1]
+        rows.append(Row("squeezed-ring", f"force at {path:g} cm", known, here, tolerance))
+    return rows
+
+
 # ## Closed forms
 
 
@@ -550,6 +596,7 @@ SCENES = {
     "roller": lambda comm: roller(comm, 0) + roller(comm, 0.1),
     "punch": lambda comm: punch(comm, 0) + punch(comm, 0.1),
     "plate": plate,
+    "squeezed-ring": squeezed_ring,
     "wedge": wedge,
     "cone": cone,
     "rounded-punch": rounded_punch,
