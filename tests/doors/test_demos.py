@@ -70,7 +70,9 @@ DEMOS = {
         pictures=("bearing",),
         needs=("matplotlib",),
     ),
-    "benchmarks": Demo("--scene plate squeezed-ring wedge press-fit receding-layer", {"rows.*.met": True}),
+    "benchmarks": Demo(
+        "--scene plate squeezed-ring wedge press-fit receding-layer", {"rows.*.met": True}
+    ),
     "benchmarks_all": Demo("", {"rows.*.met": True}, slow=True, script="benchmarks"),
     "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
     "assembly": Demo(
