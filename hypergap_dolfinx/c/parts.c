@@ -26,6 +26,7 @@
 #define MOST_DEGREE 4
 #define MOST_SIDES 4     // of a facet
 #define PARALLEL 1e-9    // sine of the angle between edges whose crossing stays where it is on one
+#define ALONG 1e-7       // distance of an edge's ends from a line that it is on, in its length
 #define STEPS_OF_RAY 10  // to where it meets Γ0, at most
 
 typedef struct {
@@ -817,6 +818,43 @@ typedef struct {
   const Work *work;
 } Stack;
 
+// Bits of a sheet's edges that lie on edges of the part, with another facet beyond them; −1 if the
+// sheet lies on the other side. Such edges don't cut. Where surfaces are edge on edge, angles between
+// edges and so slopes of their crossings are round-off; the heights of both facets on an edge, times
+// its motion, would no longer cancel. Without a cut gaps change by the square of ALONG.
+static int edges_along(const Stack *stack, const Set *set, int k)
+{
+  int num = set->below->num_corners, found = 0;
+  const int *outline = set->of->outline + num * stack->sheets[k];
+  const int *vertices = set->below->vertices + num * stack->sheets[k];
+  const Point *seen = stack->seen + MOST_SIDES * k;
+  if (!is_convex(num, seen) || !is_convex(PART, stack->own))
+    return 0;
+  for (int e = 0; e < num; ++e)
+  {
+    int ends[2] = {e, (e + 1) % num};
+    if (outline[(2 * num - 2 - e) % num])
+      continue;
+    // The same numbers in the same order for both facets
+    int turned = vertices[num - 1 - ends[0]] > vertices[num - 1 - ends[1]];
+    const double *a = seen[ends[turned]], *b = seen[ends[!turned]];
+    double d[2] = {b[0] - a[0], b[1] - a[1]};
+    for (int p = 0; p < PART; ++p)
+    {
+      const double *from = stack->own[p], *to = stack->own[(p + 1) % PART];
+      double c[2] = {to[0] - from[0], to[1] - from[1]};
+      double far = fabs(c[0] * (a[1] - from[1]) - c[1] * (a[0] - from[0]));
+      far = larger(far, fabs(c[0] * (b[1] - from[1]) - c[1] * (b[0] - from[0])));
+      if (far > ALONG * hypot(c[0], c[1]) * hypot(d[0], d[1]))
+        continue;
+      if ((c[0] * d[0] + c[1] * d[1] < 0) != turned)
+        return -1;
+      found |= 1 << e;
+    }
+  }
+  return found;
+}
+
 // Returns STUCK where there are too many, or too many corners.
 static int add_sets(const Stack *stack, Set *set, int from, int count, const Point *polygon,
                     const int *edges)
@@ -832,7 +870,10 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
     const Point *by = stack->seen + MOST_SIDES * k;
     if (!boxes_meet(num, by, count, y))
       continue;
-    int left = intersect(y, edge, count, num, by, PART + MOST_SIDES * level), status;
+    int along = edges_along(stack, set, k), status;
+    if (along < 0)
+      continue;
+    int left = intersect(y, edge, count, num, by, PART + MOST_SIDES * level, along);
     if (left > MOST_CUT)
       return STUCK;
     if (left < 3 || !(area_of(left, y) > parts->sliver * stack->area))

@@ -42,7 +42,7 @@ static void add_piece(const Look *look, int f0, int part, const Point *by)
   Point y[MOST_CUT], X[MOST_CORNERS];
   int edge[MOST_CUT];
   memcpy(y, look->own[part], PART * sizeof(Point));
-  int count = intersect(y, edge, start_part(edge), look->below->num_corners, by, PART);
+  int count = intersect(y, edge, start_part(edge), look->below->num_corners, by, PART, 0);
   if (count < 3 || !(area_of(count, y) > look->sliver * look->whole))
     return;
   int n = pieces->num++;

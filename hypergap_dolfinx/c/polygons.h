@@ -45,11 +45,14 @@ static inline int start_part(int *edge)
 // edge    which edge each edge is on, likewise
 // by      corners of the convex one, (num)
 // first   number of its first edge
+// skip    bits of its edges that don't cut
 // Returns the number of corners that are left, MOST_CUT + 1 if there is no room for them.
-static inline int clip(Point *y, int *edge, int count, int num, const Point *by, int first)
+static inline int clip(Point *y, int *edge, int count, int num, const Point *by, int first, int skip)
 {
   for (int k = 0; k < num && count; ++k)
   {
+    if (skip >> k & 1)
+      continue;
     const double *start = by[k], *end = by[(k + 1) % num];
     double d[MOST_CUT];
     Point old[MOST_CUT];
@@ -93,10 +96,11 @@ static inline int is_convex(int num, const Point *y)
 }
 
 // What a polygon and a facet have in common, as clip: facets that are warped need not look convex.
-static inline int intersect(Point *y, int *edge, int count, int num, const Point *by, int first)
+static inline int intersect(Point *y, int *edge, int count, int num, const Point *by, int first,
+                            int skip)
 {
   if (num == 3 || is_convex(num, by) || !is_convex(count, y))
-    return clip(y, edge, count, num, by, first);
+    return clip(y, edge, count, num, by, first, skip);
   Point own[MOST_CUT];
   int labels[MOST_CUT], left;
   memcpy(own, y, count * sizeof(Point));
@@ -104,7 +108,7 @@ static inline int intersect(Point *y, int *edge, int count, int num, const Point
   memcpy(y, by, num * sizeof(Point));
   for (int k = 0; k < num; ++k)
     edge[k] = MOST_CUT + k;
-  left = clip(y, edge, num, count, own, 0);
+  left = clip(y, edge, num, count, own, 0, 0);
   for (int k = 0; k < left && left <= MOST_CUT; ++k)
     edge[k] = edge[k] < MOST_CUT ? labels[edge[k]] : first + edge[k] - MOST_CUT;
   return left;

@@ -182,6 +182,7 @@ class Faded:
             facets=ints(self.facets),
             first=ints(np.append(first, len(pairs))),
             sheets=ints(pairs % len(below.facets)),
+            outline=ints(below.is_outline),
             num_points=len(points),
             points=points,
             num_terms=len(powers),

@@ -431,7 +431,7 @@ class ContactRows:
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         self._diagonal, self._bends = self._diagonal or stiffness, None
         now = self.state
-        now.active = self.valid & (now.active | (self.distance <= self.closed))
+        now.active = self.valid & (now.active | (self.distance <= EXACT * self._size))
         now.p = np.where(now.active, now.p, 0)
 
     # Geometry

@@ -4,7 +4,6 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -32,7 +31,6 @@ from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, M
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
-    AT_KINK,
     LARGE_CONTACT,
     PATIENCE,
     REUSED,
@@ -328,7 +326,7 @@ class ContactSystem(NonlinearSystem):
         self._reach = np.inf
         continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
         self._largest, self._largest_terms = 0.0, np.zeros(1)
-        self._num_rays, polished, self._off = 0, False, list[float]()
+        self._num_rays, polished = 0, False
         self._holding: npt.NDArray[np.bool_] | None = None
         way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
@@ -675,11 +673,10 @@ class ContactSystem(NonlinearSystem):
             size += sum([(force**2).sum() for force in forces])
         self._in_bodies = size = float(np.sqrt(size))
         if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
-            self._off.clear()
             return False
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
-        return bool(none or worst <= self._rtol * size) or self._stagnates(worst, size)
+        return bool(none or worst <= self._rtol * size)
 
     def _of_couplings(self, left: Sequence[npt.NDArray]) -> tuple[float, float]:
         """Squares of couplings' residuals and of their extents, as forces. Collective."""
@@ -692,27 +689,6 @@ class ContactSystem(NonlinearSystem):
             found += part @ part, len(part) * one.length**2
         found = self._comm.allreduce(found) * self._stiffness() ** 2
         return float(found[0]), float(found[1])
-
-    def _stagnates(self, worst: float, size: float) -> bool:
-        """True if forces are off by little, and four more steps to and fro haven't halved that.
-
-        Bodies can be in equilibrium at a kink, as where symmetric meshes lie edge on edge: forces
-        on its both sides differ by what integrals over pieces of facets do, and steps go to and
-        fro over it. Forces that become less all the time are on their way.
-        """
-        self._off.append(worst)
-        last = self._off[-5:]
-        num_rises = sum(b >= a for a, b in pairwise(last))
-        on_the_way = num_rises < 2 or min(last) < last[0] / 2
-        if worst > AT_KINK * size or len(last) < 5 or on_the_way or worst > 2 * min(self._off):
-            return False
-        if self._comm.rank == 0:
-            LOG.warning(
-                "contact: equilibrium at a kink of the gaps; forces are off by %.1e of those in "
-                "the bodies, and steps don't make it less",
-                worst / size,
-            )
-        return True
 
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""
