@@ -1,14 +1,19 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Unions: ties that share a smooth piece of Γ1 and are solved as one interface.
+"""Ties that share a smooth piece of a body's surface.
 
-With a Σ of its own each tie would end where the next one starts, with too few or too many
-multipliers there. One Σ over all of them avoids that.
+Ties between the same bodies are solved as one interface, a union. With a Σ of its own each tie
+would end where the next one starts, with too few or too many multipliers there. One Σ over all of
+them avoids that.
+
+Where other bodies meet on that piece, it is Γ1 of all its ties or Γ0 of all, if their sides aren't
+given: λ then goes on from tie to tie. Else a dof at a T-joint is on two Γ1s, has no multiplier, and
+λ is constant beside it.
 """
 
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import numpy.typing as npt
@@ -34,11 +39,12 @@ class _Union(Tie):
 class Joined:
     """The interfaces of a problem's ties."""
 
-    def __init__(self, ties: Sequence[Tie]):
+    def __init__(self, ties: Sequence[Tie], *, align: bool = True):
         """Join ties to unions. Collective.
 
         Args:
             ties: The ties.
+            align: True to exchange sides of ties where bodies meet on a smooth surface.
 
         Raises:
             ValueError: Something that isn't a tie.
@@ -50,6 +56,8 @@ class Joined:
                 f"{'; couplings go into couplings=' * isinstance(wrong[0], Coupling)}."
             )
         self.ties = list(ties)
+        if align and any(tie._may_turn_over for tie in ties):
+            _align(self.ties)
         self.interfaces: list[Tie] = []
         """Ties and unions, in the order of the first tie of each."""
         self._of: dict[int, tuple[int, npt.NDArray[np.intp] | None]] = {}
@@ -86,10 +94,12 @@ class Joined:
         group = [tie for t, tie in enumerate(self.ties) if self._of[t][0] == interface]
         if not all(tie._may_turn_over for tie in group):
             return None
-        if not all([tie._turn_over() for tie in group]):
+        if not all([tie._turn_over(": the other one is prescribed") for tie in group]):
             return None
+        for tie in group:
+            tie._settle()
         self.destroy()
-        return Joined(self.ties)
+        return Joined(self.ties, align=False)
 
     def settle(self):
         """Fix the sides of all ties."""
@@ -123,6 +133,70 @@ class Joined:
         return t
 
 
+def _align(ties: Sequence[Tie]):
+    """Exchange sides so that a smooth surface is Γ1 of all its ties, or Γ0 of all. Collective.
+
+    Of both ways for all ties that are related so, it is the one for which less area, times the
+    logarithm of the ratio of cell sizes, gets a finer Γ1. Sides that are given stay.
+    """
+    on_body: list[list[tuple[int, int]]] = []  # ties and sides
+    for t, i in product(range(len(ties)), (0, 1)):
+        if ties[t].free_interior or ties[t].discontinuous:
+            continue
+        mine = ties[t].components[i]
+        for on in on_body:
+            s, j = on[0]
+            if mine.same(ties[s].components[j]):
+                on.append((t, i))
+                break
+        else:
+            on_body.append([(t, i)])
+    pairs = np.array(
+        [
+            (on[a], on[b])
+            for on in on_body
+            for a, b in _connected([ties[t].surfaces[i] for t, i in on])
+        ],
+        dtype=np.intp,
+    ).reshape(-1, 2, 2)
+    # Vertices of a graph: a side of a tie as Γ1. Those of one component come together
+    tie, side = np.moveaxis(pairs, 2, 0)
+    first, second = np.concatenate((2 * tie + side, 2 * tie + 1 - side)).T
+    label = components(2 * len(ties), first, second)
+    for t in range(len(ties)):
+        sides = np.flatnonzero(label == label[2 * t])
+        if sides[0] != 2 * t or label[2 * t] == label[2 * t + 1] or (sides % 2 == 0).all():
+            continue
+        ways = [sides[sides % 2 == i] // 2 for i in (0, 1)]
+        cost = [
+            sum(
+                ties[s].area * ties[s]._preference if ties[s]._may_turn_over else np.inf
+                for s in way
+            )
+            for way in ways
+        ]
+        if min(cost) < np.inf:
+            for s in ways[int(np.argmin(cost))]:
+                ties[s]._turn_over(", as of the ties beside it")
+
+
+def _connected(surfaces: Sequence[Surface]) -> list[tuple[int, int]]:
+    """Pairs of surfaces of one body with a dof in common on one smooth piece."""
+    if len(surfaces) < 2:
+        return []
+    pieces = smooth_pieces(surfaces)
+    num = 1 + max(int(piece.max(initial=0)) for piece in pieces)
+    keys = [
+        np.unique(surface.dofs * num + piece[:, None])
+        for surface, piece in zip(surfaces, pieces, strict=True)
+    ]
+    return [
+        (i, j)
+        for i, j in combinations(range(len(surfaces)), 2)
+        if len(np.intersect1d(keys[i], keys[j]))
+    ]
+
+
 def _groups(ties: Sequence[Tie]) -> list[list[int]]:
     """Groups of ties between the same bodies on one smooth piece of Γ1."""
     alike = defaultdict(list)
@@ -144,18 +218,10 @@ def _groups(ties: Sequence[Tie]) -> list[list[int]]:
             continue
         same = [t for t in same if _is_near(ties[t])]
         sides = [_parts(ties[t], parts_of) for t in same] if len(same) > 1 else []
-        surfaces = [ties[t].surfaces[1] for t in same]
-        pieces = smooth_pieces(surfaces) if same else []
-        # Two ties with a dof of Γ1 in common, on one smooth piece
-        num = 1 + max((int(piece.max()) for piece in pieces), default=0)
-        keys = [
-            np.unique(surface.dofs * num + piece[:, None])
-            for surface, piece in zip(surfaces, pieces, strict=True)
-        ]
         pairs += [
             (same[i], same[j])
-            for i, j in combinations(range(len(same)), 2)
-            if sides[i] == sides[j] and len(np.intersect1d(keys[i], keys[j]))
+            for i, j in _connected([ties[t].surfaces[1] for t in same])
+            if sides[i] == sides[j]
         ]
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     label = components(len(ties), i, j)

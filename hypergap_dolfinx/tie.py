@@ -5,7 +5,7 @@
 import logging
 from collections.abc import Callable, Hashable
 from copy import copy
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -196,7 +196,8 @@ class Tie(Settable, collective.Owner):
         self.discontinuous = discontinuous
         """True if λ may jump to other ties of the same surfaces."""
         self._swapped = False
-        self._other: Callable[[], Tie] | None = None  # with the sides exchanged
+        self._other: Callable[[str], Tie] | None = None  # with the sides exchanged, and why
+        self._preference = np.inf  # for its sides, over those of ties on the same faces
         self.components = Component.of(V0), Component.of(V1)
         """Dofs of V₀ and V₁ among those of their bodies."""
         if motion is not None and motion.turns and any(p.of_vector for p in self.components):
@@ -255,10 +256,11 @@ class Tie(Settable, collective.Owner):
 
         Γ1 becomes the coarser side; if node distances differ by less than a tenth, the softer one.
         A thin layer, with cells a hundred times as long as thick, is always Γ1: as a finer Γ0 it
-        would be tied at the nodes of the other side only, and lose digits. If the first problem
-        with the tie prescribes whole facets of Γ1 where Γ0 can move, that problem exchanges the
-        sides. :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome. λ acts on the
-        body of Γ0, that of ``tie.spaces[0]``.
+        would be tied at the nodes of the other side only, and lose digits. The first problem with
+        the tie may exchange the sides: if it prescribes whole facets of Γ1 where Γ0 can move; and
+        where several bodies meet on a smooth face, so that it is Γ1 of all its ties or Γ0 of all.
+        :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome. λ acts on the body of
+        Γ0, that of ``tie.spaces[0]``.
 
         Args:
             a: One side: a space and facets, as for the constructor.
@@ -278,12 +280,13 @@ class Tie(Settable, collective.Owner):
             thin.append(thinness(*side) < THIN_LAYER)
         ratio = size[0] / size[1]
         if thin[0] != thin[1]:
-            swapped, why = thin[0], "thin"
+            swapped, why, preference = thin[0], "thin", np.inf
         elif 1 / ALIKE < ratio < ALIKE:
             swapped = stiffness is not None and stiffness[0] < stiffness[1]
-            why = "softer" if stiffness is not None and stiffness[0] != stiffness[1] else "second"
+            differ = stiffness is not None and stiffness[0] != stiffness[1]
+            why, preference = ("softer", np.log(ALIKE)) if differ else ("second", 0.0)
         else:
-            swapped, why = ratio > 1, "coarser"
+            swapped, why, preference = ratio > 1, "coarser", abs(np.log(ratio))
 
         def create(swapped: bool, reason: str) -> "Tie":
             given = dict(options)
@@ -292,16 +295,15 @@ class Tie(Settable, collective.Owner):
             if swapped and given.get("law") is not None:
                 given["law"] = laws.Law(given["law"]).reversed()
             tie = cls(*((b, a) if swapped else (a, b)), **given)
-            tie._swapped = swapped
+            tie._swapped, tie._preference = swapped, preference
+            if not tie.adjusts:  # else Γ1 has been moved
+                tie._other = partial(create, not swapped)
             if tie.domain.comm.rank == 0:
                 which = f"{'first' if swapped else 'second'} side{label(tie.spaces[1].mesh)}"
                 LOG.info("Γ1 is the %s%s", which, reason)
             return tie
 
-        tie = create(swapped, "" if why == "second" else f", the {why} one")
-        if not tie.adjusts:  # else Γ1 has been moved
-            tie._other = lambda: create(not swapped, ": the other one is prescribed")
-        return tie
+        return create(swapped, "" if why == "second" else f", the {why} one")
 
     @property
     def _may_turn_over(self) -> bool:
@@ -312,15 +314,18 @@ class Tie(Settable, collective.Owner):
         """Fix the choice of sides."""
         self._other = None
 
-    def _turn_over(self) -> bool:
-        """Exchange Γ0 and Γ1, once. Collective.
+    def _turn_over(self, why: str) -> bool:
+        """Exchange Γ0 and Γ1. Collective.
+
+        Args:
+            why: The reason, for the log.
 
         Returns:
             False, with the tie unchanged, if no Σ exists for the exchanged sides.
         """
         assert self._other is not None
         try:
-            other = self._other()
+            other = self._other(why)
         except (InterfaceError, InvertedCellError):  # the same on all ranks
             return False
         self.destroy()

@@ -118,7 +118,7 @@ def test_both_sides_of_between_are_refused():
     bodies, fixed = blocks("P2", (20, 30)), [(0, TOP, (0, 1))]
     t = Tie.between(*((bodies[i].V, bodies[i].facets(tag)) for i, tag in TIED))
 
-    def fails():
+    def fails(why):
         raise InvertedCellError("no Σ")
 
     t._other = fails
