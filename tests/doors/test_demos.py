@@ -45,7 +45,7 @@ class Demo:
 DEMOS = {
     "any_assemblies": Demo("--only 2 4 8 9 10 11 16 17", {"*.ok": True}),
     "any_assemblies_in_space": Demo(
-        "--dim 3 --only 2 3 11 14 18 19 23 25", {"*.ok": True}, script="any_assemblies"
+        "--dim 3 --only 2 3 11 14 18 19 23 25 32", {"*.ok": True}, script="any_assemblies"
     ),
     "any_assemblies_all": Demo(
         "--scenes 60", {"*.solved": True}, slow=True, script="any_assemblies"

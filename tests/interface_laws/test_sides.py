@@ -8,13 +8,19 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from assembly import Body, comm, rectangle
+from assembly import (
+    Body,
+    comm,
+    rectangle,
+    smooth_problem,
+    smooth_traction_error,
+)
 
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
-from meshes import BOTTOM, END, INNER, OUTER, START, TOP
+from meshes import BOTTOM, END, INNER, LEFT, OUTER, RIGHT, START, TOP
 
 
 @pytest.mark.ranks(2, cells=[(2, 5)])
@@ -147,3 +153,28 @@ def test_close_gap_needs_displacements():
     with pytest.raises(InterfaceError, match="close_gap needs displacements"):
         Tie(*sides, close_gap=True)
     assert comm.allreduce(1, MPI.SUM) == comm.size
+
+
+@pytest.mark.ranks(2, given=[None])
+@pytest.mark.parametrize("given, below", ((None, True), (1, False)))
+def test_ties_on_one_surface(given, below):
+    """Γ1 is below in all of them or above; of both ways the one with fewer, finer Γ1s that are new.
+
+    Else the node at the T-joint has no multiplier on either Γ1, and λ's error is 0.083.
+    """
+    bodies = [
+        rectangle((6, 3), (0, 0), (1, 1)),
+        rectangle((6, 4), (0, 1), (0.63, 2)),
+        rectangle((2, 4), (0.63, 1), (1, 2)),
+    ]
+    tied = [((0, TOP), (1, BOTTOM)), ((0, TOP), (2, BOTTOM)), ((1, RIGHT), (2, LEFT))]
+    ties = []
+    for t, pair in enumerate(tied):
+        make = Tie if t == given else Tie.between
+        ties.append(make(*((bodies[i].V, bodies[i].facets(tag)) for i, tag in pair)))
+    assert [t.spaces[1] == bodies[0].V for t in ties] == [True, False, False]
+    problem = smooth_problem(bodies, ties, [side for pair in tied for side in pair])
+    assert [t.spaces[1] == bodies[0].V for t in ties] == [below, below, False]
+    assert ties[1].swapped is (below is True)
+    if given is None:
+        assert smooth_traction_error(problem, ties, bodies) < 0.07
