@@ -136,8 +136,8 @@ class Joined:
 def _align(ties: Sequence[Tie]):
     """Exchange sides so that a smooth surface is Γ1 of all its ties, or Γ0 of all. Collective.
 
-    Of both ways for all ties that are related so, it is the one for which less area, times the
-    logarithm of the ratio of cell sizes, gets a finer Γ1. Sides that are given stay.
+    Of both ways for all ties that are related so, it is the one that exchanges less: areas, times
+    the logarithm of the ratio of cell sizes. Sides that are given stay.
     """
     on_body: list[list[tuple[int, int]]] = []  # ties and sides
     for t, i in product(range(len(ties)), (0, 1)):
@@ -177,7 +177,7 @@ def _align(ties: Sequence[Tie]):
         ]
         if min(cost) < np.inf:
             for s in ways[int(np.argmin(cost))]:
-                ties[s]._turn_over(", as of the ties beside it")
+                ties[s]._turn_over(", as in ties beside it")
 
 
 def _connected(surfaces: Sequence[Surface]) -> list[tuple[int, int]]:

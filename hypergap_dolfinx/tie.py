@@ -321,12 +321,17 @@ class Tie(Settable, collective.Owner):
             why: The reason, for the log.
 
         Returns:
-            False, with the tie unchanged, if no Σ exists for the exchanged sides.
+            False, with the tie unchanged, if no Σ exists for the exchanged sides, or if the meshes
+            have moved since the tie was made.
         """
         assert self._other is not None
         try:
             other = self._other(why)
         except (InterfaceError, InvertedCellError):  # the same on all ranks
+            return False
+        sides = zip(self.surfaces, other.surfaces[::-1], strict=True)
+        if any((mine.nodes != now.nodes).any() for mine, now in sides):
+            other.destroy()
             return False
         self.destroy()
         self.__dict__, other.__dict__ = other.__dict__, {}
