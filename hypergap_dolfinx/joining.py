@@ -137,7 +137,8 @@ def _align(ties: Sequence[Tie]):
     """Exchange sides so that a smooth surface is Γ1 of all its ties, or Γ0 of all. Collective.
 
     Of both ways for all ties that are related so, it is the one that exchanges less: areas, times
-    the logarithm of the ratio of cell sizes. Sides that are given stay.
+    the logarithm of the ratio of cell sizes or, where these are alike, of moduli. Sides that are
+    given stay.
     """
     on_body: list[list[tuple[int, int]]] = []  # ties and sides
     for t, i in product(range(len(ties)), (0, 1)):

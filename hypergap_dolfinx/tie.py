@@ -283,8 +283,8 @@ class Tie(Settable, collective.Owner):
             swapped, why, preference = thin[0], "thin", np.inf
         elif 1 / ALIKE < ratio < ALIKE:
             swapped = stiffness is not None and stiffness[0] < stiffness[1]
-            differ = stiffness is not None and stiffness[0] != stiffness[1]
-            why, preference = ("softer", np.log(ALIKE)) if differ else ("second", 0.0)
+            preference = 0.0 if stiffness is None else abs(np.log(stiffness[0] / stiffness[1]))
+            why = "softer" if preference > 0 else "second"
         else:
             swapped, why, preference = ratio > 1, "coarser", abs(np.log(ratio))
 
