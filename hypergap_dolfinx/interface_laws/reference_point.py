@@ -350,7 +350,7 @@ class ReferencePoint(Settable):
 
     @property
     def rotation(self) -> Array:
-        """The rotation R, ``(n, n)``; 1 in linear problems."""
+        """The rotation R, ``(n, n)``; of linear problems that by the small angles."""
         return self.motion.rotation
 
     @property
