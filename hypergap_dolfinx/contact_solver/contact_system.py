@@ -219,7 +219,8 @@ class ContactSystem(NonlinearSystem):
             if self._comm.rank == 0:
                 LOG.warning(
                     'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
-                    "that is symmetric and positive definite, and for cells of good shape.",
+                    "that is symmetric and positive definite, for cells of good shape, and for "
+                    "Poisson's ratios up to 0.49.",
                     str(error).removesuffix("."),
                 )
             iterations = self._tangent.iterations

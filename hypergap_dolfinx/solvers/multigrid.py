@@ -174,8 +174,9 @@ class Multigrid(IterativeSolver):
         **prefixed("interface_", LU),
     }
     ADVICE = (
-        '; solver="iterative" is for stiffness that is symmetric and positive definite '
-        '(complex: Hermitian), and for cells of good shape: take solver="direct"'
+        '; solver="iterative" is for stiffness that is symmetric and positive definite (complex: '
+        "Hermitian), for cells of good shape, and for Poisson's ratios up to 0.49: take "
+        'solver="direct"'
     )
 
     @classmethod

@@ -247,6 +247,16 @@ DEMOS = {
         script="ironing",
     ),
     "kernel_speed": Demo("--quick"),
+    "large_contact": Demo(
+        "--levels 1",
+        below={"rows.*.newton_most": 6, "rows.*.iterations_most": 35, "rows.*.halvings": 0},
+    ),
+    "large_contact_refined": Demo(
+        "--levels 3",
+        below={"rows.*.newton_most": 7, "rows.*.iterations_most": 60, "rows.*.halvings": 0},
+        slow=True,
+        script="large_contact",
+    ),
     "modal_analysis": Demo(
         "--modes 4",
         {"frequencies.0": 0.2890020, "frequencies.3": 1.0574755},
@@ -421,7 +431,8 @@ LONG = (
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
     *("bearing", "benchmarks", "bouncing", "contact_patch", "friction", "gap_domain", "heat"),
-    *("hertz_published", "incompressible", "ironing", "kernel_speed", "modal_analysis"),
+    *("hertz_published", "incompressible", "ironing", "kernel_speed", "large_contact"),
+    "modal_analysis",
     "periodic_cell",
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),
     *("contact_conductance", "contact_run_time", "peeling", "plasticity", "press_fit"),
