@@ -132,11 +132,12 @@ class Hierarchy:
         if pc.getType() != PETSc.PC.Type.MG:
             return
         num = len(self._levels)
-        if pc.getMGLevels() != num:
-            pc.setMGLevels(num)
-            pc.setFromOptions()
-            for level, P in enumerate(self._P):
-                pc.setMGInterpolation(num - 1 - level, P)
+        pc.setType(PETSc.PC.Type.NONE)  # PETSc's residuals would be those of the first matrices
+        pc.setType(PETSc.PC.Type.MG)
+        pc.setMGLevels(num)
+        pc.setFromOptions()
+        for level, P in enumerate(self._P):
+            pc.setMGInterpolation(num - 1 - level, P)
         for level, matrix in enumerate(self._levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
 

@@ -454,6 +454,20 @@ def test_a_changed_matrix_is_factorised_anew():
 
 
 @two_ranks()
+def test_multigrid_of_a_changed_matrix():
+    """Iterations are those of a new problem."""
+    a, L, bcs, ties = pile(3, num=(10, 8))
+    modulus = fem.Constant(ties[0].spaces[0].mesh, default_scalar_type(1.0))
+    a = [modulus * a[0], a[1]]
+    problem, its = TiedProblem(a, L, bcs=bcs, ties=ties, solver="iterative"), []
+    for value in (1.0, 1e-3, 1e3, 1.0):
+        modulus.value = value
+        problem.solve()
+        its.append(problem.iterations)
+    assert max(its) <= 27 and its[3] == its[0], str(its)
+
+
+@two_ranks()
 def test_a_step_solves_once(monkeypatch):
     """All steps have one factorisation; a residual that isn't round-off is solved for too."""
     a, L, bcs, ties = pile(2)
