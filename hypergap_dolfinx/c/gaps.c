@@ -14,7 +14,7 @@
 #include "rays.h"
 #include "vectors.h"
 
-#define MOST_LOCAL (MOST_DOFS * (3 * MOST_SHEETS + 4) + 2)
+#define MOST_LOCAL (MOST_DOFS * (7 * MOST_SHEETS + 4) + 2)
 
 // The dofs with which a point moves: those of its edge, of its sheets, and of its piece's ends.
 typedef struct {
@@ -22,6 +22,7 @@ typedef struct {
   // Numbers among them
   int own[MOST_DOFS], of_sheet[MOST_SHEETS][MOST_DOFS], of_foot[MOST_DOFS], of_end[2];
   int of_beside[MOST_SHEETS][2][MOST_DOFS], of_fade[2][MOST_DOFS];
+  int of_goes_on[MOST_SHEETS][2][MOST_DOFS], of_dip[MOST_SHEETS][2][MOST_DOFS];
 } Local;
 
 // A point where it is, as jets. Lengths are in chords |c| of its edge, or times them.
@@ -83,8 +84,15 @@ static void gather(const Sigma *sigma, const Point *point, Local *local)
     const Sheet *sheet = sigma->sheets + point->first + k;
     number_edge(local, below, sheet->edge, local->of_sheet[k]);
     for (int e = 0; e < 2; ++e)
+    {
       if (sheet->beside[e] >= 0)
         number_edge(local, below, sheet->beside[e], local->of_beside[k][e]);
+      if (sheet->goes_on[e] < 0)
+        continue;
+      number_edge(local, below, sheet->goes_on[e], local->of_goes_on[k][e]);
+      if (sheet->dips[e] >= 0)
+        number_edge(local, below, sheet->dips[e], local->of_dip[k][e]);
+    }
   }
   if (point->foot >= 0)
     number_edge(local, below, point->foot, local->of_foot);
@@ -232,9 +240,44 @@ static Jet weight_with(Tape *tape, const Sigma *sigma, Jet cos, Jet height, Jet 
   return product(tape, weight, step_of(tape, part, sigma->nearest));
 }
 
+// Weight of what a riser leads to before (0) or behind it (1).
+//
+// x  start of the ray
+static Jet weight_beyond(Tape *tape, const Sigma *sigma, const Ray *ray, int k, int way,
+                         const Local *local, Jet const *x, Jet inside)
+{
+  const Side *below = sigma->sides;
+  const Sheet *sheet = sigma->sheets + ray->point->first + k;
+  const double *origin = node(below + 1, ray->point->edge, 0);
+  const int *numbers = local->of_goes_on[k][way];
+  Jet end = constant(tape, 1 - way), d[2];
+  Curve curve = curve_at(below, sheet->goes_on[way], 1 - way, origin);
+  for (int i = 0; i < 2; ++i)
+    d[i] = combined(tape, 1, on_curve(tape, &curve, below->num_dofs, numbers, end, 0, i), -1, x[i]);
+  Jet cos = cosine_of(tape, ray, &curve, below->num_dofs, numbers, end);
+  Jet weight = weight_with(tape, sigma, cos, wedge(tape, d, ray->c), inside);
+  if (sheet->dips[way] < 0)
+    return weight;
+  curve = curve_at(below, sheet->dips[way], 0, origin);
+  cos = cosine_of(tape, ray, &curve, below->num_dofs, local->of_dip[k][way], constant(tape, 0));
+  return product(tape, weight, step_of(tape, cos, (double[]){-sigma->cosines[0], 0}));
+}
+
+// Weight of a sheet that turns away, without its sign, and what it uncovers of what is behind it.
+static Jet weight_of_back(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const Local *local,
+                          Jet const *x, Jet inside, Jet *open)
+{
+  const Side *below = sigma->sides;
+  const Sheet *sheet = sigma->sheets + ray->point->first + k;
+  Jet cos = cosine_of(tape, ray, ray->curves + k, below->num_dofs, local->of_sheet[k], ray->r[k]);
+  *open = step_of(tape, cos, (double[]){-sigma->cosines[0], 0});
+  int way = sheet->goes_on[1] >= 0;
+  return product(tape, *open, weight_beyond(tape, sigma, ray, k, way, local, x, inside));
+}
+
 // Weight of a sheet: NULL if it is 1.
 static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, const Local *local,
-                     Jet height, Jet inside)
+                     Jet height, Jet const *x, Jet inside)
 {
   const Side *below = sigma->sides;
   const Sheet *sheet = sigma->sheets + ray->point->first + k;
@@ -255,11 +298,18 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
   }
   if (own[0] >= 1)
     return NULL;
-  if (!of_others)
-    return own;
-  Jet lacks = combined(tape, -1, own, 1, constant(tape, 1));
-  Jet from = step_of(tape, cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]});
-  return combined(tape, 1, own, 1, product(tape, product(tape, lacks, from), of_others));
+  Jet faces = step_of(tape, cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]});
+  Jet more = constant(tape, 0), lacks = combined(tape, -1, own, 1, constant(tape, 1));
+  if (of_others)
+    more = product(tape, faces, of_others);
+  if (sheet->goes_on[0] >= 0)
+  {
+    Jet beyond = product(tape, weight_beyond(tape, sigma, ray, k, 0, local, x, inside),
+                         weight_beyond(tape, sigma, ray, k, 1, local, x, inside));
+    beyond = product(tape, combined(tape, -1, faces, 1, constant(tape, 1)), beyond);
+    more = combined(tape, 1, more, 1, beyond);
+  }
+  return combined(tape, 1, own, 1, product(tape, lacks, more));
 }
 
 // A point's ray as jets.
@@ -334,11 +384,19 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
       d[i] = combined(tape, 1, x0, -1, x1[i]);
     }
     Jet height = wedge(tape, d, ray.c);
-    Jet weight = weight_of(tape, sigma, &ray, k, local, height, inside);
-    Jet part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
-    if (weight)
+    Jet part, open;
+    if (sheet->turns_away)
     {
-      Jet left = combined(tape, -1, weight, 1, constant(tape, 1));
+      Jet weight = weight_of_back(tape, sigma, &ray, k, local, x1, inside, &open);
+      Jet seen = combined(tape, -1, hidden, 1, constant(tape, 1));
+      part = scaled(tape, -1, product(tape, weight, seen));
+      hidden = combined(tape, 1, hidden, 1, product(tape, open, seen));
+    }
+    else
+    {
+      Jet weight = weight_of(tape, sigma, &ray, k, local, height, x1, inside);
+      part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
+      Jet left = weight ? combined(tape, -1, weight, 1, constant(tape, 1)) : constant(tape, 0);
       hidden = hidden ? product(tape, hidden, left) : left;
     }
     ray.visible[k] = part;

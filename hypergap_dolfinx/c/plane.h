@@ -51,8 +51,11 @@ typedef struct {
 // An edge of Γ0 that a ray meets, and where.
 typedef struct {
   int edge;
-  int beside[2];    // edges before and behind it that share their weight with it, or −1
   double r;         // reference coordinate
+  int beside[2];    // edges before and behind it that share their weight with it, or −1
+  int goes_on[2];   // of a riser: edges before and behind it that it leads to, or −1
+  int dips[2];      // those that turn away most on the way to them, or −1
+  int turns_away;   // whether it does itself: then it takes back what is seen behind it
 } Sheet;
 
 // Σ where the sides are.

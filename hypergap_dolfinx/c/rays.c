@@ -19,7 +19,7 @@
 
 #define STEPS 60 // to where a ray meets a curved edge: by bisection at most
 #define LAST_STEP 1e-15
-#define TINY 1e-12 // part of a chord that is round-off
+#define TINY 1e-15 // part of a chord that is round-off
 #define NUM_FADES 3 // cosines at which weights begin or end to fade
 
 // The chord of an edge of Γ1.
@@ -28,9 +28,9 @@ typedef struct {
   double c[2], size;
 } Frame;
 
-// A part of an edge of Γ0 that runs against a chord of Γ1, and so faces it.
+// A part of an edge of Γ0 that runs against a chord of Γ1, and so faces it, or hardly turns away.
 typedef struct {
-  int edge;
+  int edge, turns_away;
   double from, to;  // reference coordinates between which it does
   double low, high; // places there along Γ1's chord
 } Facing;
@@ -185,13 +185,31 @@ static double cosine(const Frame *frame, const Side *side, int edge, double r)
   return -(t[0] * frame->c[0] + t[1] * frame->c[1]) / (length * frame->size);
 }
 
+// Whether there are risers: of straight edges only. On curved ones hits come in pairs where they turn,
+// with infinite slopes.
+static int has_risers(const Sigma *sigma)
+{
+  return sigma->sides[0].num_nodes == 2 && !sigma->turn;
+}
+
 // Add a part of an edge of Γ0 to what lines from an edge of Γ1 can meet.
 static void add_part(Cast *cast, int g, double from, double to)
 {
-  double slope, first = place(&cast->frame, cast->below, g, from, &slope);
-  double last = place(&cast->frame, cast->below, g, to, &slope);
-  if (first > last && last < 1 && first > 0)
-    cast->facing[cast->num_facing++] = (Facing){g, from, to, last, first};
+  double slope, ends[2];
+  for (int k = 0; k < 2; ++k)
+  { // of a vertex the same number as that of its break
+    double r = k ? to : from;
+    ends[k] = r == k ? along(&cast->frame, node(cast->below, g, k))
+                     : place(&cast->frame, cast->below, g, r, &slope);
+  }
+  double first = ends[0], last = ends[1];
+  double low = smaller(first, last), high = larger(first, last);
+  int turns_away = first < last;
+  if (turns_away && (!has_risers(cast->sigma) || cosine(&cast->frame, cast->below, g, from) <=
+                                                     -cast->sigma->cosines[0]))
+    return;
+  if (first != last && low < 1 && high > 0)
+    cast->facing[cast->num_facing++] = (Facing){g, turns_away, from, to, low, high};
 }
 
 // Reference coordinate where an edge turns, which goes opposite ways at its ends.
@@ -388,15 +406,57 @@ static double sheet_weight(const Sigma *sigma, double cos, double height, double
   return step[0] * deep[0];
 }
 
-// Find a sheet's weight, and the edges beside it that share theirs with it: what an edge lacks it gets
-// from them by its place between both.
-static void weigh(const Cast *cast, double cos, double depth, Hit *hit)
+// Depth in Γ0's body of a point from which a ray starts, with the slack; found once.
+static double depth_at(Cast *cast, const double *x, Point *point, double *depth)
+{
+  if (isnan(*depth))
+    *depth = find_foot(cast, x, point) + cast->sigma->slack * cast->frame.size;
+  return *depth;
+}
+
+// What a riser of Γ0 leads to: the largest weight of an edge before (0) or behind it (1), with edges
+// between that don't turn away, or hardly.
+//
+// x  start of the ray
+static double find_beyond(Cast *cast, int way, const double *x, Point *point, double *depth,
+                            Sheet *sheet)
 {
   const Side *side = cast->below;
   const Sigma *sigma = cast->sigma;
-  double own = sheet_weight(sigma, cos, hit->height, depth), r = hit->sheet.r, step[3];
+  const double faces[] = {-sigma->cosines[0], 0};
+  double most = 0, open = 1, step[3];
+  int dip = -1, edge = sheet->edge;
+  sheet->goes_on[way] = sheet->dips[way] = -1;
+  for (int n = 0; n < side->num_edges && open > most; ++n)
+  {
+    edge = beside_of(side, edge, way);
+    if (edge < 0)
+      break;
+    double cos = cosine(&cast->frame, side, edge, 0);
+    double height = above(&cast->frame, node(side, edge, 1 - way)) - above(&cast->frame, x);
+    double deep = cos > sigma->cosines[0] && height < 0 ? depth_at(cast, x, point, depth) : 0;
+    double weight = open * sheet_weight(sigma, cos, height, deep);
+    if (weight > most)
+    {
+      most = weight;
+      sheet->goes_on[way] = edge, sheet->dips[way] = dip;
+    }
+    smooth_step(cos, faces, step);
+    if (step[0] < open)
+      open = step[0], dip = edge;
+  }
+  return most;
+}
+
+// Find a sheet's weight, and the edges beside it that share theirs with it: what an edge lacks it gets
+// from them by its place between both. A riser, between edges that face Γ1, also does as they do.
+static void weigh(Cast *cast, double cos, const double *x, Point *point, double *depth, Hit *hit)
+{
+  const Side *side = cast->below;
+  const Sigma *sigma = cast->sigma;
+  double deep = hit->height < 0 ? depth_at(cast, x, point, depth) : 0;
+  double own = sheet_weight(sigma, cos, hit->height, deep), r = hit->sheet.r, step[3], beside = 0;
   smooth_step(cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]}, step);
-  hit->weight = own;
   for (int k = 0; k < 2; ++k)
   {
     int next = beside_of(side, hit->sheet.edge, k);
@@ -404,11 +464,31 @@ static void weigh(const Cast *cast, double cos, double depth, Hit *hit)
     if (next < 0 || own >= 1)
       continue;
     double other = cosine(&cast->frame, side, next, 1 - k);
-    double weight = sheet_weight(sigma, other, hit->height, depth);
+    double weight = sheet_weight(sigma, other, hit->height, deep);
     if (weight > 0)
       hit->sheet.beside[k] = next;
-    hit->weight += (1 - own) * step[0] * (k ? r : 1 - r) * weight;
+    beside += (k ? r : 1 - r) * weight;
   }
+  double beyond = step[0] < 1 && has_risers(sigma);
+  for (int k = 0; k < 2; ++k)
+    beyond *= beyond > 0 ? find_beyond(cast, k, x, point, depth, &hit->sheet) : 0;
+  if (beyond == 0)
+    hit->sheet.goes_on[0] = hit->sheet.goes_on[1] = -1;
+  hit->weight = 1 - (1 - own) * (step[0] * (1 - beside) + (1 - step[0]) * (1 - beyond));
+}
+
+// Find the weight of a riser that turns away a little: of what faces Γ1 in front of it, negative. It
+// takes back what is seen behind it.
+static void weigh_back(Cast *cast, double cos, const double *x, Point *point, double *depth, Hit *hit)
+{
+  const Side *side = cast->below;
+  double step[3], height[2];
+  for (int k = 0; k < 2; ++k)
+    height[k] = above(&cast->frame, node(side, hit->sheet.edge, k));
+  int way = height[1] > height[0];
+  smooth_step(cos, (double[]){-cast->sigma->cosines[0], 0}, step);
+  hit->weight = step[0] > 0 ? -step[0] * find_beyond(cast, way, x, point, depth, &hit->sheet) : 0;
+  hit->sheet.goes_on[1 - way] = -1;
 }
 
 // Sheets that a ray sees, those farthest behind first; their number.
@@ -427,18 +507,17 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
     const Facing *facing = cast->facing + k;
     if (xi < facing->low - TINY || xi > facing->high + TINY)
       continue;
-    Hit hit = {.sheet.edge = facing->edge};
+    Hit hit = {.sheet = {facing->edge, .beside = {-1, -1}, .goes_on = {-1, -1},
+                         .turns_away = facing->turns_away}};
     hit.sheet.r = meet(frame, cast->below, facing->edge, facing->from, facing->to, xi);
     hit.height = height_at(frame, cast->below, facing->edge, hit.sheet.r) - start;
     double cos = cosine(frame, cast->below, hit.sheet.edge, hit.sheet.r);
-    if (cos <= 0)
+    if (facing->turns_away ? cos > 0 : cos <= 0)
       continue;
     if (sigma->turn && hit.height < -sigma->depths[cast->edge / cast->above->num_parts])
       continue;
-    if (hit.height < 0 && isnan(depth))
-      depth = find_foot(cast, x.x[0], point) + sigma->slack * frame->size;
-    weigh(cast, cos, depth, &hit);
-    if (hit.weight <= 0)
+    (facing->turns_away ? weigh_back : weigh)(cast, cos, x.x[0], point, &depth, &hit);
+    if (hit.weight == 0)
       continue;
     int at = num;
     while (at > 0 && hits[at - 1].height > hit.height)
@@ -450,9 +529,15 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
     memmove(hits + at + 1, hits + at, (num - 1 - at) * sizeof(Hit));
     hits[at] = hit;
   }
-  for (int k = 0; k < num; ++k)
-    if (hits[k].weight >= 1)
-      num = k + 1; // hides the others
+  int first = 0; // what turns away takes nothing back where nothing is seen
+  while (first < num && hits[first].weight < 0)
+    ++first;
+  num -= first;
+  memmove(hits, hits + first, num * sizeof(Hit));
+  int last = num - 1; // what hides the others, unless something turns away in front of it
+  for (int k = num - 1; k >= 0 && hits[k].weight > 0; --k)
+    last = hits[k].weight >= 1 ? k : last;
+  num = last + 1;
   cast->lost |= lost && hits[num - 1].weight < 1;
   for (int k = 0; k < num; ++k)
     full &= hits[k].weight >= 1;

@@ -26,10 +26,19 @@ of Γ1's edge. So what an edge's weight lacks of 1 is filled from the edges befo
 e ∓ 1, with the weights that these have by their normals at the common vertex. At r between 0 and 1
 along the edge it becomes
 
-.. math:: \omega = \omega_e + (1 - \omega_e)\,W\Bigl(\frac{2 \cos}{C_0} - 1\Bigr)
-   \bigl((1 - r)\,\omega_{e-1} + r\,\omega_{e+1}\bigr).
+.. math:: \omega = \omega_e + (1 - \omega_e)\,\Bigl(s\,\bigl((1 - r)\,\omega_{e-1}
+   + r\,\omega_{e+1}\bigr) + (1 - s)\,\lambda_-\lambda_+\Bigr), \qquad
+   s = W\Bigl(\frac{2 \cos}{C_0} - 1\Bigr).
 
-That is continuous at a vertex, 1 on edges that face Γ1 fully, and 0 on those at a right angle.
+That is continuous at a vertex, 1 on edges that face Γ1 fully, and 0 on sides at a right angle,
+which lead to nothing that faces Γ1. A *riser*, as the step of a stair, leads from one edge that
+faces Γ1 to another. It has the weights λ of what it leads to before and behind it: the largest
+:math:`\omega_e` of the edges that follow, as long as those between don't turn away, times κ, a
+smooth step of their cosine from 0 at −C0 to 1 at 0. Where a riser turns away itself, what is in
+front of it is hidden by what is behind it. Forces don't jump as it comes to do so, since it takes
+back κ λ of what is seen behind it, and uncovers what is in front of it by κ. This is done for
+straight edges: on curved ones pairs of hits come and go where they turn.
+
 The product is the share of the ray that sheets farther behind leave. A sheet that fades leaves what
 it loses to those in front of it. So gaps and areas are continuous functions of the displacements,
 whatever ends, corners and far sides pass; with one sheet of weight 1 they are volumes and lengths.

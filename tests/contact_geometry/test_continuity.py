@@ -395,3 +395,36 @@ def test_derivatives_in_space(cell, monkeypatch):
     smooth = [errors for errors in found if errors is not None]
     bound = 1e-7 if cell == meshing.CellType.tetrahedron else 1e-3
     assert len(smooth) >= 4 and np.max(smooth) <= bound, smooth
+
+
+def stair():
+    """A stair as Γ0, with a step of two edges, and a block above it with longer ones, as Γ1."""
+    corners = (-1.5, -0.6), (1.5, -0.6), (1.5, 0), (0, 0), (0, 0.2), (-1.5, 0.2)
+    outlines = polygon(*corners, size=0.12), box(1.3, 0.5, size=0.5)
+    return outlines, (side(outlines[0], 1, "Γ0"), side(outlines[1], 1, "Γ1"))
+
+
+def above(outlines, angle):
+    """Displacements of both sides with the block turned, over the step."""
+    return 0 * outlines[0], turned(outlines[1], angle) + np.array((0.1, 0.42)) - outlines[1]
+
+
+def test_risers_turn_through_the_perpendicular():
+    """The step of a stair comes to turn away from Γ1: derivatives of gaps don't jump."""
+    outlines, sides = stair()
+    shape = len(sides[1].reference.x), 2 * sum(map(len, outlines))
+    found = [
+        dense(segments_of(sides, above(outlines, angle)).gap(above(outlines, angle))[2], shape)
+        for angle in (-1e-7, 1e-7)
+    ]
+    assert np.abs(found[0]).max() > 0.1
+    assert np.abs(found[1] - found[0]).max() <= 1e-5
+
+
+def test_derivatives_at_risers():
+    """Those of steps that face Γ1 or turn away a little agree with differences."""
+    (outlines, sides), rng = stair(), np.random.default_rng(0)
+    right_derivatives(
+        (sides, tuple(u + 0.004 * rng.standard_normal(u.shape) for u in above(outlines, a)), rng)
+        for a in (-0.05, -0.03, -0.01, 0.01, 0.02, 0.04)
+    )
