@@ -538,7 +538,7 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
   for (int k = num - 1; k >= 0 && hits[k].weight > 0; --k)
     last = hits[k].weight >= 1 ? k : last;
   num = last + 1;
-  cast->lost |= lost && hits[num - 1].weight < 1;
+  cast->lost |= lost && (num == 0 || hits[num - 1].weight < 1);
   for (int k = 0; k < num; ++k)
     full &= hits[k].weight >= 1;
   if (full || isnan(depth))
