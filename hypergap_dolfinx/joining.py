@@ -13,7 +13,7 @@ given: λ then goes on from tie to tie. Else a dof at a T-joint is on two Γ1s, 
 
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import NOISE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import NEAR_PIECES
+from hypergap_dolfinx.tolerances import NEAR_PIECES, SAME_COST
 
 
 class _Union(Tie):
@@ -137,8 +137,8 @@ def _align(ties: Sequence[Tie]):
     """Exchange sides so that a smooth surface is Γ1 of all its ties, or Γ0 of all. Collective.
 
     Of both ways for all ties that are related so, it is the one that exchanges less: areas, times
-    the logarithm of the ratio of cell sizes or, where these are alike, of moduli. Sides that are
-    given stay.
+    the logarithm of the ratio of cell sizes or, where these are alike, of moduli. If both cost the
+    same but for round-off, it is the one with fewer facets in Γ1. Sides that are given stay.
     """
     on_body: list[list[tuple[int, int]]] = []  # ties and sides
     for t, i in product(range(len(ties)), (0, 1)):
@@ -177,8 +177,15 @@ def _align(ties: Sequence[Tie]):
             for way in ways
         ]
         if min(cost) < np.inf:
+            if np.isclose(cost[0], cost[1], rtol=SAME_COST, atol=0.0):
+                cost = [sum(_more_facets(ties[s]) for s in way) for way in ways]
             for s in ways[int(np.argmin(cost))]:
                 ties[s]._turn_over(", as in ties beside it")
+
+
+def _more_facets(tie: Tie) -> int:
+    """Facets that Γ0 has more than Γ1."""
+    return len(tie.surfaces[0].facets) - len(tie.surfaces[1].facets)
 
 
 def _connected(surfaces: Sequence[Surface]) -> list[tuple[int, int]]:
@@ -191,11 +198,15 @@ def _connected(surfaces: Sequence[Surface]) -> list[tuple[int, int]]:
         np.unique(surface.dofs * num + piece[:, None])
         for surface, piece in zip(surfaces, pieces, strict=True)
     ]
-    return [
-        (i, j)
-        for i, j in combinations(range(len(surfaces)), 2)
-        if len(np.intersect1d(keys[i], keys[j]))
-    ]
+    of, key = np.repeat(np.arange(len(keys)), list(map(len, keys))), np.concatenate(keys)
+    order = np.argsort(key, kind="stable")
+    of, key = of[order], key[order]
+    pairs: set[tuple[int, int]] = set()
+    ahead = 1
+    while (same := key[ahead:] == key[:-ahead]).any():
+        pairs.update(zip(of[:-ahead][same].tolist(), of[ahead:][same].tolist(), strict=True))
+        ahead += 1
+    return sorted(pairs)
 
 
 def _groups(ties: Sequence[Tie]) -> list[list[int]]:

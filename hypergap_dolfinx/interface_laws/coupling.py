@@ -15,6 +15,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, la
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.interface_laws.reference_point import PointMotion, ReferencePoint, in_space
+from hypergap_dolfinx.interface_laws.tolerances import FAR_POINT
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
 from hypergap_dolfinx.surface.trace import check_sides, create_surface
@@ -58,9 +59,18 @@ class CoupledMotion(PointMotion):
         self._nodes = dofs[(start <= dofs) & (dofs < end)] - start  # owned ones
         self._x = V.tabulate_dof_coordinates()[self._nodes, :n]
         self._arms = in_space(self._x - self.point)
-        sums = self._comm.allreduce(np.array([(self._arms**2).sum(), len(self._arms)]))
-        self._make_unknowns(float(np.sqrt(sums[0] / sums[1])))
+        sums = np.array([(self._arms**2).sum(), *self._arms.sum(axis=0), len(self._arms)])
+        *sums, num = self._comm.allreduce(sums)
+        square, centre = sums[0] / num, np.array(sums[1:]) / num
+        self._make_unknowns(float(np.sqrt(square)))
         if not self.is_rigid:
+            if square - centre @ centre < square / FAR_POINT**2:
+                at = spot(self.point[None] + centre[:n])
+                raise ValueError(
+                    f"the point of a distributing coupling, {spot(self.point[None])}, is farther "
+                    f"from its surface, at {at}, than {FAR_POINT:.0e} times its size: give one "
+                    f"nearer, and the torque about that."
+                )
             self._weigh(side[1])
 
     @property
@@ -210,7 +220,8 @@ class Coupling(ReferencePoint):
 
         Raises:
             InterfaceError: Facets or a space that form no surface.
-            ValueError: No displacements, another kind, a point or a name that is none.
+            ValueError: No displacements, another kind, a point or a name that is none; a point too
+                far from the surface for a distributing one.
         """
         super().__init__(CoupledMotion(side, point, kind, held))
         self.kind = kind

@@ -15,7 +15,10 @@ Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], An
 
 
 class Settable:
-    """Base class of what users make: once it is made, names that can't be set are refused."""
+    """Base class of what users make: once it is made, names that can't be set are refused.
+
+    Classes that users derive may have attributes of their own.
+    """
 
     def __setattr__(self, name: str, value: Any):
         """Set an attribute; only a property with a setter after ``_made`` is set.
@@ -23,7 +26,8 @@ class Settable:
         Raises:
             AttributeError: Another one, such as a misspelt name.
         """
-        if not name.startswith("_") and self.__dict__.get("_made", False):
+        ours = type(self).__module__.startswith(f"{__name__.split('.')[0]}.")
+        if ours and not name.startswith("_") and self.__dict__.get("_made", False):
             properties = {key: getattr(type(self), key) for key in dir(type(self))}
             can = [key for key, one in properties.items() if getattr(one, "fset", None)]
             if name not in can:

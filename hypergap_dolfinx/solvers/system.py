@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra import checks, saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.load_path import OF_RIGID
 from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import PrescribedSideError, SolveError
@@ -269,6 +270,9 @@ class TiedSystem(collective.Owner):
         comm = self._u[0].function_space.mesh.comm
         for k, one in enumerate(self._couplings):
             wrong = one.wrong()
+            for what, values in zip(OF_RIGID, one.given, strict=True):
+                if not np.isfinite(values).all():
+                    wrong = f"{what} is no number: it is NaN or infinite; set it before solve()."
             collective.raise_on_all(comm, wrong and f"coupling {k}: {wrong}", ValueError)
             one.read(linear=linear)
 

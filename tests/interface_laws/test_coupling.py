@@ -271,6 +271,11 @@ def test_bad_input():
         ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling: give 2 finite numbers"),
         ((V, right), {**good, "held": "z"}, "held has 'z'; components are x, y, rotation"),
         ((V, right[:0]), good, "has no facets on any rank"),
+        (
+            (V, right),
+            {"point": (1e5, 0), "kind": "distributing"},
+            r"\(100000, 0\), is farther from its surface, at \(2, 0.5\), than 1e\+04 times",
+        ),
     ):
         with raises((ValueError, InterfaceError), match):
             Coupling(side, **options)
@@ -302,7 +307,7 @@ def test_bad_input():
     with raises(ValueError, "stiffness -1; give numbers ≥ 0"):
         problem.solve()
     end.springs[2], end.force[0] = 0.0, np.nan
-    with raises(ValueError, "NaN"):
+    with raises(ValueError, "coupling 0: the force is no number: it is NaN"):
         problem.solve()
 
 

@@ -302,3 +302,10 @@ def test_names():
     for one, name in ((scene.body, "moment"), (scene.body, "u"), (scene.contact, "force")):
         with raises(AttributeError, f"^{name} of a .* can't be set; .* can"):
             setattr(one, name, 5.0)
+
+    class Wheel(RigidBody):
+        def __init__(self, u, radius):
+            super().__init__(u, point=(0, radius))
+            self.radius = radius
+
+    assert Wheel(fem.Function(scene.body.u.function_space), 2.0).radius == 2.0
