@@ -540,7 +540,7 @@ class ContactProblem(ContactSystem):
             if j is None or size[j] > STIFF * size[i]:
                 LOG.warning(
                     f"contact {c}: Γ1's body is {'rigid' if j is None else "far stiffer than Γ0's"}"
-                    ", with facets that are no longer; pressures will scatter: swap its sides "
+                    ", with facets that aren't longer; pressures will scatter: swap its sides "
                     "(Contact.between with stiffness does)."
                 )
 
