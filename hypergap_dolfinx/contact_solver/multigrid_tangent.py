@@ -11,7 +11,7 @@ preconditioner.
 Aggregates are those of the bodies (:mod:`~hypergap_dolfinx.algebra.hierarchy`) and are made once.
 The preconditioner has springs in the place of the rows. They may belong to earlier rows, since the
 projection Π satisfies the present ones exactly. While working sets are guessed, springs are renewed
-when half as many rows as there are have come or gone; for an accurate solution, when any has.
+when a quarter as many rows as there are have come or gone; for an accurate solution, when any has.
 """
 
 from collections.abc import Sequence
@@ -31,6 +31,7 @@ from hypergap_dolfinx.contact_solver.tangent import StackedNumbering
 from hypergap_dolfinx.contact_solver.tolerances import (
     HOLDS,
     NEARLY_STICKS,
+    RENEWED,
     ROUGH,
     STEPS,
     TIGHT,
@@ -392,7 +393,7 @@ class MultigridTangent:
         renews = states != self._states or self._sprung is None
         if self._sprung is not None:
             num = int((now.held ^ self._sprung).sum())
-            renews |= bool(2 * num > self._sprung.sum()) or (accurate and num > 0)
+            renews |= bool(num > RENEWED * self._sprung.sum()) or (accurate and num > 0)
             self._is_stale = num > 0 and not renews
         self._projection.update(self._ksp, self._constraints, self._more, renews=renews)
         self._sprung = now.held if renews else self._sprung
