@@ -186,7 +186,10 @@ class NonlinearSystem(TiedSystem):
         blocks = [B for row in self._constraints.free for B in row if B is not None]
         num = 2 * len(self._couplings)
         for B, Bt in zip(blocks[len(blocks) - num :], self._Bt[len(self._Bt) - num :], strict=True):
-            B.transpose(Bt)
+            now = PETSc.Mat()
+            B.transpose(now)  # PETSc 3.22 refuses Bt itself, though it has the same pattern
+            now.copy(Bt, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            now.destroy()
         return bool(num)
 
     def _assign(self, x: PETSc.Vec):
