@@ -44,6 +44,7 @@ from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
+from hypergap_dolfinx.solvers.multigrid import Multigrid
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
 from hypergap_dolfinx.solvers.solver import names_types
@@ -219,9 +220,9 @@ class ContactSystem(NonlinearSystem):
             if self._comm.rank == 0:
                 LOG.warning(
                     'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
-                    "that is symmetric and positive definite, for cells of good shape, and for "
-                    "Poisson's ratios up to 0.49.",
+                    "that is symmetric and positive definite, %s.",
                     str(error).removesuffix("."),
+                    Multigrid.SUITED,
                 )
             iterations = self._tangent.iterations
             self._tangent.destroy()

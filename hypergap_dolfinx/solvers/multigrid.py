@@ -173,10 +173,11 @@ class Multigrid(IterativeSolver):
         **prefixed("aggregates_", Hierarchy.OPTIONS),
         **prefixed("interface_", LU),
     }
+    SUITED = "for cells of good shape, and for Poisson's ratios up to 0.49"
+    """What it is for beside definite stiffness, in messages."""
     ADVICE = (
         '; solver="iterative" is for stiffness that is symmetric and positive definite (complex: '
-        "Hermitian), for cells of good shape, and for Poisson's ratios up to 0.49: take "
-        'solver="direct"'
+        f'Hermitian), {SUITED}: take solver="direct"'
     )
 
     @classmethod
