@@ -99,6 +99,12 @@ def ranks_that_say(texts):
     return [(f"rank {', '.join(r)} of {len(texts)}", text) for text, r in ranks.items()]
 
 
+def reason(text):
+    """First line of an error in what pytest says of a test, for the summary's one line."""
+    lines = text.splitlines() or [""]
+    return next((line[1:].strip() for line in lines if line.startswith("E ")), lines[-1])
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config):
     import helpers  # not before the options of the JIT compiler are set
@@ -206,9 +212,11 @@ def pytest_runtest_makereport(item, call):
         item.config.watchdog.start(PATIENCE, message)
     outcomes, texts = zip(*world.allgather((report.outcome, text)))
     if len(set(outcomes)) > 1:
-        report.longrepr = f"The ranks don't agree: {', '.join(outcomes)}"
+        said = ranks_that_say(texts)
+        reasons = [f"{ranks}: {reason(text)}" for ranks, text in said]
+        report.longrepr = "; ".join([f"The ranks don't agree: {', '.join(outcomes)}", *reasons])
         report.outcome = "failed"
-        report.sections += ranks_that_say(texts)
+        report.sections += said
     elif report.failed:
         report.sections += [said for said in ranks_that_say(texts) if said[1] != text]
     return report

@@ -94,7 +94,8 @@ def test_vtk(functions, tmp_path):
     for name, fs in functions.items():
         with io.VTKFile(comm, tmp_path / f"{name}.pvd", "w") as file:
             file.write_function(fs, 0.0)
-        comm.barrier()
+    comm.barrier()
+    for name, fs in functions.items() if comm.rank == 0 else ():  # one reads what all wrote
         grid = pyvista.read(tmp_path / f"{name}.pvd")[0]
         check(name, grid.points, {f.name: grid[f.name] for f in fs})
 
@@ -127,7 +128,8 @@ def test_vtx(functions, tmp_path):
     for name, fs in functions.items():
         with io.VTXWriter(comm, tmp_path / f"{name}.bp", fs, engine="BP4") as file:
             file.write(0.0)
-        comm.barrier()
+    comm.barrier()
+    for name in functions if comm.rank == 0 else ():
         # In a process of its own: two ADIOS2 libraries in one don't get along
         command = [sys.executable, "-c", READ_VTX, tmp_path / f"{name}.bp"]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(("PMI", "OMPI"))}
