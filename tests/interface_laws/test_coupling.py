@@ -30,7 +30,7 @@ from hypergap_dolfinx.core.rotation import rotation
 
 comm = MPI.COMM_WORLD
 BALANCED = 1e-10  # of the loads
-pytestmark = pytest.mark.ranks
+pytestmark = pytest.mark.ranks(2)  # three: a linear, a nonlinear and a contact problem
 KINDS = "distributing", "rigid"
 FIRST = {2: (meshes.LEFT, meshes.RIGHT), 3: (meshes.BACK, meshes.FRONT)}
 
@@ -163,6 +163,7 @@ def two_bars(dim, kind, held_parts=(), degree=1):
     return problem, tie, end, tags1.find(last)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_balance(kind, dim):
@@ -329,6 +330,7 @@ def nonlinear_bars(kind):
     return problem, tie, end
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_nonlinear(kind):
     """Finite strains: balance, and a state that goes on."""
@@ -537,6 +539,7 @@ def screw(held, spring=0.0):
     return problem, driver, grips
 
 
+@pytest.mark.ranks
 def test_screwdriver():
     """A blade turns its slot by a radian against springs: balance, and the play as in a vice."""
     torque, angles = 0.04, []

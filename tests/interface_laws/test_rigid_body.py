@@ -77,7 +77,7 @@ def unbalanced(scene):
     return np.append(forces.sum(axis=0), moment[2:] if n == 2 else moment) + loads + body.reaction
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(3, friction=[0.4])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("friction", [None, 0.4])
 def test_balance(dim, friction):
