@@ -207,9 +207,9 @@ class Blended:
 
     @cached_property
     def _per_left(self) -> Floats:
-        """1 over what a half leaves uncovered, 0 if that is nothing."""
+        """1 over what a half leaves uncovered (below 0 if seen twice), 0 if that is nothing."""
         left = 1 - self.covered
-        return np.divide(1, left, out=np.zeros_like(left), where=left > 0)
+        return np.divide(1, left, out=np.zeros_like(left), where=left != 0)
 
     @cached_property
     def _K(self) -> Sparse:
