@@ -33,6 +33,8 @@ from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
 STEPS = (100, 200, 400, 800)[: 4 if helpers.thorough else 3]
+TURNS = helpers.sweep([(45, 2), (45, 1), (90, 1), (90, 2), (135, 2), (135, 1)], 2)
+NUM_STATES = 12 if helpers.thorough else 8
 
 
 def segments_of(sides, u):
@@ -275,8 +277,7 @@ def covered(x0, surface):
     return np.bincount(surface.facets[outside].ravel(), minlength=len(surface.x)) == 0
 
 
-@pytest.mark.parametrize("degree", (1, 2))
-@pytest.mark.parametrize("turn", (45, 90, 135))
+@pytest.mark.parametrize(("turn", "degree"), TURNS)
 def test_sign_at_inner_corners(turn, degree):
     """Bodies that are apart have no gap below zero; vertices inside of the other body have one."""
     wrong, counted = [], np.zeros(2, dtype=int)
@@ -296,13 +297,13 @@ def test_sign_at_inner_corners(turn, degree):
     assert not wrong, (len(wrong), min(wrong, key=lambda row: row[3]), max(wrong))
 
 
-def states(name, degree, num=12):
+def states(name, degree):
     """Random states of a path near to contact, rough, and the random numbers' generator."""
     path = path_of(name, degree)
     rng = np.random.default_rng(5)
     times = np.linspace(0, 1, 200)
     near = [t for t in times if apart(*path.at(t)) < 0.5 * SIZE]
-    for t in rng.choice(near, num):
+    for t in rng.choice(near, NUM_STATES):
         yield path.sides, tuple(u + 0.02 * rng.standard_normal(u.shape) for u in path.u(t)), rng
 
 

@@ -74,7 +74,14 @@ DEMOS = {
         "--scene plate squeezed-ring wedge press-fit receding-layer", {"rows.*.met": True}
     ),
     "benchmarks_all": Demo("", {"rows.*.met": True}, slow=True, script="benchmarks"),
-    "any_surfaces": Demo("--scenes 200 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
+    "any_surfaces": Demo("--scenes 60 --seed 2000 --finest 0.4", {"*.valid": 1}, needs=("scipy",)),
+    "any_surfaces_all": Demo(
+        "--scenes 200 --seed 2000 --finest 0.4",
+        {"*.valid": 1},
+        needs=("scipy",),
+        slow=True,
+        script="any_surfaces",
+    ),
     "assembly": Demo(
         pinned={"*.displacement": 3.39994e-2, "*.energy": 18.3092, "*.ties": 32},
         below={"*.balance": 1e-10},
