@@ -5,7 +5,7 @@
 # SPDX-License-Identifier:    LGPL-3.0-or-later
 """Structured meshes: a mapped unit square or cube, sectors of a ring, octants of a sphere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import permutations, product
 
 from mpi4py import MPI
@@ -99,22 +99,28 @@ def block(
         x, cells = np.empty((0, dim)), np.empty((0, len(points)), dtype=np.int64)
     mesh = dolfinx.mesh.create_mesh(comm, cells, e=element, x=x, partitioner=partitioner)
 
-    facets, tags = [], []
-    for axis, end in product(range(dim), (0, 1)):
-        if periodic and axis == 1:
-            continue
-        found = dolfinx.mesh.locate_entities_boundary(
-            mesh, dim - 1, lambda x: np.isclose(x[axis], end)
-        )
-        facets.append(found)
-        tags.append(np.full(len(found), 2 * axis + end + 1, dtype=np.int32))
-    order = np.argsort(np.concatenate(facets))
-    facet_tags = dolfinx.mesh.meshtags(
-        mesh, dim - 1, np.concatenate(facets)[order], np.concatenate(tags)[order]
-    )
+    facet_tags = tag_faces(mesh, [axis for axis in range(dim) if not (periodic and axis == 1)])
     if mapping is not None:
         mesh.geometry.x[:, :dim] = mapping(mesh.geometry.x[:, :dim].copy())
     return mesh, facet_tags
+
+
+def tag_faces(mesh: dolfinx.mesh.Mesh, axes: Iterable[int]) -> dolfinx.mesh.MeshTags:
+    """Tags of a unit square's or cube's faces: 2 axis + 1 where a coordinate is 0, + 2 where it is 1.
+
+    Args:
+        mesh: The mesh.
+        axes: Axes whose faces get tags.
+    """
+    dim, facets, tags = mesh.topology.dim - 1, [], []
+    for axis, end in product(axes, (0, 1)):
+        found = dolfinx.mesh.locate_entities_boundary(mesh, dim, lambda x: np.isclose(x[axis], end))
+        facets.append(found)
+        tags.append(np.full(len(found), 2 * axis + end + 1, dtype=np.int32))
+    order = np.argsort(np.concatenate(facets))
+    return dolfinx.mesh.meshtags(
+        mesh, dim, np.concatenate(facets)[order], np.concatenate(tags)[order]
+    )
 
 
 def ring_sector(
