@@ -5,21 +5,34 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from dolfinx.fem.forms import CompiledForm
+from dolfinx.fem import IntegralType
+from dolfinx.fem.forms import CompiledForm, get_integration_domains
+
+
+_COMPILED: dict[tuple[str, str], CompiledForm] = {}
+"""Forms that this process has compiled or found in DOLFINx's cache, by signature and options."""
+
+_TYPES = {
+    "cell": IntegralType.cell,
+    "exterior_facet": IntegralType.exterior_facet,
+    "interior_facet": IntegralType.interior_facet,
+}
 
 
 def create_forms(
     forms: Sequence[ufl.Form], compiler_options: dict | None, jit_options: dict | None
 ) -> list[fem.Form]:
-    """Compile a form of each body, equal ones on different meshes once. Collective.
+    """Compile a form of each body, equal ones on different meshes and in later calls once.
 
-    Even if it is in DOLFINx's cache, finding it takes as long as a small matrix's factors.
+    Collective. Even if it is in DOLFINx's cache, finding it takes as long as a small matrix's
+    factors, and longer the more forms are there: Python lists the whole folder.
 
     Args:
         forms: The forms.
@@ -27,26 +40,40 @@ def create_forms(
         jit_options: Options of the JIT compiler.
     """
     options = {**(compiler_options or {}), "scalar_type": PETSc.ScalarType}
-    known: dict[str, CompiledForm] = {}
-    return [_created(form, known, options, jit_options) for form in forms]
+    return [_created(form, options, jit_options) for form in forms]
 
 
-def _created(form, known, compiler_options, jit_options) -> fem.Form:
+def _created(form, compiler_options, jit_options) -> fem.Form:
     """A form, compiled unless an equal one is known. Collective."""
-    by_domain = form.subdomain_data().values()
-    if any(data is not None for by_type in by_domain for of in by_type.values() for data in of):
-        # Only this reads the tags of integrals
-        return fem.form(form, PETSc.ScalarType, compiler_options, jit_options)
     V = [argument.ufl_function_space() for argument in form.arguments()]
-    key = form.signature()
-    if key not in known:
-        known[key] = fem.compile_form(V[0].mesh.comm, form, compiler_options, jit_options)
-    if known[key].ufcx_form.num_coefficients < len(form.coefficients()):
+    comm = V[0].mesh.comm
+    key = form.signature(), repr((compiler_options, jit_options))
+    # Bodies on other communicators may have left some ranks alone with it
+    if not comm.allreduce(key in _COMPILED, MPI.LAND):
+        compiled = fem.compile_form(comm, form, compiler_options, jit_options)
+        _COMPILED[key] = replace(compiled, ufl_form=None)  # which has a mesh
+    compiled = replace(_COMPILED[key], ufl_form=form)
+    subdomains = _subdomains(form)
+    if subdomains is None or compiled.ufcx_form.num_coefficients < len(form.coefficients()):
         # DOLFINx 0.9 takes one function for another where a form doesn't need all of them
         return fem.form(form, PETSc.ScalarType, compiler_options, jit_options)
     functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))
-    compiled = replace(known[key], ufl_form=form)
-    return fem.create_form(compiled, V, V[0].mesh, {}, functions, constants)
+    return fem.create_form(compiled, V, V[0].mesh, subdomains, functions, constants)
+
+
+def _subdomains(form: ufl.Form) -> dict[IntegralType, list] | None:
+    """Cells or facets of each tag of a form's integrals; None if not all of them are such."""
+    (by_type,) = form.subdomain_data().values()
+    if not by_type.keys() <= _TYPES.keys():
+        return None
+    found = {}
+    for name, data in by_type.items():
+        given = [integral for integral in form.integrals() if integral.integral_type() == name]
+        ids = {i for integral in given for i in np.atleast_1d(integral.subdomain_id()).tolist()}
+        tags = next((tags for tags in data if tags is not None), None)
+        numbers = sorted(i for i in ids if not isinstance(i, str))
+        found[_TYPES[name]] = get_integration_domains(_TYPES[name], tags, numbers)
+    return found
 
 
 def thickness(body: mesh.Mesh) -> float:
