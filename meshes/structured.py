@@ -106,11 +106,11 @@ def block(
 
 
 def tag_faces(mesh: dolfinx.mesh.Mesh, axes: Iterable[int]) -> dolfinx.mesh.MeshTags:
-    """Tags of a unit square's or cube's faces: 2 axis + 1 where a coordinate is 0, + 2 where it is 1.
+    """Tags of a unit square's or cube's faces.
 
     Args:
         mesh: The mesh.
-        axes: Axes whose faces get tags.
+        axes: Axes whose faces get tags: 2 axis + 1 where the coordinate is 0, + 2 where it is 1.
     """
     dim, facets, tags = mesh.topology.dim - 1, [], []
     for axis, end in product(axes, (0, 1)):

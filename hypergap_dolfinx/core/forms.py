@@ -3,7 +3,7 @@
 """Compiled forms of several bodies; thickness of one."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -15,9 +15,8 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm, get_integration_domains
 
-
-_COMPILED: dict[tuple[str, str], CompiledForm] = {}
-"""Forms that this process has compiled or found in DOLFINx's cache, by signature and options."""
+_COMPILED: dict[tuple[str, str], dict[str, Any]] = {}
+"""What this process has compiled or found in DOLFINx's cache, by signature and options of forms."""
 
 _TYPES = {
     "cell": IntegralType.cell,
@@ -50,9 +49,9 @@ def _created(form, compiler_options, jit_options) -> fem.Form:
     key = form.signature(), repr((compiler_options, jit_options))
     # Bodies on other communicators may have left some ranks alone with it
     if not comm.allreduce(key in _COMPILED, MPI.LAND):
-        compiled = fem.compile_form(comm, form, compiler_options, jit_options)
-        _COMPILED[key] = replace(compiled, ufl_form=None)  # which has a mesh
-    compiled = replace(_COMPILED[key], ufl_form=form)
+        found = vars(fem.compile_form(comm, form, compiler_options, jit_options))
+        _COMPILED[key] = {name: found[name] for name in found if name != "ufl_form"}  # has a mesh
+    compiled = CompiledForm(ufl_form=form, **_COMPILED[key])
     subdomains = _subdomains(form)
     if subdomains is None or compiled.ufcx_form.num_coefficients < len(form.coefficients()):
         # DOLFINx 0.9 takes one function for another where a form doesn't need all of them

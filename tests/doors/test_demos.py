@@ -47,6 +47,13 @@ DEMOS = {
     "any_assemblies_in_space": Demo(
         "--dim 3 --only 2 3 11 14 18 19 23 25 32", {"*.ok": True}, script="any_assemblies"
     ),
+    "any_assemblies_conforming": Demo(
+        "--only 2 --conforming 0",
+        {"*.ok": True},
+        {"*.conforming": 1.1},
+        needs=("gmsh",),
+        script="any_assemblies",
+    ),
     "any_assemblies_all": Demo(
         "--scenes 60", {"*.solved": True}, slow=True, script="any_assemblies"
     ),
@@ -431,7 +438,7 @@ def results(content, name):
 
 LONG = (
     *("any_assemblies", "any_assemblies_in_space", "any_contacts", "any_contacts_in_space"),
-    *("any_assemblies_all", "any_assemblies_in_space_all"),
+    *("any_assemblies_all", "any_assemblies_in_space_all", "any_assemblies_conforming"),
     *("any_surfaces", "error_against_run_time", "hyperelasticity", "partial_overlap"),
     *("partial_overlap_tetrahedra", "partial_overlap_hexahedra"),
 )
