@@ -30,6 +30,7 @@ from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
 from hypergap_dolfinx.mortar.constraint import Constraint, create_constraint, expand
 from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain, doubts
 from hypergap_dolfinx.mortar.recovery import Recovery
+from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
@@ -655,17 +656,26 @@ class Tie(Settable, collective.Owner):
         return comm.allreduce(self._nodal_forces(problem, self._side(on)).sum(axis=0))
 
     def moment(
-        self, problem, about: npt.ArrayLike, *, on: fem.Function | None = None
+        self,
+        problem,
+        about: npt.ArrayLike,
+        *,
+        on: fem.Function | None = None,
+        displaced: bool | None = None,
     ) -> npt.NDArray:
         """Moment of the nodal forces about a point, Σ (x − x₀) × f, exact. Collective.
 
-        Positions are those of the undeformed mesh. If the surfaces lie apart, the moments on the
-        two bodies differ by the force times the distance (see ``adjust``).
+        If the surfaces lie apart, the moments on the two bodies differ by the force times the
+        distance (see ``adjust``).
 
         Args:
             problem: A solved problem with this tie.
             about: The point x₀, ``(n,)``.
             on: Displacement of the body, as in :meth:`force`.
+            displaced: True for the nodes' displaced positions, with which moments balance if
+                strains are finite; False for those of the mesh, with which they do if strains are
+                small. By default False in a :class:`TiedProblem`, True in other problems, as in
+                :meth:`Contact.moment`.
 
         Returns:
             Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
@@ -683,6 +693,10 @@ class Tie(Settable, collective.Owner):
         point = as_numbers(about, (n,), "about")
         forces = self._nodal_forces(problem, side)
         arm = V.tabulate_dof_coordinates()[: len(forces), :n] - point
+        if isinstance(problem, NonlinearSystem) if displaced is None else displaced:
+            given = map(self.components[side].own_function, problem.u)
+            own = next(u for u in given if u is not None)
+            arm = arm + own.x.array.real.reshape(-1, n)[: len(forces)]
         if n == 3:
             moment = np.cross(arm, forces).sum(axis=0)
         else:

@@ -270,6 +270,17 @@ class ReferencePoint(Settable):
         self.motion: Any = motion
         """What problems ask for."""
 
+    def __setattr__(self, name: str, value: Any):
+        """Set what can be set.
+
+        Raises:
+            ValueError: ``held``, which is for good.
+            AttributeError: A name that can't be set.
+        """
+        if name == "held":
+            raise ValueError(f"held is for good: make {self.motion.NAME} with held={value!r}.")
+        super().__setattr__(name, value)
+
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its unknowns."""
@@ -283,10 +294,6 @@ class ReferencePoint(Settable):
     def held(self) -> npt.NDArray[np.bool_]:
         """Mask of the components that are held, ``(num_components,)``; not to be changed."""
         return self.motion.held
-
-    @held.setter
-    def held(self, value):
-        raise ValueError(f"held is for good: make {self.motion.NAME} with held={value!r}.")
 
     @property
     def point(self) -> Array:

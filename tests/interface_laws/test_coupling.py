@@ -428,6 +428,32 @@ def balances(grip, end):
     assert np.abs(found + loads).max() < BALANCED * np.abs(loads).max()
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_moment_of_a_tie_that_turns(dim):
+    """It balances the coupling's loads where nodes are now, not where they were."""
+    (V0, tags0), (V1, tags1) = bar(dim), bar(dim, low=np.eye(3)[0 if dim == 2 else 2][:dim] * 2)
+    first, last = FIRST[dim]
+    names = ("x", "y", "rotation") if dim == 2 else ("x", "y", "z", "rx", "ry", "rz")
+    grip = Coupling((V0, tags0.find(first)), point=np.zeros(dim), kind="rigid", held=names)
+    end = Coupling((V1, tags1.find(last)), point=np.full(dim, 4.0), kind="rigid")
+    tie = Tie((V0, tags0.find(last)), (V1, tags1.find(first)))
+    bodies = [Elastic.on(V, large=True) for V in (V0, V1)]
+    u, options = [body.u for body in bodies], {"snes_rtol": 1e-13, "snes_atol": 1e-14}
+    given = {"ties": [tie], "couplings": [grip, end], "petsc_options": options}
+    problem = NonlinearTiedProblem([body.F for body in bodies], u, **given)
+    axis = (0, 0, 1) if dim == 2 else np.ones(3) / np.sqrt(3)
+    grip.prescribed[dim:] = turning(axis, 0.6, dim)[1]
+    problem.solve()
+    end.force[0] = end.torque[0] = 1e-3
+    problem.solve()
+    at = end.point + end.displacement
+    for on, sign in ((u[0], 1), (u[1], -1), (None, -1)):
+        moment = tie.moment(problem, at, on=on)
+        assert np.abs(sign * moment - end.torque).max() < BALANCED * 1e-3
+    still = tie.moment(problem, at, displaced=False)
+    assert np.abs(still + end.torque).max() > 0.5e-3
+
+
 def pressed(dim, kind, friction=None, free=False):
     """A narrow block on a base, each with a coupling; that of the base is held."""
     up, low = (1, np.array([0.5, 1.0])) if dim == 2 else (2, np.array([0.5, 0.1, 1.0]))

@@ -302,6 +302,10 @@ def test_names():
     for one, name in ((scene.body, "moment"), (scene.body, "u"), (scene.contact, "force")):
         with raises(AttributeError, f"^{name} of a .* can't be set; .* can"):
             setattr(one, name, 5.0)
+    with raises(AttributeError, "can't be set; anchors, force, prescribed, springs, torque can"):
+        scene.body.hold = "x"
+    with raises(ValueError, "held is for good: make a rigid body with held='x'"):
+        scene.body.held = "x"
 
     class Wheel(RigidBody):
         def __init__(self, u, radius):
