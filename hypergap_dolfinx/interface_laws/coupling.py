@@ -63,14 +63,14 @@ class CoupledMotion(PointMotion):
         *sums, num = self._comm.allreduce(sums)
         square, centre = sums[0] / num, np.array(sums[1:]) / num
         self._make_unknowns(float(np.sqrt(square)))
+        if square - centre @ centre < square / FAR_POINT**2:
+            at = spot(self.point[None] + centre[:n])
+            raise ValueError(
+                f"the point of a coupling, {spot(self.point[None])}, is farther from its surface, "
+                f"at {at}, than {FAR_POINT:.0e} times its size: give one nearer, and the torque "
+                f"about that."
+            )
         if not self.is_rigid:
-            if square - centre @ centre < square / FAR_POINT**2:
-                at = spot(self.point[None] + centre[:n])
-                raise ValueError(
-                    f"the point of a distributing coupling, {spot(self.point[None])}, is farther "
-                    f"from its surface, at {at}, than {FAR_POINT:.0e} times its size: give one "
-                    f"nearer, and the torque about that."
-                )
             self._weigh(side[1])
 
     @property
@@ -221,7 +221,7 @@ class Coupling(ReferencePoint):
         Raises:
             InterfaceError: Facets or a space that form no surface.
             ValueError: No displacements, another kind, a point or a name that is none; a point too
-                far from the surface for a distributing one.
+                far from the surface.
         """
         super().__init__(CoupledMotion(side, point, kind, held))
         self.kind = kind

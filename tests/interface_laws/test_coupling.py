@@ -272,10 +272,14 @@ def test_bad_input():
         ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling: give 2 finite numbers"),
         ((V, right), {**good, "held": "z"}, "held has 'z'; components are x, y, rotation"),
         ((V, right[:0]), good, "has no facets on any rank"),
-        (
-            (V, right),
-            {"point": (1e5, 0), "kind": "distributing"},
-            r"\(100000, 0\), is farther from its surface, at \(2, 0.5\), than 1e\+04 times",
+        *(
+            (
+                (V, right),
+                {"point": (1e5, 0), "kind": kind},
+                r"\(100000, 0\), is farther from its "
+                r"surface, at \(2, 0.5\), than 1e\+04 times its size: give one nearer",
+            )
+            for kind in KINDS
         ),
     ):
         with raises((ValueError, InterfaceError), match):
