@@ -23,6 +23,9 @@ from hypergap_dolfinx.surface.trace import check_sides, create_surface
 Array = npt.NDArray[np.float64]
 
 
+Side = tuple[fem.FunctionSpace, npt.ArrayLike]
+
+
 class CoupledMotion(PointMotion):
     """Motion of a surface's nodes with a reference point, or of the point with the surface."""
 
@@ -30,7 +33,7 @@ class CoupledMotion(PointMotion):
 
     def __init__(
         self,
-        side: tuple[fem.FunctionSpace, npt.ArrayLike],
+        side: Side | Sequence[Side],
         point: npt.ArrayLike,
         kind: str,
         held: Sequence[str] | str,
@@ -38,8 +41,7 @@ class CoupledMotion(PointMotion):
         """Find the nodes, as for :class:`Coupling`. Collective."""
         if kind not in ("distributing", "rigid"):
             raise ValueError(f'kind is {kind!r}: give "distributing" or "rigid".')
-        check_sides("coupling", side)
-        V = side[0]
+        V, facets = _joined(side)
         n = V.mesh.geometry.dim
         if V.value_shape != (n,):
             raise ValueError(
@@ -52,7 +54,7 @@ class CoupledMotion(PointMotion):
         self.component = Component.of(V)
         """Dofs of the displacements among those of the body."""
         V = self.component.space
-        self.surface = create_surface(V, side[1], "the surface of a coupling")
+        self.surface = create_surface(V, facets, "the surface of a coupling")
         """The surface."""
         start, end = V.dofmap.index_map.local_range
         dofs = np.unique(self.surface.dofs)
@@ -71,7 +73,7 @@ class CoupledMotion(PointMotion):
                 f"about that."
             )
         if not self.is_rigid:
-            self._weigh(side[1])
+            self._weigh(facets)
 
     @property
     def is_rigid(self) -> bool:
@@ -202,7 +204,7 @@ class Coupling(ReferencePoint):
 
     def __init__(
         self,
-        side: tuple[fem.FunctionSpace, npt.ArrayLike],
+        side: Side | Sequence[Side],
         *,
         point: npt.ArrayLike,
         kind: str,
@@ -212,7 +214,8 @@ class Coupling(ReferencePoint):
 
         Args:
             side: A pair ``(V, facets)`` as for a :class:`Tie`: a Lagrange space of displacements,
-                or one such as ``W.sub(0)``, and exterior facets of its mesh.
+                or one such as ``W.sub(0)``, and exterior facets of its mesh. Or a list of these, on
+                one mesh, whose surfaces are coupled as one.
             point: The reference point X₀.
             kind: ``"distributing"`` or ``"rigid"``.
             held: Names of the components that are held, of :attr:`components`, at the values in
@@ -220,13 +223,34 @@ class Coupling(ReferencePoint):
 
         Raises:
             InterfaceError: Facets or a space that form no surface.
-            ValueError: No displacements, another kind, a point or a name that is none; a point too
-                far from the surface.
+            ValueError: No displacements, surfaces on several meshes, another kind, a point or a
+                name that is none; a point too far from the surface.
         """
         super().__init__(CoupledMotion(side, point, kind, held))
         self.kind = kind
         """"distributing" or "rigid"."""
         self._made = True
+
+
+def _joined(side: Side | Sequence[Side]) -> Side:
+    """A space and all facets of one side or several.
+
+    Raises:
+        ValueError: Something else, or several spaces.
+    """
+    several = isinstance(side, Sequence) and side and all(isinstance(s, Sequence) for s in side)
+    sides: list = list(side) if several else [side]
+    check_sides("coupling", *sides)
+    if len(sides) == 1:
+        return sides[0]
+    parts = [Component.of(V) for V, _ in sides]
+    if not all(part.same(parts[0]) for part in parts):
+        raise ValueError(
+            "the surfaces of a coupling are on several function spaces: put these bodies into one "
+            "mesh, whose parts needn't be connected, or couple one body and tie the others to it."
+        )
+    some = [facets for _, facets in sides if len(facets)]
+    return sides[0][0], np.concatenate(some) if some else ()
 
 
 def motions_of(couplings: Coupling | Sequence[Coupling]) -> list[CoupledMotion]:

@@ -215,6 +215,26 @@ def test_held_by_a_coupling(kind):
     close(again.solve()[1].x.array, u1.x.array, SOLVED)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_several_surfaces(kind):
+    """A list of surfaces is one; parts of a mesh that nothing connects move together."""
+    V, tags = bar(2)
+    right, top = tags.find(meshes.RIGHT), tags.find(meshes.TOP)
+    top = top[mesh.compute_midpoints(V.mesh, 1, top)[:, 0] > 0.6]
+    fixed, found = [held(V, tags.find(meshes.LEFT))], []
+    for side in ([(V, right), (V, top)], (V, np.sort(np.append(right, top)))):
+        end = Coupling(side, point=(3, 1), kind=kind)
+        problem = TiedProblem([elastic(V)], [None], bcs=fixed, couplings=end)
+        end.force[1], end.torque[0] = 1e-3, 1e-3
+        problem.solve()
+        found.append(np.append(end.displacement, end.angles))
+    np.testing.assert_allclose(*found, rtol=1e-12)
+    with raises(ValueError, "on several function spaces: put these bodies into one mesh"):
+        Coupling([(V, right), (bar(2)[0], right)], point=(2, 0), kind=kind)
+    with raises(InterfaceError, "the surface of a coupling.* twice"):
+        Coupling([(V, right), (V, right)], point=(2, 0), kind=kind)
+
+
 def test_nothing_else_holds():
     """A bar that only a coupling holds; what isn't held is told."""
     V, tags = bar(2)
