@@ -600,14 +600,22 @@ class Contact(Settable):
         """
         return displaced(self._geometry.sides, self._solved_rows(problem).u)
 
-    def force(self, problem, *, on: fem.Function | None = None) -> npt.NDArray[np.float64]:
-        """Force of pressure and friction on a body.
+    def force(
+        self,
+        problem,
+        *,
+        on: fem.Function | None = None,
+        facets: npt.ArrayLike | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """Force of pressure and friction on a body. Collective if facets are given.
 
         Args:
             problem: A solved problem with this contact.
             on: Displacement of the body, one of the problem's. By default the body of the second
                 side as given to the constructor or to :meth:`between`, whichever became Γ1. The
                 opposite force acts on the other body.
+            facets: Some facets of that body, for the force at their nodes alone. Needed where both
+                sides are one surface, on which all forces together cancel.
 
         Returns:
             Force, ``(n,)``, the same on every rank, in 2D per unit depth. For bodies of revolution
@@ -616,13 +624,19 @@ class Contact(Settable):
 
         Raises:
             ValueError: A contact that isn't one of the problem's, a problem that isn't solved, a
-                function of neither body, or one of both sides.
+                function of neither body, or one of both sides; no facets, where they are needed.
         """
         rows = self._solved_rows(problem)
-        return rows.contact_forces()[self._side(rows, on)].sum(axis=0)
+        forces = rows.contact_forces()
+        return np.sum([forces[i][at].sum(axis=0) for i, at in self._acting(rows, on, facets)], 0)
 
     def moment(
-        self, problem, about: npt.ArrayLike, *, on: fem.Function | None = None
+        self,
+        problem,
+        about: npt.ArrayLike,
+        *,
+        on: fem.Function | None = None,
+        facets: npt.ArrayLike | None = None,
     ) -> npt.NDArray[np.float64]:
         """Moment of pressure and friction on a body about a point, Σ (x − x₀) × f. Collective.
 
@@ -634,6 +648,7 @@ class Contact(Settable):
             problem: A solved problem with this contact.
             about: The point x₀, ``(n,)``; any point of an axis for the torque about it.
             on: Displacement of the body, as in :meth:`force`.
+            facets: Some facets, as there.
 
         Returns:
             Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
@@ -642,32 +657,44 @@ class Contact(Settable):
             ValueError: As :meth:`force`; bodies of revolution; a point of the wrong shape.
         """
         rows, n = self._solved_rows(problem), self._spaces[0].mesh.geometry.dim
-        side = self._side(rows, on)
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
         point = as_numbers(about, (n,), "about")
-        arms, forces = rows.places()[side] + rows.at[side] - point, rows.contact_forces()[side]
-        if n == 3:
-            return np.cross(arms, forces).sum(axis=0)
-        return (arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]).sum(axis=0)
+        places, forces, found = rows.places(), rows.contact_forces(), np.zeros(3)
+        for i, at in self._acting(rows, on, facets):
+            pairs = (places[i] + rows.at[i] - point)[at], forces[i][at]
+            arms, force = (np.pad(v, ((0, 0), (0, 3 - n))) for v in pairs)
+            found += np.cross(arms, force).sum(axis=0)
+        return found if n == 3 else found[2:]
 
-    def _side(self, rows: ContactRows, on: fem.Function | None) -> int:
-        """The side of a body, by its displacement; the second one as given."""
-        if on is None:
-            if self.geometry.itself and self._comm.rank == 0:
-                LOG.warning(
-                    "both sides of a contact are one surface: its force and moment are those on "
-                    "all facets that carry pressure, which cancel where these face each other"
-                )
-            return 0 if self._swapped else 1
-        sides = [i for i, u in enumerate(rows.fields) if u is on]
+    def _acting(
+        self, rows: ContactRows, on: fem.Function | None, facets: npt.ArrayLike | None
+    ) -> list[tuple[int, npt.NDArray[np.bool_]]]:
+        """Sides of a body, and the dofs there whose forces count. Collective."""
+        second = 0 if self._swapped else 1
+        body = rows.fields[second] if on is None else on
+        sides = [i for i, u in enumerate(rows.fields) if u is body]
         if not sides:
             raise ValueError(
                 "force takes on=u, the displacement of one of its bodies, and so does moment."
             )
-        if len(sides) == 2:
-            raise ValueError("both sides are on this body; without on= it is the second side's.")
-        return sides[0]
+        if facets is None:
+            if self.geometry.itself:
+                raise ValueError(
+                    "both sides of the contact are one surface, on which all forces cancel: give "
+                    "facets=, those on which you want the force."
+                )
+            if on is not None and len(sides) == 2:
+                raise ValueError(
+                    "both sides are on this body: give facets=, or no on= for the second side's."
+                )
+            side = second if on is None else sides[0]
+            return [(side, np.ones(len(rows.sides[side].dofs), dtype=bool))]
+        part = create_surface(self._spaces[sides[0]], facets, "the surface in facets=").dofs
+        found = [(i, np.isin(rows.sides[i].dofs, part)) for i in sides]
+        if not any(at.any() for _, at in found):
+            raise ValueError("no facet in facets= is on the contact's surface; give some that are.")
+        return found
 
     def _at_vertices(self, values: npt.NDArray[np.float64], name: str) -> fem.Function:
         """Values at Γ1's vertices as a function on its body."""

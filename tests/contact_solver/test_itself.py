@@ -70,7 +70,17 @@ def test_hairpin(degree):
     for one in found:
         assert one.contact.geometry.itself and one.contact.active.sum() == told.contact.active.sum()
         close(one.u.x.array, told.u.x.array, SAME)
-        close(one.contact.force(one.problem), told.contact.force(told.problem), 1e-9)
+        for leg, sign in zip(legs, (-1, 1), strict=True):
+            force = one.contact.force(one.problem, facets=leg)
+            close(force, sign * told.contact.force(told.problem), 1e-9)
+            about = one.contact.moment(one.problem, (0.3, 0.1), facets=leg)
+            close(about, sign * told.contact.moment(told.problem, (0.3, 0.1)), 1e-9)
+        with raises(ValueError, "one surface, on which all forces cancel: give facets="):
+            one.contact.force(one.problem)
+    with raises(ValueError, "both sides are on this body: give facets="):
+        told.contact.force(told.problem, on=told.u)
+    with raises(ValueError, "no facet in facets= is on the contact's surface"):
+        told.contact.force(told.problem, facets=outer)
 
 
 def test_ring():
@@ -88,7 +98,7 @@ def test_ring():
     assert found.contact.active.any()
     close(found.u.x.array, told.u.x.array, 0.01)
     close(
-        np.abs(found.contact.force(found.problem)), np.abs(told.contact.force(told.problem)), 0.02
+        found.contact.force(found.problem, facets=halves[1]), told.contact.force(told.problem), 0.02
     )
 
 
@@ -118,7 +128,8 @@ def test_hairpin_in_space(cell, degree, cells):
     for one in found:
         assert one.contact.geometry.itself and one.contact.active.sum() == told.contact.active.sum()
         close(one.u.x.array, told.u.x.array, SAME)
-        close(one.contact.force(one.problem), told.contact.force(told.problem), 1e-9)
+        force = one.contact.force(one.problem, facets=legs[1])
+        close(force, told.contact.force(told.problem), 1e-9)
 
 
 def two_blocks():
@@ -162,8 +173,13 @@ def test_patch_in_space():
     u = body.u.x.array.reshape(-1, 3)[: len(x)]
     side = comm.allreduce(u[:, 0].max(initial=0), MPI.MAX) / 2
     close(u, x * (side, side, -0.2), 1e-11)
+    between = meshing.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 1))
+    cells = mesh.topology.connectivity(2, 3).array[
+        mesh.topology.connectivity(2, 3).offsets[between]
+    ]
+    top = between[compute_midpoints(mesh, 3, cells)[:, 2] > 1]
     p = contact.pressures(problem)[contact.active]
-    close(p, np.full(len(p), abs(contact.force(problem)[2]) / (2 * (1 + side) ** 2)), 1e-10)
+    close(p, np.full(len(p), contact.force(problem, facets=top)[2] / (2 * (1 + side) ** 2)), 1e-10)
 
 
 def outline_of(mesh):
