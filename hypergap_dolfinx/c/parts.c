@@ -51,7 +51,7 @@ typedef struct {
   int facet, part, row;
   int num, sheets[MOST_STACKED];
   int count, edge[MOST_CUT];
-  double X[MOST_CUT][2], at[MOST_CUT][2]; // corners; where they are in the part
+  double X[MOST_CUT][2], y[MOST_CUT][2], at[MOST_CUT][2]; // corners; in the plane; in the part
   int looks; // whether it isn't known yet what points see
   int num_spots;
   Spot spots[MOST_POINTS];
@@ -251,7 +251,11 @@ static void corner_in_plane(Tape *tape, const Set *set, Plane *plane, int k, Jet
   if (fabs(det[0]) > PARALLEL * size)
     t = quotient(tape, wedge(tape, from, d), det);
   else
-    t = constant(tape, fabs(det[0]) > 0 ? smaller(larger(wedge(tape, from, d)[0] / det[0], 0), 1) : 0.5);
+  { // where it was cut: the quotient is anything
+    const double *at = set->y[k], by[2] = {c[0][0], c[1][0]};
+    double along = (at[0] - a[0][0][0]) * by[0] + (at[1] - a[0][1][0]) * by[1];
+    t = constant(tape, along / (by[0] * by[0] + by[1] * by[1] + 1e-300));
+  }
   for (int i = 0; i < 2; ++i)
     y[i] = combined(tape, 1, a[0][i], 1, product(tape, t, c[i]));
 }
@@ -883,6 +887,7 @@ static int add_sets(const Stack *stack, Set *set, int from, int count, const Poi
       return STUCK;
     set->sheets[level] = stack->sheets[k], set->num = level + 1, set->count = left;
     memcpy(set->edge, edge, left * sizeof(int));
+    memcpy(set->y, y, left * sizeof(Point));
     for (int c = 0; c < left; ++c)
       if (set->above->num_terms == 3)
         for (int i = 0; i < 2; ++i)

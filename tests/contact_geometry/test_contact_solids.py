@@ -256,6 +256,21 @@ def test_opposite_where_they_slide():
                 assert np.abs(m - m0).max() <= 3 * size and np.abs(g - g0).max() <= 3 * size
 
 
+@pytest.mark.parametrize("cell", (meshing.CellType.tetrahedron, meshing.CellType.hexahedron))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_straight_outlines_that_are_one(degree, cell):
+    """What crosses at angles of round-off: forces on nodes inside don't hang on these."""
+    found, u, rng = rough(degree, cell, low=(0, 0), gap=0, size=0)
+    x, y = np.vstack([_positions(*each) for each in zip(found, u, strict=True)])[:, :2].T
+    u[1][:, 2] = 1e-6 * x[-len(u[1]) :]
+    two, u, y, forces = found[::-1], u[::-1], np.roll(y, len(u[1])), []
+    for _ in range(4):
+        moved = tuple(part + 1e-14 * rng.standard_normal(part.shape) for part in u)
+        g, _, C = SpaceSegments.between(two, moved).gap(moved)
+        forces.append(dense(C, (len(g), 3 * len(y)))[:, np.repeat(y > 1e-9, 3)])
+    assert np.ptp(forces, axis=0).max() <= 1e-11  # the square of gaps, and round-off
+
+
 def test_curved_outlines_that_are_one():
     """But for gaps seen along normals that lean they cross anywhere: forces don't jump."""
     two, u, rng = rough(2, meshing.CellType.hexahedron, low=(0, 0), gap=0, size=0)
