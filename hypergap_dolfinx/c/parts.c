@@ -22,8 +22,6 @@
 #include "space.h"
 #include "vectors.h"
 
-#define MOST_POINTS 15   // of the rule, and monomials up to its degree
-#define MOST_DEGREE 4
 #define MOST_SIDES 4     // of a facet
 #define PARALLEL 1e-9    // sine of the angle between edges whose crossing stays where it is on one
 // 1e-9 to 1e-6: 32 structured blocks take 104 Newton steps; −1: three of test_blocks_edge_on_edge fail
@@ -54,10 +52,10 @@ typedef struct {
   double X[MOST_CUT][2], y[MOST_CUT][2], at[MOST_CUT][2]; // corners; in the plane; in the part
   int looks; // whether it isn't known yet what points see
   int num_spots;
-  Spot spots[MOST_POINTS];
+  Spot *spots; // (num_points)
   const double *origin;
   int num_dofs, *dofs; // that it depends on, and numbers of facets' among them
-  int *own, *of_sheet[MOST_STACKED], *of_foot[MOST_POINTS];
+  int *own, *of_sheet[MOST_STACKED], *of_foot; // of a facet beside each spot
 } Set;
 
 // Points of a set as jets.
@@ -338,14 +336,15 @@ typedef struct {
 static void weights_of(Tape *tape, const Parts *parts, int n, Jet (*X)[2], Jet *twice,
                        const Spread *by, Jet *weights)
 {
-  Jet moments[MOST_POINTS];
+  int degree = parts->powers[2 * parts->num_terms - 2];
+  Jet moments[parts->num_terms];
   for (int m = 0; m < parts->num_terms; ++m)
     moments[m] = constant(tape, 0);
   for (int t = 1; t + 1 < n; ++t)
     for (int k = 0; twice[t][0] != 0 && k < parts->num_inner; ++k)
     {
       const double *in = parts->inner + 3 * k;
-      Jet y[2], powers[2][MOST_DEGREE + 1];
+      Jet y[2], powers[2][degree + 1];
       for (int i = 0; i < 2; ++i)
       {
         y[i] = combined(tape, in[0], X[t][i], in[1], X[t + 1][i]);
@@ -355,7 +354,7 @@ static void weights_of(Tape *tape, const Parts *parts, int n, Jet (*X)[2], Jet *
       y[1] = quotient(tape, combined(tape, 1, y[1], -1, product(tape, by->d, y[0])), by->e);
       powers[0][0] = scaled(tape, in[2], twice[t]), powers[1][0] = constant(tape, 1);
       for (int i = 0; i < 2; ++i)
-        for (int d = 0; d < parts->powers[2 * parts->num_terms - 2]; ++d)
+        for (int d = 0; d < degree; ++d)
           powers[i][d + 1] = product(tape, powers[i][d], y[i]);
       for (int m = 0; m < parts->num_terms; ++m)
       {
@@ -503,7 +502,7 @@ static Jet depth_of(Tape *tape, const Set *set, const Spot *spot, const Vec *x1)
     return constant(tape, depth_by(*foot));
   int facet = foot->triangle / parts->triangles_a_facet;
   const double *at = parts->triangle_at + 6 * (foot->triangle % parts->triangles_a_facet);
-  const int *numbers = set->of_foot[spot - set->spots];
+  const int *numbers = set->of_foot + set->below->num_dofs * (spot - set->spots);
   Vec corners[3], e[2], d;
   int whole = foot->corners[0] < 0;
   for (int k = 0; k < 3; ++k)
@@ -741,7 +740,7 @@ static double part_area(const Facets *facets)
 static int add_set(Set *set, Tape *tape, const Work *work)
 {
   int num = set->of->num_points;
-  Jet points[MOST_POINTS][2], weights[MOST_POINTS];
+  Jet points[num][2], weights[num];
   if (!start_tape(tape, 0, 0))
     return 0;
   Plane plane = plane_of(tape, set);
@@ -765,7 +764,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
   for (int k = 0; k < set->num_spots; ++k)
     if (set->spots[k].fades)
       number_facet(set, 0, set->spots[k].foot.triangle / set->of->triangles_a_facet,
-                   set->of_foot[k]);
+                   set->of_foot + set->below->num_dofs * k);
   if (!start_tape(tape, 3 * set->num_dofs, work->order))
     return 0;
   plane = plane_of(tape, set);
@@ -916,16 +915,18 @@ static int for_sets(const Parts *parts, const Work *work)
   for (int k = 0; k < parts->num; ++k)
     most = parts->first[k + 1] - parts->first[k] > most ? parts->first[k + 1] - parts->first[k] : most;
   Point *seen = malloc((most + 1) * MOST_SIDES * sizeof(Point));
-  int groups = MOST_STACKED + MOST_POINTS;
+  int groups = MOST_STACKED + parts->num_points;
   int *numbers = malloc(2 * (n1 + groups * n0) * sizeof(int));
+  Spot *spots = malloc(parts->num_points * sizeof(Spot));
   Body body = {parts->num_triangles, parts->triangles, parts->order, parts->triangles_a_facet,
                parts->own, NULL};
   Tape tape = {0};
-  status = open_body(&body) && seen && numbers ? DONE : NO_MEMORY;
+  status = open_body(&body) && seen && numbers && spots ? DONE : NO_MEMORY;
   Set set = {.of = parts, .below = below, .above = above, .body = &body};
-  set.dofs = numbers, set.own = numbers + n1 + groups * n0;
-  for (int k = 0; k < groups; ++k)
-    *(k < MOST_STACKED ? set.of_sheet + k : set.of_foot + k - MOST_STACKED) = set.own + n1 + k * n0;
+  set.spots = spots, set.dofs = numbers, set.own = numbers + n1 + groups * n0;
+  for (int k = 0; k < MOST_STACKED; ++k)
+    set.of_sheet[k] = set.own + n1 + k * n0;
+  set.of_foot = set.own + n1 + MOST_STACKED * n0;
   for (int k = 0; status == DONE && k < parts->num; ++k)
   {
     int f = parts->facets[k], edge[PART];
@@ -962,7 +963,7 @@ static int for_sets(const Parts *parts, const Work *work)
       status = add_sets(&stack, &set, 0, start_part(edge), stack.own, edge);
     }
   }
-  free(seen), free(numbers), free(body.balls), close_tape(&tape);
+  free(seen), free(numbers), free(spots), free(body.balls), close_tape(&tape);
   return status;
 }
 

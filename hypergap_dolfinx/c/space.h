@@ -68,7 +68,7 @@ typedef struct {
   const int *first;             // of each one's sheets, (num + 1)
   const int *sheets;            // facets of Γ0
   const int *outline;           // 1 for edges of Γ0's facets beyond which there is none
-  int num_points;               // of the rule on polygons: 1, 3 or 15
+  int num_points;               // of the rule on polygons
   const double *points;         // these and what makes weights as for polygon_rule
   int num_terms;
   const int *powers;

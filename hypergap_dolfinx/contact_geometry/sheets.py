@@ -167,7 +167,7 @@ class Faded:
         pairs = np.unique(f1 * len(below.facets) + f0)
         self.facets, first = np.unique(pairs // len(below.facets), return_index=True)
         corners = reference_corners(below.geometry.cell_type)
-        degree = min(degree_of(frames.surfaces), 4)  # MOST_DEGREE of parts.c
+        degree = degree_of(frames.surfaces)
         points, powers, inverse = standard_points(degree)
         inner = inner_points(degree)
         self.num = parts.shape[0] * len(above.facets)

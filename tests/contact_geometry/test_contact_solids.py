@@ -271,6 +271,22 @@ def test_straight_outlines_that_are_one(degree, cell):
     assert np.ptp(forces, axis=0).max() <= 1e-11  # the square of gaps, and round-off
 
 
+@pytest.mark.parametrize("degree", (3, 4))
+def test_rule_where_facets_come_to_be_covered(degree):
+    """The same before and after: forces change as little as gaps."""
+    cell = meshing.CellType.hexahedron
+    two, u, _ = rough(degree, cell, low=(0, 0.31), size=0, gap=1e-6)
+    num, found = 3 * sum(map(len, u)), []
+    for side, part in zip(two, u, strict=True):
+        x, y, _ = _positions(side, 0 * part).T
+        part[:, 2] += 0.1 * x**2 - 0.2 * x * y
+    for move in (-2e-6, 2e-6):
+        moved = u[0], u[1] + (move, 0, 0)
+        g, _, C = SpaceSegments.between(two, moved).gap(moved)
+        found.append(dense(C, (len(g), num)))
+    close(*found, 1e-4)  # .1 and 1 % with degree 4 where they are covered in part
+
+
 def test_curved_outlines_that_are_one():
     """But for gaps seen along normals that lean they cross anywhere: forces don't jump."""
     two, u, rng = rough(2, meshing.CellType.hexahedron, low=(0, 0), gap=0, size=0)
