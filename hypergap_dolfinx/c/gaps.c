@@ -192,7 +192,7 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
     return inside;
   for (int i = 0; i < 2 && point->sign > 2; ++i)
     d[i] = combined(tape, 1, d[i], -1, c[i]);
-  return combined(tape, 2, inside, -1, power(tape, dotted(tape, d, d), 0.5));
+  return combined(tape, 5, inside, -4, power(tape, dotted(tape, d, d), 0.5));
 }
 
 // Cosine between a chord's normal and the one against an edge's, at a point.

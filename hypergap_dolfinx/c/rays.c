@@ -386,9 +386,9 @@ static double find_foot(const Cast *cast, const double *x, Point *point)
       else if (inside <= 0)
         point->sign = -1, depth = -far;
       else
-      { // beyond an end of Γ0 it falls from what it is at the end
+      { // beyond an end of Γ0 it falls from what it is at the end: to 0 at .75 of that beside it
         point->nodes[0] = order[k], point->nodes[1] = order[k + 1];
-        point->sign = at == k ? 2 : 3, depth = 2 * inside - far;
+        point->sign = at == k ? 2 : 3, depth = 5 * inside - 4 * far;
       }
     }
   return depth;

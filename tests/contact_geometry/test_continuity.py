@@ -398,6 +398,16 @@ def test_derivatives_in_space(cell, monkeypatch):
     assert len(smooth) >= 4 and np.max(smooth) <= bound, smooth
 
 
+def test_beside_the_end_of_a_surface():
+    """What lies beside a body, beyond an end of the facets that are given, isn't in it."""
+    tip = (-0.3, -1.2), (1.35, -1.2), (0.75, 0.1)
+    outlines = box(1, 0.4), polygon(*tip)
+    assert apart(*outlines) > 0
+    sides = side(outlines[0], 1, "Γ0", lambda x: x[:, 1] < -0.19), side(outlines[1], 1, "Γ1")
+    gaps, _ = evaluated(sides, tuple(0 * x for x in outlines))
+    assert (gaps >= 0).all(), gaps.min()
+
+
 def stair():
     """A stair as Γ0, with a step of two edges, and a block above it with longer ones, as Γ1."""
     corners = (-1.5, -0.6), (1.5, -0.6), (1.5, 0), (0, 0), (0, 0.2), (-1.5, 0.2)
