@@ -51,9 +51,12 @@ SAG_CURVED = 1e-5
 Measured: circle of 500: 1.6e-3; files 1e-8."""
 
 ACROSS = 0.01
-"""Mean distance of two surfaces, over their longest facet, that is told beside chords' sag.
+"""Mean distance of two surfaces, over their longest facet, that is told: beside chords' sag, and
+all of it where facets are straight and spaces of degree 2 or more.
 Measured: two squares of 4 cells, a side load on top: .8 of a facet apart the support has .71 of the
-moment, .01 of a facet apart .996."""
+moment, .01 of a facet apart .996. Two rings, straight facets, degree 2, a radial field: .051, .026,
+.013, .009 of a facet apart the gradient is off by 6.0, 1.9, .66, .36 %, with the right jump by 4.0,
+1.3, .44, .24 %; with degree 1, off by 22 to 3.6 %, it changes nothing."""
 
 UNEVEN = 5.5
 """Ratio by which facets of Γ1 may be narrower, per degree, without a warning.
