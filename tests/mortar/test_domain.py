@@ -244,8 +244,10 @@ def test_distance(gap, k, caplog):
 @pytest.mark.parametrize("shape", ((), (2,)))
 @pytest.mark.parametrize(
     ("n", "k", "g", "share"),
-    [((7, 5), 1, 1, ""), ((60, 40), 1, 1, ""), ((60, 40), 2, 1, ""), ((7, 5), 2, 2, "")]
-    + [((7, 5), 2, 1, "2.2%"), ((3, 2), 3, 1, "5.1%")],
+    (
+        *[((7, 5), 1, 1, ""), ((60, 40), 1, 1, ""), ((60, 40), 2, 1, ""), ((7, 5), 2, 2, "")],
+        *[((7, 5), 2, 1, "2.2%"), ((3, 2), 3, 1, "5.1%")],
+    ),
 )
 def test_chords_of_an_arc_are_not_apart(n, k, g, share, shape, caplog):
     """Two polygons around one circle: told where they limit spaces of a higher degree."""
