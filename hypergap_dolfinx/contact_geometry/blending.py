@@ -8,12 +8,12 @@ the entries of the vertex's row: a small force would then need a large pressure.
 
 .. math:: \hat g_a = g_a + \theta (1 - c_a)^2 S_a, \qquad S_a = \sum_b c_b g_b,
 
-with the vertices b beside a. The smaller c_a, the more the row repeats those of its neighbours. Its
-multiplier may then replace a neighbour's, but can't press where no neighbour does. As c goes to 0,
-forces become those without the row, so equilibria are continuous functions of the load. Where c is
-below :data:`SLIVER`, or below :data:`HARD` and no vertex beside it has a larger covered share, the
-row is left out, and neighbours take its pressure. With the matrix L of these sums, ĝ = L g, and
-multipliers p have the pressures Lᵀp. The same holds for slips.
+with the other vertices b of a's facets. The smaller c_a, the more the row repeats those of its
+neighbours. Its multiplier may then replace a neighbour's, but can't press where no neighbour does.
+As c goes to 0, forces become those without the row, so equilibria are continuous functions of the
+load. Where c is below :data:`SLIVER`, or below :data:`HARD` and no vertex beside it has a larger
+covered share, the row is left out, and neighbours take its pressure. With the matrix L of these
+sums, ĝ = L g, and multipliers p have the pressures Lᵀp. The same holds for slips.
 """
 
 from dataclasses import dataclass

@@ -5,6 +5,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import permutations
 from typing import Any, Self
 
 import numpy as np
@@ -71,12 +72,16 @@ class Segments(ABC):
 
     @cached_property
     def beside(self) -> npt.NDArray[np.int64]:
-        """Vertices of Γ1 and others, whose rows theirs share, along facets, ``(2, num_pairs)``."""
+        """Vertices of Γ1 and others of their facets, whose rows theirs share, ``(2, num_pairs)``.
+
+        Those across a quadrilateral count: a corner of Γ0 that comes from there covers as little of
+        the vertices along the edges as of the vertex itself.
+        """
         if self.gives:
             return np.empty((2, 0), dtype=np.int64)
-        ring = self.sides[1].reference.polygons
-        pairs = np.stack((ring, np.roll(ring, -1, axis=1)), axis=-1).reshape(-1, 2)
-        pairs = np.unique(np.concatenate((pairs, pairs[:, ::-1])), axis=0)
+        facets = self.sides[1].reference.facets
+        both = list(permutations(range(facets.shape[1]), 2))
+        pairs = np.unique(facets[:, both].reshape(-1, 2), axis=0)
         return np.ascontiguousarray(pairs.T, dtype=np.int64)
 
     @classmethod

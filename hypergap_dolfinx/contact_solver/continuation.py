@@ -52,7 +52,7 @@ class Continuation:
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         (product, square), before = sums, self._square
         turned = product < OSCILLATES * before
-        in_line = abs(product) > IN_LINE * np.sqrt(square * before)
+        in_line = before > 0 and abs(product) > IN_LINE * np.sqrt(square * before)
         self._num_in_line = self._num_in_line + 1 if in_line else 0
         moves_on = square > self._least**2
         share = 1.0

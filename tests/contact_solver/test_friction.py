@@ -292,10 +292,12 @@ def test_steps_backwards():
 @pytest.mark.parametrize("slope", (0.05, 1.99, 2.0))
 def test_steps_in_line(slope):
     """Steps with a tangent that is twenty times too stiff, or too soft by half: none is in vain."""
-    x, continuation = np.array([1.0, 0.5]), Continuation(MPI.COMM_SELF, 1e-12)
+    x, continuation, shares = np.array([1.0, 0.5]), Continuation(MPI.COMM_SELF, 1e-12), []
     for _ in range(10):
-        x = x - continuation.share([slope * x], 1.0) * slope * x
+        shares.append(continuation.share([slope * x], 1.0))
+        x = x - shares[-1] * slope * x
     assert np.linalg.norm(x) <= 1e-9
+    assert shares[:4] == [1.0] * 4 and shares[4] != 1  # the first one is in line with none
 
 
 def test_slides_off():
