@@ -35,7 +35,7 @@ from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface, check_sides, create_surface, thinness
-from hypergap_dolfinx.tolerances import ALIKE, THIN_LAYER
+from hypergap_dolfinx.tolerances import ALIKE, FEW_FACETS, THIN_LAYER
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -256,9 +256,11 @@ class Tie(Settable, collective.Owner):
         """A tie that chooses its sides. Collective.
 
         Γ1 becomes the coarser side; if node distances differ by less than a tenth, the softer one.
-        A thin layer, with cells a hundred times as long as thick, is always Γ1: as a finer Γ0 it
-        would be tied at the nodes of the other side only, and lose digits. The first problem with
-        the tie may exchange the sides: if it prescribes whole facets of Γ1 where Γ0 can move; and
+        In the plane a coarser side of degree 1 with only two facets becomes Γ0 (λ would be
+        constant if it has no multipliers at its ends), unless the finer side is stiffer. A thin
+        layer, with cells a hundred times as long as thick, is always Γ1: as a finer Γ0 it would be
+        tied at the nodes of the other side only, and lose digits. The first problem with the tie
+        may exchange the sides: if it prescribes whole facets of Γ1 where Γ0 can move; and
         where several bodies meet on a smooth face, so that it is Γ1 of all its ties or Γ0 of all.
         :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome. λ acts on the body of
         Γ0, that of ``tie.spaces[0]``.
@@ -274,11 +276,13 @@ class Tie(Settable, collective.Owner):
             The tie.
         """
         check_sides("tie", a, b)
-        size, thin = [], []
+        size, thin, num = [], [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
             surface = create_surface(Component.of(side[0]).space, side[1], name)
             size.append(float(np.median(surface.size)) / surface.element.degree)
             thin.append(thinness(*side) < THIN_LAYER)
+            plain = surface.gdim == 2 and surface.element.degree == 1
+            num.append(len(surface.facets) if plain else np.inf)
         ratio = size[0] / size[1]
         if thin[0] != thin[1]:
             swapped, why, preference = thin[0], "thin", np.inf
@@ -288,6 +292,10 @@ class Tie(Settable, collective.Owner):
             why = "softer" if preference > 0 else "second"
         else:
             swapped, why, preference = ratio > 1, "coarser", abs(np.log(ratio))
+            one, other = (0, 1) if swapped else (1, 0)
+            softer = stiffness is None or stiffness[other] <= stiffness[one]
+            if softer and num[one] <= min(FEW_FACETS, num[other] - 1):
+                swapped, why = not swapped, "finer"
 
         def create(swapped: bool, reason: str) -> "Tie":
             given = dict(options)

@@ -8,6 +8,12 @@ ALIKE = 1.1
 """Ratio of node distances up to which stiffness chooses Γ1.
 Measured: 1.01 and 2 change nothing in 135 tests of test_sides, test_domain and test_bad_input."""
 
+FEW_FACETS = 2
+"""Facets of a coarser side of degree 1, in the plane, up to which the finer one is Γ1.
+Measured: 51 random scenes of the plane, degree 1, that have such sides: largest H¹ error over the
+interpolant's 1.50 with 0, 1.18 with 2; geometric mean 1.035, 1.023; λ's errors 2 % larger. With
+degree 2, and in space, it is no better."""
+
 THIN_LAYER = 0.01
 """Thickness over length of cells of a layer that is Γ1 though finer.
 Measured: 0.001 and 0.1 change nothing in 74 tests of test_sides and test_domain."""

@@ -24,12 +24,16 @@ from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
 from meshes import BOTTOM, END, INNER, LEFT, OUTER, RIGHT, START, TOP
 
 
-@pytest.mark.ranks(2, cells=[(2, 5)])
+@pytest.mark.ranks(2, cells=[(3, 7)])
 @pytest.mark.parametrize(
     "cells, degrees, stiffness, swapped, why",
     (
-        ((2, 5), (1, 1), None, True, "coarser"),
-        ((5, 2), (1, 1), (1, 100), False, "coarser"),
+        ((3, 7), (1, 1), None, True, "coarser"),
+        ((7, 3), (1, 1), (1, 100), False, "coarser"),
+        ((2, 5), (1, 1), None, False, "finer"),
+        ((5, 2), (1, 1), (1, 1), True, "finer"),
+        ((2, 5), (1, 1), (1, 2), True, "coarser"),
+        ((2, 5), (2, 2), None, True, "coarser"),
         ((3, 3), (1, 2), None, True, "coarser"),
         ((3, 3), (1, 1), (1, 100), True, "softer"),
         ((3, 3), (1, 1), (100, 1), False, "softer"),
@@ -166,9 +170,9 @@ def test_ties_on_one_surface(given, below):
     Else the node at the T-joint has no multiplier on either Γ1, and λ's error is 0.083.
     """
     bodies = [
-        rectangle((6, 3), (0, 0), (1, 1)),
-        rectangle((6, 4), (0, 1), (0.63, 2)),
-        rectangle((2, 4), (0.63, 1), (1, 2)),
+        rectangle((8, 3), (0, 0), (1, 1)),
+        rectangle((6, 4), (0, 1), (0.5, 2)),
+        rectangle((3, 4), (0.5, 1), (1, 2)),
     ]
     tied = [((0, TOP), (1, BOTTOM)), ((0, TOP), (2, BOTTOM)), ((1, RIGHT), (2, LEFT))]
     ties = []
