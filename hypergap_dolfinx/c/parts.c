@@ -341,7 +341,7 @@ static void weights_of(Tape *tape, const Parts *parts, int n, Jet (*X)[2], Jet *
   for (int m = 0; m < parts->num_terms; ++m)
     moments[m] = constant(tape, 0);
   for (int t = 1; t + 1 < n; ++t)
-    for (int k = 0; twice[t][0] != 0 && k < parts->num_inner; ++k)
+    for (int k = 0; k < parts->num_inner; ++k)
     {
       const double *in = parts->inner + 3 * k;
       Jet y[2], powers[2][degree + 1];
