@@ -301,7 +301,7 @@ def test_rubber():
     close(scene.w.x.array, before, 1e-15)
     again = Pressed()
     again.problem.restore(state)
-    close(again.go(0.31), scene.go(0.31), 1e-10)
+    close(again.go(0.31), scene.go(0.31), 1e-12)
 
 
 @two_ranks()
