@@ -10,10 +10,14 @@ body's own rigid motions. Joined block by block, :math:`P`, they coarsen the mat
 
 Aggregates that reach across an interface would have one set of rigid motions for both sides, so
 that on coarse levels bodies could not slide. Prolongators know nothing of B: they serve all sets of
-constraints, and :math:`P^T K P` is computed only if K changes.
+constraints, and :math:`P^T K P` is computed only if K changes. At first it is that of GAMG itself.
+
+Smoothing reads the levels' matrices many times, and memory takes the time. So real ones are stored
+by their upper halves, in blocks, and springs are applied as :math:`B^T W (B x)` beside them.
 """
 
 from collections.abc import Sequence
+from math import gcd
 
 from petsc4py import PETSc
 
@@ -47,25 +51,77 @@ def _joined(blocks: Sequence[PETSc.Mat]) -> PETSc.Mat:
     return found
 
 
-def _prolongators(K: PETSc.Mat, modes: npt.NDArray[np.float64] | None, prefix: str):
-    """Prolongators of a body alone, from the finest level on. Collective."""
-    vectors = [K.createVecRight() for _ in (() if modes is None else modes.T)]
-    for vector, mode in zip(vectors, () if modes is None else modes.T, strict=True):
-        vector.array[:] = mode
-    if vectors:
-        near = PETSc.NullSpace().create(vectors=vectors, comm=K.comm)
-        K.setNearNullSpace(near)
-        near.destroy()
-    pc = PETSc.PC().create(K.comm)
-    pc.setOptionsPrefix(prefix)
-    pc.setOperators(K)
-    pc.setFromOptions()
-    pc.setUp()
-    num = pc.getMGLevels()
-    found = [pc.getMGInterpolation(level) for level in range(num - 1, 0, -1)]
-    for obj in (pc, *vectors):
-        obj.destroy()
-    return found
+class _Body:
+    """Prolongators of a body alone and its Galerkin products, from the finest level on."""
+
+    def __init__(self, K: PETSc.Mat, modes: npt.NDArray[np.float64] | None, prefix: str):
+        """Make the aggregates. Collective."""
+        vectors = [K.createVecRight() for _ in (() if modes is None else modes.T)]
+        for vector, mode in zip(vectors, () if modes is None else modes.T, strict=True):
+            vector.array[:] = mode
+        if vectors:
+            near = PETSc.NullSpace().create(vectors=vectors, comm=K.comm)
+            K.setNearNullSpace(near)
+            near.destroy()
+        pc = PETSc.PC().create(K.comm)
+        pc.setOptionsPrefix(prefix)
+        pc.setOperators(K)
+        pc.setFromOptions()
+        pc.setUp()
+        levels = range(pc.getMGLevels() - 1, 0, -1)
+        self.P = [pc.getMGInterpolation(level) for level in levels]
+        self.products = [pc.getMGSmoother(level - 1).getOperators()[1] for level in levels]
+        for obj in (pc, *vectors):
+            obj.destroy()
+        self._coarsest = self.products[-1] if self.products else K
+
+    def lengthen(self, num: int):
+        """Repeat the coarsest level until there are so many prolongators. Collective."""
+        K = self._coarsest
+        while len(self.P) < num:
+            one = PETSc.Mat().createConstantDiagonal(K.getSizes()[1], 1.0, K.comm)
+            self.P.append(one.convert("aij"))
+            self.products.append(K.copy())
+
+
+class _Sprung:
+    """K + BᵀWB of one level as the context of a Python matrix."""
+
+    def __init__(self, K: PETSc.Mat, springs: PETSc.Mat):
+        """Take the matrices, of which the springs √W B become its own."""
+        self._K, self._springs, self._c = K, springs, springs.createVecLeft()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
+        """Apply it. Collective."""
+        self._K.mult(x, y)
+        self._springs.mult(x, self._c)
+        self._springs.multTransposeAdd(self._c, y, y)
+
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):  # noqa: N802
+        """The diagonal. Collective."""
+        squares, one = self._springs.copy(), self._c.duplicate()
+        rows, columns, values = squares.getValuesCSR()
+        squares.setValuesCSR(rows, columns, values**2)
+        squares.assemble()
+        one.set(1.0)
+        self._K.getDiagonal(diagonal)
+        squares.multTransposeAdd(one, diagonal, diagonal)
+        for obj in (squares, one):
+            obj.destroy()
+
+    def assembled(self) -> PETSc.Mat:
+        """K + BᵀWB by its entries, of an AIJ matrix K. Collective."""
+        transposed = self._springs.copy().transpose()
+        coupling, found = transposed.matMult(self._springs), self._K.copy()
+        found.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        for obj in (transposed, coupling):
+            obj.destroy()
+        return found
+
+    def destroy(self, matrix: PETSc.Mat | None = None):
+        """Destroy the springs. Collective."""
+        for obj in (self._springs, self._c):
+            obj.destroy()
 
 
 class Hierarchy:
@@ -91,72 +147,111 @@ class Hierarchy:
             modes: This rank's rows of its rigid motions, or None for constants.
             prefix: Prefix of the options of each body's PC.
         """
-        found = [_prolongators(*of, prefix) for of in zip(K, modes, strict=True)]
-        for body, (of_body, matrix) in enumerate(zip(found, K, strict=True)):
-            coarsest = of_body[-1].getSizes()[1] if of_body else matrix.getSizes()[0]
-            while len(of_body) < max(map(len, found)):  # its coarsest level is that of all others
-                one = PETSc.Mat().createConstantDiagonal((coarsest, coarsest), 1.0, K[0].comm)
-                found[body].append(one.convert("aij"))
-        self._P = [_joined(blocks) for blocks in zip(*found, strict=True)]
-        for matrix in (P for of_body in found for P in of_body):
+        bodies = [_Body(*of, prefix) for of in zip(K, modes, strict=True)]
+        for body in bodies:
+            body.lengthen(max(len(of.P) for of in bodies))
+        levels = list(zip(*(of.products for of in bodies), strict=True))
+        self._P = [_joined(blocks) for blocks in zip(*(of.P for of in bodies), strict=True)]
+        self._products = [_joined(blocks) for blocks in levels]
+        self._block_sizes = [gcd(*(k.getBlockSize() for k in of)) for of in (K, *levels)]
+        for matrix in (matrix for of in bodies for matrix in (*of.P, *of.products)):
             matrix.destroy()
-        self._products: list[PETSc.Mat] = []
+        self._num_updates = 0
+        self._stiffness: list[PETSc.Mat] = []
         self._levels: list[PETSc.Mat] = []
 
-    def set_stiffness(self, K: PETSc.Mat):
-        """Compute PᵀKP on all levels, of all bodies' stiffness as one AIJ matrix. Collective."""
-        before, self._products = self._products, []
-        for level, P in enumerate(self._P):
-            fine = self._products[-1] if level else K
-            self._products.append(fine.ptap(P, before[level]) if before else fine.ptap(P))
+    def set_stiffness(self, K: PETSc.Mat, ksp: PETSc.KSP):
+        """Compute PᵀKP on all levels; the first stiffness is that of the aggregates. Collective.
 
-    def attach(self, ksp: PETSc.KSP, operator: PETSc.Mat, K: PETSc.Mat, springs: PETSc.Mat | None):
+        Args:
+            K: All bodies' stiffness as one AIJ matrix, which becomes the hierarchy's.
+            ksp: The KSP that will have the levels.
+        """
+        if self._num_updates:
+            before, self._products = self._products, []
+            for level, P in enumerate(self._P):
+                fine, last = self._products[-1] if level else K, before[level]
+                self._products.append(fine.ptap(P, last if self._num_updates > 1 else None))
+                if self._num_updates == 1:
+                    last.destroy()  # a product of GAMG's
+        self._num_updates += 1
+        self._scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by size, without a unit
+        self._is_assembled = _needs_entries(ksp)
+        for matrix in self._stiffness:
+            matrix.destroy()
+        self._stiffness = [K, *(matrix.copy() for matrix in self._products)]
+        for matrix in self._stiffness:
+            matrix.scale(self._scale)
+        if not self._is_assembled:
+            fine = zip(self._stiffness[:-1], self._block_sizes)
+            self._stiffness[:-1] = [_half(*of) for of in fine]
+
+    def attach(self, ksp: PETSc.KSP, operator: PETSc.Mat, springs: PETSc.Mat | None):
         """Set a KSP's operators, and those of its multigrid's levels. Collective.
 
         Args:
             ksp: The KSP; if its PC isn't ``mg`` it gets the finest level alone.
             operator: What it iterates on.
-            K: The stiffness as AIJ, which becomes the finest level.
             springs: √W B, or None.
         """
         for matrix in self._levels:
             matrix.destroy()
-        self._levels = [K, *(matrix.copy() for matrix in self._products)]
-        if springs is not None:
-            self._add_springs(springs)
-        scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by their size, without a unit
-        for matrix in self._levels:
-            matrix.scale(scale)
-        ksp.setOperators(operator, K)
+        self._levels = self._sprung(springs) if springs is not None else []
+        levels = self._levels or self._stiffness
+        ksp.setOperators(operator, levels[0])
         pc = ksp.getPC()
         if pc.getType() != PETSc.PC.Type.MG:
             return
-        num = len(self._levels)
+        num = len(levels)
         pc.setType(PETSc.PC.Type.NONE)  # PETSc's residuals would be those of the first matrices
         pc.setType(PETSc.PC.Type.MG)
         pc.setMGLevels(num)
         pc.setFromOptions()
         for level, P in enumerate(self._P):
             pc.setMGInterpolation(num - 1 - level, P)
-        for level, matrix in enumerate(self._levels[1:], 1):
+        for level, matrix in enumerate(levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
 
-    def _add_springs(self, springs: PETSc.Mat):
-        """Add (√W B P)ᵀ √W B P to each level."""
-        coarsened = springs.copy()
-        for level, matrix in enumerate(self._levels):
+    def _sprung(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
+        """Each level with (√W B P)ᵀ √W B P. Collective."""
+        found, coarsened = [], springs.copy()
+        coarsened.scale(self._scale**0.5)
+        for level, K in enumerate(self._stiffness):
             if level:
-                finer, coarsened = coarsened, coarsened.matMult(self._P[level - 1])
-                finer.destroy()
-            transposed = coarsened.copy().transpose()
-            coupling = transposed.matMult(coarsened)
-            matrix.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            for obj in (transposed, coupling):
-                obj.destroy()
-        coarsened.destroy()
+                coarsened = coarsened.matMult(self._P[level - 1])
+            context = _Sprung(K, coarsened)
+            if self._is_assembled or level == len(self._P):
+                found.append(context.assembled())
+                context.destroy()
+            else:
+                matrix = PETSc.Mat().createPython(K.getSizes(), context, comm=K.comm)
+                matrix.setUp()
+                found.append(matrix)
+        return found
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
-        for matrix in (*self._P, *self._products, *self._levels):
+        for matrix in (*self._P, *self._products, *self._stiffness, *self._levels):
             matrix.destroy()
-        self._P, self._products, self._levels = [], [], []
+        self._P, self._products, self._stiffness, self._levels = [], [], [], []
+
+
+def _needs_entries(ksp: PETSc.KSP) -> bool:
+    """True if a KSP's preconditioner reads the entries of its matrices."""
+    pc = ksp.getPC()
+    if pc.getType() != PETSc.PC.Type.MG:
+        return True
+    given = PETSc.Options(pc.getOptionsPrefix()).getAll().items()
+    smoothers = {v for k, v in given if k.startswith("mg_levels") and k.endswith("_pc_type")}
+    return not smoothers <= {"jacobi", "none"}
+
+
+def _half(K: PETSc.Mat, block_size: int) -> PETSc.Mat:
+    """The upper half of a symmetric matrix in blocks, in its place; of complex ones the whole."""
+    if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        return K
+    K.setBlockSize(block_size)
+    K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    half = K.convert("sbaij", PETSc.Mat())
+    K.destroy()
+    return half

@@ -129,26 +129,25 @@ class Projection:
             if constraints is not None:
                 self._constrain(constraints).destroy()
             return
-        state = [K.stateGet() for K in self._bodies]
-        A = self.K.convert("aij", PETSc.Mat())  # a copy in one matrix
-        for K, before in zip(self._bodies, state, strict=True):
-            K.stateSet(before)  # PETSc counts reading as a change
-        A.getDiagonal(self.diagonal)
-        self._make_levels(A)
+        self._make_levels(ksp)
         springs = self._constrain(constraints) if constraints is not None else None
         assert self._hierarchy is not None
-        self._hierarchy.attach(ksp, self.matrix, A, springs)
+        self._hierarchy.attach(ksp, self.matrix, springs)
         if springs is not None:
             springs.destroy()
 
-    def _make_levels(self, A: PETSc.Mat):
-        """Make aggregates if there are none; coarsen A if K changed."""
+    def _make_levels(self, ksp: PETSc.KSP):
+        """Make aggregates if there are none; coarsen K if it changed."""
         if self._hierarchy is None:
             self._hierarchy = Hierarchy(self._bodies, self._modes(), f"{self._prefix}aggregates_")
             self._state = []
         state = [K.stateGet() for K in self._bodies]
         if state != self._state:
-            self._hierarchy.set_stiffness(A)
+            A = self.K.convert("aij", PETSc.Mat())  # a copy in one matrix
+            for K, before in zip(self._bodies, state, strict=True):
+                K.stateSet(before)  # PETSc counts reading as a change
+            A.getDiagonal(self.diagonal)
+            self._hierarchy.set_stiffness(A, ksp)
             self._state = state
 
     def forget_aggregates(self):
