@@ -79,7 +79,7 @@ class _Body:
         """Repeat the coarsest level until there are so many prolongators. Collective."""
         K = self._coarsest
         while len(self.P) < num:
-            one = PETSc.Mat().createConstantDiagonal(K.getSizes()[1], 1.0, K.comm)
+            one = PETSc.Mat().createConstantDiagonal(K.getSizes(), 1.0, K.comm)
             self.P.append(one.convert("aij"))
             self.products.append(K.copy())
 
@@ -97,7 +97,7 @@ class _Sprung:
         self._springs.mult(x, self._c)
         self._springs.multTransposeAdd(self._c, y, y)
 
-    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):  # noqa: N802
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):
         """The diagonal. Collective."""
         squares, one = self._springs.copy(), self._c.duplicate()
         rows, columns, values = squares.getValuesCSR()
@@ -109,16 +109,7 @@ class _Sprung:
         for obj in (squares, one):
             obj.destroy()
 
-    def assembled(self) -> PETSc.Mat:
-        """K + BᵀWB by its entries, of an AIJ matrix K. Collective."""
-        transposed = self._springs.copy().transpose()
-        coupling, found = transposed.matMult(self._springs), self._K.copy()
-        found.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        for obj in (transposed, coupling):
-            obj.destroy()
-        return found
-
-    def destroy(self, matrix: PETSc.Mat | None = None):
+    def destroy(self, matrix: PETSc.Mat):
         """Destroy the springs. Collective."""
         for obj in (self._springs, self._c):
             obj.destroy()
@@ -214,19 +205,21 @@ class Hierarchy:
 
     def _sprung(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
         """Each level with (√W B P)ᵀ √W B P. Collective."""
-        found, coarsened = [], springs.copy()
+        found, coarsened, done = [], springs.copy(), []
         coarsened.scale(self._scale**0.5)
         for level, K in enumerate(self._stiffness):
             if level:
                 coarsened = coarsened.matMult(self._P[level - 1])
-            context = _Sprung(K, coarsened)
             if self._is_assembled or level == len(self._P):
-                found.append(context.assembled())
-                context.destroy()
+                found.append(_assembled(K, coarsened))
+                done.append(coarsened)
             else:
+                context = _Sprung(K, coarsened)
                 matrix = PETSc.Mat().createPython(K.getSizes(), context, comm=K.comm)
                 matrix.setUp()
                 found.append(matrix)
+        for matrix in done:
+            matrix.destroy()
         return found
 
     def destroy(self):
@@ -234,6 +227,16 @@ class Hierarchy:
         for matrix in (*self._P, *self._products, *self._stiffness, *self._levels):
             matrix.destroy()
         self._P, self._products, self._stiffness, self._levels = [], [], [], []
+
+
+def _assembled(K: PETSc.Mat, springs: PETSc.Mat) -> PETSc.Mat:
+    """K + BᵀWB by its entries, of an AIJ matrix K. Collective."""
+    transposed, found = springs.copy().transpose(), K.copy()
+    coupling = transposed.matMult(springs)
+    found.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    for obj in (transposed, coupling):
+        obj.destroy()
+    return found
 
 
 def _needs_entries(ksp: PETSc.KSP) -> bool:

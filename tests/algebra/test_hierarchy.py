@@ -1,0 +1,83 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Levels of multigrid: Galerkin products, with springs beside them."""
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from assembly import rectangle
+
+from dolfinx import fem
+from dolfinx.fem import petsc
+from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal
+from hypergap_dolfinx.algebra.rigid_motions import motions, orthonormal
+from hypergap_dolfinx.core.sparse import coo_matrix
+from hypergap_dolfinx.solvers.multigrid import Multigrid
+from hypergap_dolfinx.solvers.solver import Options
+
+comm = MPI.COMM_WORLD
+
+
+def springs_on(A, num=3):
+    """Some rows on each rank, across all of a matrix's columns."""
+    rng = np.random.default_rng(comm.rank)
+    i = np.repeat(np.arange(num) + comm.rank * num, 4)
+    j = rng.integers(0, A.size[1], len(i))
+    return coo_matrix(comm, (num, A.getLocalSize()[1]), i, j, rng.random(len(i)))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("options", ({}, {"mg_levels_pc_type": "sor"}))
+def test_levels(options):
+    """Pᵀ(K + BᵀWB)P of three stiffnesses, whether springs are added to matrices or not."""
+    bodies = [rectangle((24, 20), (0, 0), (1, 1)), rectangle((3, 2), (0, 1), (1, 2))]
+    K = [petsc.assemble_matrix(fem.form(body.a)) for body in bodies]
+    for of in K:
+        of.assemble()
+        of.shift(1.0)  # nothing else holds the bodies
+    modes = [orthonormal(comm, motions(body.V)) for body in bodies]
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix("levels_")
+    with Options("levels_", options, Multigrid.OPTIONS, "").in_use():
+        ksp.setFromOptions()
+        hierarchy = Hierarchy(K, modes, "levels_aggregates_")
+        nested = block_diagonal(K)
+        for factor in (1.0, 2.0, 3.0):
+            K[0].scale(factor)
+            A = nested.convert("aij", PETSc.Mat())
+            springs = springs_on(A)
+            hierarchy.set_stiffness(A.copy(), ksp)
+            hierarchy.attach(ksp, A, springs)
+            ksp.setUp()
+            check_levels(ksp.getPC(), A, springs)
+            for obj in (A, springs):
+                obj.destroy()
+    hierarchy.destroy()
+    for obj in (ksp, nested, *K):
+        obj.destroy()
+
+
+def check_levels(pc, A, springs):
+    """Compare a PC's levels with products of what they are made of."""
+    transposed = springs.copy().transpose()
+    fine = A.copy()
+    fine.axpy(1.0, transposed.matMult(springs), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    num, scale = pc.getMGLevels(), None
+    assert num > 2
+    for level in range(num - 1, -1, -1):
+        found = pc.getMGSmoother(level).getOperators()[1]
+        x, y = fine.createVecs()
+        z, diagonal = y.duplicate(), found.getDiagonal()
+        x.setRandom()
+        fine.mult(x, y)
+        found.mult(x, z)
+        scale = scale or z.norm() / y.norm()
+        y.scale(scale)
+        assert (y - z).norm() <= 1e-13 * y.norm()
+        wanted = fine.getDiagonal()
+        wanted.scale(scale)
+        assert (diagonal - wanted).norm() <= 1e-13 * wanted.norm()
+        if level:
+            fine = fine.ptap(pc.getMGInterpolation(level))
