@@ -195,15 +195,40 @@ static Jet depth_of(Tape *tape, const Sigma *sigma, const Point *point, const Lo
   return combined(tape, 5, inside, -4, power(tape, dotted(tape, d, d), 0.5));
 }
 
-// Cosine between a chord's normal and the one against an edge's, at a point.
+// Cosine between a chord's normal and the one against that of a vector.
+static Jet cosine_with(Tape *tape, const Ray *ray, Jet const *t)
+{
+  Jet both = power(tape, product(tape, dotted(tape, t, t), ray->square), -0.5);
+  return product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
+}
+
+// The same with an edge's, at a point.
 static Jet cosine_of(Tape *tape, const Ray *ray, const Curve *curve, int num, const int *numbers,
                      Jet r)
 {
   Jet t[2];
   for (int i = 0; i < 2; ++i)
     t[i] = on_curve(tape, curve, num, numbers, r, 1, i);
-  Jet both = power(tape, product(tape, dotted(tape, t, t), ray->square), -0.5);
-  return product(tape, scaled(tape, -1, dotted(tape, t, ray->c)), both);
+  return cosine_with(tape, ray, t);
+}
+
+// The same with an edge's own chord.
+static Jet chord_cosine_of(Tape *tape, const Sigma *sigma, const Ray *ray, int edge,
+                           const int *numbers)
+{
+  const Side *below = sigma->sides;
+  const double *origin = node(below + 1, ray->point->edge, 0);
+  Jet t[2];
+  for (int e = 0; e < 2; ++e)
+  {
+    Curve curve = curve_at(below, edge, e, origin);
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet x = on_curve(tape, &curve, below->num_dofs, numbers, constant(tape, e), 0, i);
+      t[i] = e ? combined(tape, 1, x, -1, t[i]) : x;
+    }
+  }
+  return cosine_with(tape, ray, t);
 }
 
 // Place along a chord where an edge of Γ0 has the cosine that it has at r. Newton's method, as above.
@@ -227,17 +252,24 @@ static Jet fade_at(Tape *tape, const Ray *ray, const Curve *curve, int num, cons
   return quotient(tape, dotted(tape, x, ray->c), ray->square);
 }
 
-// Weight by a cosine.
+// Weight by an edge's normal.
 //
+// cos     there
 // height  times |c|
-// inside  depth by what is nearest, times |c|; NULL: it doesn't matter
-static Jet weight_with(Tape *tape, const Sigma *sigma, Jet cos, Jet height, Jet inside)
+// inside  depth by what is nearest, with the slack, times |c|; NULL: it doesn't matter
+static Jet weight_with(Tape *tape, const Sigma *sigma, const Ray *ray, int edge, const int *numbers,
+                       Jet cos, Jet height, Jet inside)
 {
   Jet weight = step_of(tape, cos, sigma->cosines);
   if (!inside || height[0] >= 0 || weight[0] <= 0)
     return weight;
-  Jet part = quotient(tape, scaled(tape, -1, inside), product(tape, height, cos));
-  return product(tape, weight, step_of(tape, part, sigma->nearest));
+  Jet flat = sigma->sides->num_nodes == 2
+                 ? cos
+                 : chord_cosine_of(tape, sigma, ray, edge, numbers);
+  Jet part = quotient(tape, scaled(tape, -1, inside), product(tape, height, flat));
+  Jet near = step_of(tape, part, (double[]){0, 1});
+  Jet across = combined(tape, 1, flat, -sigma->slack, quotient(tape, ray->square, height));
+  return product(tape, weight, step_of(tape, product(tape, near, across), sigma->nearest));
 }
 
 // Weight of what a riser leads to before (0) or behind it (1).
@@ -255,7 +287,8 @@ static Jet weight_beyond(Tape *tape, const Sigma *sigma, const Ray *ray, int k, 
   for (int i = 0; i < 2; ++i)
     d[i] = combined(tape, 1, on_curve(tape, &curve, below->num_dofs, numbers, end, 0, i), -1, x[i]);
   Jet cos = cosine_of(tape, ray, &curve, below->num_dofs, numbers, end);
-  Jet weight = weight_with(tape, sigma, cos, wedge(tape, d, ray->c), inside);
+  Jet height = wedge(tape, d, ray->c);
+  Jet weight = weight_with(tape, sigma, ray, sheet->goes_on[way], numbers, cos, height, inside);
   if (sheet->dips[way] < 0)
     return weight;
   curve = curve_at(below, sheet->dips[way], 0, origin);
@@ -284,14 +317,16 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
   int num = below->num_dofs;
   const double *origin = node(below + 1, ray->point->edge, 0);
   Jet cos = cosine_of(tape, ray, ray->curves + k, num, local->of_sheet[k], ray->r[k]);
-  Jet own = weight_with(tape, sigma, cos, height, inside), of_others = NULL;
+  Jet own = weight_with(tape, sigma, ray, sheet->edge, local->of_sheet[k], cos, height, inside);
+  Jet of_others = NULL;
   for (int e = 0; e < 2; ++e)
   {
     if (sheet->beside[e] < 0)
       continue;
     Curve curve = curve_at(below, sheet->beside[e], 1 - e, origin);
-    Jet other = cosine_of(tape, ray, &curve, num, local->of_beside[k][e], constant(tape, 1 - e));
-    other = weight_with(tape, sigma, other, height, inside);
+    const int *numbers = local->of_beside[k][e];
+    Jet other = cosine_of(tape, ray, &curve, num, numbers, constant(tape, 1 - e));
+    other = weight_with(tape, sigma, ray, sheet->beside[e], numbers, other, height, inside);
     Jet at = e ? ray->r[k] : combined(tape, -1, ray->r[k], 1, constant(tape, 1));
     other = product(tape, at, other);
     of_others = of_others ? combined(tape, 1, of_others, 1, other) : other;

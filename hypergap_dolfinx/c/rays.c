@@ -170,17 +170,20 @@ static double meet(const Frame *frame, const Side *side, int edge, double from, 
   return r;
 }
 
+// Cosine between a chord's normal and the one against that of an edge's own chord.
+static double chord_cosine(const Frame *frame, const Side *side, int edge)
+{
+  double t[2], length = chord(side, edge, t);
+  return -(t[0] * frame->c[0] + t[1] * frame->c[1]) / (length * frame->size);
+}
+
 // Cosine between a chord's normal and the one against an edge's, at a point.
 static double cosine(const Frame *frame, const Side *side, int edge, double r)
 {
-  double t[2];
   if (side->num_nodes == 2)
-    chord(side, edge, t);
-  else
-  {
-    Curve x = curve_at(side, edge, r, frame->a);
-    t[0] = x.x[1][0], t[1] = x.x[1][1];
-  }
+    return chord_cosine(frame, side, edge);
+  Curve x = curve_at(side, edge, r, frame->a);
+  const double *t = x.x[1];
   double length = sqrt(t[0] * t[0] + t[1] * t[1]);
   return -(t[0] * frame->c[0] + t[1] * frame->c[1]) / (length * frame->size);
 }
@@ -394,15 +397,22 @@ static double find_foot(const Cast *cast, const double *x, Point *point)
   return depth;
 }
 
-// Weight by a cosine.
+// Weight by an edge's normal.
 //
-// depth  by what is nearest, used if the height is below zero
-static double sheet_weight(const Sigma *sigma, double cos, double height, double depth)
+// cos    there
+// depth  by what is nearest, with the slack, used if the height is below zero
+static double sheet_weight(const Cast *cast, int edge, double cos, double height, double depth)
 {
-  double step[3], deep[3] = {1};
+  const Sigma *sigma = cast->sigma;
+  double step[3], near[3], deep[3] = {1};
   smooth_step(cos, sigma->cosines, step);
   if (step[0] > 0 && height < 0)
-    smooth_step(depth / (-height * cos), sigma->nearest, deep);
+  {
+    double flat = chord_cosine(&cast->frame, cast->below, edge);
+    smooth_step(depth / (-height * flat), (double[]){0, 1}, near);
+    double across = flat - sigma->slack * cast->frame.size / height;
+    smooth_step(near[0] * across, sigma->nearest, deep);
+  }
   return step[0] * deep[0];
 }
 
@@ -435,7 +445,7 @@ static double find_beyond(Cast *cast, int way, const double *x, Point *point, do
     double cos = cosine(&cast->frame, side, edge, 0);
     double height = above(&cast->frame, node(side, edge, 1 - way)) - above(&cast->frame, x);
     double deep = cos > sigma->cosines[0] && height < 0 ? depth_at(cast, x, point, depth) : 0;
-    double weight = open * sheet_weight(sigma, cos, height, deep);
+    double weight = open * sheet_weight(cast, edge, cos, height, deep);
     if (weight > most)
     {
       most = weight;
@@ -455,7 +465,8 @@ static void weigh(Cast *cast, double cos, const double *x, Point *point, double 
   const Side *side = cast->below;
   const Sigma *sigma = cast->sigma;
   double deep = hit->height < 0 ? depth_at(cast, x, point, depth) : 0;
-  double own = sheet_weight(sigma, cos, hit->height, deep), r = hit->sheet.r, step[3], beside = 0;
+  double own = sheet_weight(cast, hit->sheet.edge, cos, hit->height, deep);
+  double r = hit->sheet.r, step[3], beside = 0;
   smooth_step(cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]}, step);
   for (int k = 0; k < 2; ++k)
   {
@@ -464,7 +475,7 @@ static void weigh(Cast *cast, double cos, const double *x, Point *point, double 
     if (next < 0 || own >= 1)
       continue;
     double other = cosine(&cast->frame, side, next, 1 - k);
-    double weight = sheet_weight(sigma, other, hit->height, deep);
+    double weight = sheet_weight(cast, next, other, hit->height, deep);
     if (weight > 0)
       hit->sheet.beside[k] = next;
     beside += (k ? r : 1 - r) * weight;

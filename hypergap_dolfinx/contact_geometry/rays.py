@@ -13,13 +13,18 @@ over ξ, the place along the chord from 0 to 1, with the sheets in order from be
 By its edge's normal a sheet has the weight
 
 .. math:: \omega_e = W\Bigl(\frac{\cos - C_0}{C_1 - C_0}\Bigr)\,
-   W\Bigl(\frac{d / (-h\cos) - N_0}{N_1 - N_0}\Bigr)
+   W\Bigl(\frac{D / (-h) - N_0}{N_1 - N_0}\Bigr), \qquad
+   D = W\Bigl(\frac{d + s}{-h\cos}\Bigr)\,(-h\cos + s)
 
 with a smooth step W, the cosine between the normals that face each other, C (:data:`COSINES`) and N
 (:data:`NEAREST`). The first factor fades where Γ0 turns away. The second one acts where h < 0: it
-compares two depths of the point in Γ0's body, d by its nearest edge and −h cos by the sheet's
-plane. A sheet far from the point's nearest edge fades. So does a sheet behind Γ1's own body, as it
-belongs to a body in which the point isn't (d < 0).
+compares the point's depth in Γ0's body with the overlap −h along the ray. The depth D is that by
+the sheet's plane, −h cos, as long as the one by the nearest edge, d, isn't less, both with a slack
+s (:data:`SLACK`). So a sheet fades if it is deep and leans, or far from the point's nearest edge,
+or behind Γ1's own body: there it belongs to a body in which the point isn't (d < 0). D is flat
+where a sheet's own edge becomes the nearest one, and d has a kink; else forces would jump as kinks
+pass points of the quadrature. Of a curved edge d and cos are here those of straight ones, between
+its nodes and between its ends.
 
 These weights alone would jump at Γ0's vertices, and forces would jump as one of them passes an end
 of Γ1's edge. So what an edge's weight lacks of 1 is filled from the edges before and behind it,
