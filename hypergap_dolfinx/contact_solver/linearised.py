@@ -28,7 +28,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
-from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
+from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.contact_solver.tolerances import ADDED, SHORTENED, STEPS, TRIALS
 from hypergap_dolfinx.surface.moving import Sparse
@@ -121,11 +121,11 @@ class LinearisedContact:
     ) -> Solution:
         """Solve the problem, with stiffness added to H if needed.
 
-        A share of the stiffness without stress is added if H isn't positive, or if the step is too
-        long, which happens near a snap-through, where H is hardly positive. A matrix with more
-        negative pivots than multipliers is accepted if H does positive work on the solution.
-        Bodies that contact doesn't hold in the linearised problem (a ray) get a share of the
-        diagonal.
+        A share of the stiffness without stress is added if H isn't positive (multigrid needs that
+        of guesses of the working set, too), or if the step is too long, which happens near a snap-
+        through, where H is hardly positive. A matrix with more negative pivots than multipliers is
+        accepted if H does positive work on the solution. Bodies that contact doesn't hold in the
+        linearised problem (a ray) get a share of the diagonal.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
@@ -140,8 +140,14 @@ class LinearisedContact:
         """
         num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
         stiff = near = 0.0
-        for _ in range(TRIALS + 1):
-            found = self._solve(right, (stiff, near), guesses)
+        for trial in range(TRIALS + 1):
+            try:
+                found = self._solve(right, (stiff, near), guesses)
+            except NotPositive:
+                if trial == TRIALS:
+                    raise
+                stiff = stiff / SHORTENED or ADDED
+                continue
             if found.is_guess:
                 return found
             negative = self._tangent.negative

@@ -59,6 +59,10 @@ class IterationFailed(SolveError):
     """Failure of multigrid in a Newton step; factors replace it."""
 
 
+class NotPositive(IterationFailed):
+    """Failure since the matrix isn't positive on what the constraints allow."""
+
+
 @dataclass(frozen=True)
 class _Equations:
     """The equations of all contacts, by what becomes of them; the same on every rank."""
@@ -342,9 +346,11 @@ class MultigridTangent:
                 ksp.setTolerances(rtol=0.0, atol=goal)
                 of.add_solution(ksp, u)
                 self.iterations += of.iterations
-                message = saddle.failure(ksp)
+                message = (saddle.failure(ksp) or "").removesuffix(".")
+                if "DIVERGED_INDEFINITE_MAT" in message:
+                    raise NotPositive(message)
                 if message:
-                    raise IterationFailed(message.removesuffix("."))
+                    raise IterationFailed(message)
                 of.load(loads, u, of.r)
         x, y = u.array_r.real.copy(), of.multipliers.real.copy()
         u.destroy()

@@ -3,6 +3,8 @@
 """Contact by multigrid: the state that factors give, few iterations; told where it isn't for."""
 
 import logging
+import runpy
+from pathlib import Path
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,6 +18,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
 from hypergap_dolfinx.contact_solver import contact_system
+from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.solvers.multigrid import Multigrid
 
@@ -228,6 +231,16 @@ def test_gives_up(caplog, monkeypatch):
     assert len(told) == (comm.rank == 0) and ("DIVERGED_MAX_IT" in told[0] if told else True)
     for u, v in zip(scene.u, reference.u, strict=True):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
+
+
+def test_guess_that_isnt_positive():
+    """A die is drawn on: the matrix of a guessed set isn't positive, and a share of K is added."""
+    demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "large_contact.py"))
+    problem, _, goal, path = demo["make"](comm, "ironing", 0, "iterative", 0.3)
+    for at in path[:5]:
+        goal.value[:] = at
+        problem.solve()
+    assert isinstance(problem._tangent, MultigridTangent)
 
 
 @pytest.mark.ranks(2)

@@ -263,11 +263,11 @@ DEMOS = {
     "kernel_speed": Demo("--quick"),
     "large_contact": Demo(
         "--levels 1",
-        below={"rows.*.newton_most": 6, "rows.*.iterations_most": 35, "rows.*.halvings": 0},
+        below={"rows.*.newton_most": 12, "rows.*.iterations_most": 35, "rows.*.halvings": 0},
     ),
     "large_contact_refined": Demo(
         "--levels 3",
-        below={"rows.*.newton_most": 7, "rows.*.iterations_most": 60, "rows.*.halvings": 0},
+        below={"rows.*.newton_most": 12, "rows.*.iterations_most": 60, "rows.*.halvings": 0},
         slow=True,
         script="large_contact",
     ),
