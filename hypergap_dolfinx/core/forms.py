@@ -61,7 +61,11 @@ def _created(form, compiler_options, jit_options) -> fem.Form:
 
 
 def _subdomains(form: ufl.Form) -> dict[IntegralType, list] | None:
-    """Cells or facets of each tag of a form's integrals; None if not all of them are such."""
+    """Cells or facets of each tag of a form's integrals; None if not all of them are such.
+
+    Raises:
+        ValueError: Integrals of one type have several tags of the mesh.
+    """
     (by_type,) = form.subdomain_data().values()
     if not by_type.keys() <= _TYPES.keys():
         return None
@@ -70,6 +74,11 @@ def _subdomains(form: ufl.Form) -> dict[IntegralType, list] | None:
         given = [integral for integral in form.integrals() if integral.integral_type() == name]
         ids = {i for integral in given for i in np.atleast_1d(integral.subdomain_id()).tolist()}
         tags = next((tags for tags in data if tags is not None), None)
+        if any(of is not None and of is not tags for of in data):
+            raise ValueError(
+                f"the {name.replace('_', ' ')} integrals of a form have several subdomain_data: "
+                "put their tags into one."
+            )
         numbers = sorted(i for i in ids if not isinstance(i, str))
         found[_TYPES[name]] = get_integration_domains(_TYPES[name], tags, numbers)
     return found

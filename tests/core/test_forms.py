@@ -6,10 +6,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from helpers import raises
 
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import meshtags
 from hypergap_dolfinx.core.forms import create_forms
 
 comm = MPI.COMM_WORLD
@@ -45,6 +47,23 @@ def test_equal_forms_are_looked_up_once(monkeypatch):
             b, exact = (fem.assemble_vector(each).array for each in (form, fem.form(ufl_form)))
             np.testing.assert_allclose(b, exact, atol=1e-15)
             assert comm.allreduce(np.abs(b).sum()) > 0.1
+
+
+def test_several_tags_of_one_type():
+    """They are refused: one's numbers would be looked for in the other; of each type is fine."""
+    mesh, tags = meshes.block(comm, (2, 2), lambda x: x, cell="triangle")
+    v = ufl.TestFunction(fem.functionspace(mesh, ("Lagrange", 1)))
+    facets, cells = tags.find(meshes.TOP), np.arange(1, dtype=np.int32)
+    again, inside = (
+        meshtags(mesh, dim, on, np.full(len(on), meshes.TOP, dtype=np.int32))
+        for dim, on in ((1, facets), (2, cells))
+    )
+    ds, other = (ufl.Measure("ds", mesh, subdomain_data=each) for each in (tags, again))
+    dx = ufl.Measure("dx", mesh, subdomain_data=inside)
+    L = ufl.conj(v) * ds(meshes.LEFT)
+    create_forms([L + ufl.conj(v) * dx(meshes.TOP) + ufl.conj(v) * ufl.ds], None, None)
+    with raises(ValueError, "exterior facet integrals of a form have several subdomain_data: put"):
+        create_forms([L + ufl.conj(v) * other(meshes.TOP)], None, None)
 
 
 def test_functions_that_a_derivative_loses():
