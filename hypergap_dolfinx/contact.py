@@ -40,6 +40,7 @@ from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displa
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
 from hypergap_dolfinx.surface.trace import (
     Surface,
+    as_facets,
     check_sides,
     create_surface,
     facet_pairs,
@@ -145,7 +146,7 @@ class Contact(Settable):
         side0, side1 = (
             (V, facets) for V, (_, facets) in zip(self._spaces, (side0, side1), strict=True)
         )
-        self._facets = (np.asarray(side0[1]), np.asarray(side1[1]))
+        self._facets = (as_facets(side0[1]), as_facets(side1[1]))
         self._sliding, self._swapped = sliding, False
         self._comm = comm = side0[0].mesh.comm
         if MPI.Comm.Compare(comm, side1[0].mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):

@@ -34,7 +34,13 @@ from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.trace import Surface, check_sides, create_surface, thinness
+from hypergap_dolfinx.surface.trace import (
+    Surface,
+    as_facets,
+    check_sides,
+    create_surface,
+    thinness,
+)
 from hypergap_dolfinx.tolerances import ALIKE, FEW_FACETS, THIN_LAYER
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -207,7 +213,7 @@ class Tie(Settable, collective.Owner):
                 "V.sub(0)."
             )
         self._spaces = self.components[0].space, self.components[1].space
-        self._facets = np.asarray(facets0), np.asarray(facets1)
+        self._facets = as_facets(facets0), as_facets(facets1)
         self.axisymmetric = axisymmetric
         """Factor of the forms. True for 2πr, "radian" for r, False for plane bodies."""
         angle = revolution.angle_of(axisymmetric)

@@ -18,7 +18,7 @@ from hypergap_dolfinx.interface_laws.reference_point import PointMotion, Referen
 from hypergap_dolfinx.interface_laws.tolerances import FAR_POINT
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
-from hypergap_dolfinx.surface.trace import check_sides, create_surface
+from hypergap_dolfinx.surface.trace import as_facets, check_sides, create_surface
 
 Array = npt.NDArray[np.float64]
 
@@ -69,8 +69,8 @@ class CoupledMotion(PointMotion):
             at = spot(self.point[None] + centre[:n])
             raise ValueError(
                 f"the point of a coupling, {spot(self.point[None])}, is farther from its surface, "
-                f"at {at}, than {FAR_POINT:.0e} times its size: give one nearer, and the torque "
-                f"about that."
+                f"at {at}, than {FAR_POINT:.0e} times the root mean square radius of this: give "
+                f"one nearer, and the torque about that."
             )
         if not self.is_rigid:
             self._weigh(facets)
@@ -245,12 +245,18 @@ def _joined(side: Side | Sequence[Side]) -> Side:
         return sides[0]
     parts = [Component.of(V) for V, _ in sides]
     if not all(part.same(parts[0]) for part in parts):
+        if all(V.mesh is sides[0][0].mesh for V, _ in sides):
+            raise ValueError(
+                "the surfaces of a coupling are on several function spaces of one mesh: give all "
+                "of them with the same space, that of the body's form."
+            )
         raise ValueError(
-            "the surfaces of a coupling are on several function spaces: put these bodies into one "
-            "mesh, whose parts needn't be connected, or couple one body and tie the others to it."
+            "the surfaces of a coupling are on several meshes: put these bodies into one, whose "
+            "parts needn't be connected, or couple one body and tie the others to it."
         )
-    some = [facets for _, facets in sides if len(facets)]
-    return sides[0][0], np.concatenate(some) if some else ()
+    some = [as_facets(facets) for _, facets in sides]
+    strange = [facets for facets in some if facets.ndim != 1]  # told by create_surface
+    return sides[0][0], strange[0] if strange else np.concatenate(some)
 
 
 def motions_of(couplings: Coupling | Sequence[Coupling]) -> list[CoupledMotion]:

@@ -474,8 +474,8 @@ def _far_apart(domain: GapDomain, moments: bool) -> str | None:
             return None  # of their order, or told by _straight_facets
         return (
             f"Γ0 and Γ1 are {apart:.3g} apart on average, {apart / length:.1%} of a facet: chords "
-            "of a curved surface. Strains (gradients) beside it are off by about that share, "
-            "whatever the spaces' degree; refine, or curve both meshes (in Gmsh "
+            "of a curved surface. Strains (gradients) beside it are off by up to about that "
+            "share, whatever the spaces' degree; refine, or curve both meshes (in Gmsh "
             "gmsh.model.mesh.setOrder(2))."
         )
     if not moments:

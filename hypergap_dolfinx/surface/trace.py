@@ -424,6 +424,17 @@ def check_sides(kind: str, *sides):
             )
 
 
+def as_facets(given: npt.ArrayLike) -> npt.NDArray:
+    """An array of what a user gave for facets; of two dimensions if it is a list of lists."""
+    try:
+        facets = np.asarray(given)
+    except ValueError:  # of several lengths
+        return np.empty((1, 1))
+    if facets.size == 0:  # an empty list is an array of floats
+        facets = np.empty(0, dtype=np.int32)
+    return facets
+
+
 def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Surface:
     """Gather the trace of a Lagrange space on facets of its mesh. Collective.
 
@@ -454,9 +465,7 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     topology.create_entities(fdim)
     topology.create_connectivity(fdim, fdim + 1)
     topology.create_connectivity(fdim + 1, fdim)
-    facets = np.asarray(facets)
-    if facets.size == 0:  # an empty list is an array of floats
-        facets = np.empty(0, dtype=np.int32)
+    facets = as_facets(facets)
     raise_on_all(comm, _facet_error(mesh, facets, name))
     facets = facets.astype(np.int32)
     if comm.allreduce(len(facets)) == 0:

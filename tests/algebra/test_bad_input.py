@@ -264,7 +264,7 @@ def test_families(kind):
 
 
 @pytest.mark.ranks(2, facets=[3.5])
-@pytest.mark.parametrize("facets", ([[0, 1]], 3.5, "TOP", None))
+@pytest.mark.parametrize("facets", ([[0, 1]], [[0], [0, 1]], 3.5, "TOP", None))
 def test_facets_of_strange_kinds(facets):
     bodies = blocks()
     sides = [(bodies[0].V, facets), (bodies[1].V, bodies[1].facets(BOTTOM))]

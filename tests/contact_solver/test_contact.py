@@ -292,6 +292,8 @@ def test_bad_input():
         Contact((scalar, f0), (V1, f1))
     with raises(InterfaceError, "share facets"):
         Contact((V0, f0), (V0, f0[1:]))
+    with raises(InterfaceError, "the facets of Γ0 must be a flat array"):
+        Contact((V0, [[0], [0, 1]]), (V1, f1))
     with raises(ValueError, "not solved yet"):
         blocks.contact.force(blocks.problem)
     with raises(ValueError, "contacts has a str"):

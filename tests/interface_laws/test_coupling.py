@@ -229,8 +229,14 @@ def test_several_surfaces(kind):
         problem.solve()
         found.append(np.append(end.displacement, end.angles))
     np.testing.assert_allclose(*found, rtol=1e-12)
-    with raises(ValueError, "on several function spaces: put these bodies into one mesh"):
+    with raises(ValueError, "on several meshes: put these bodies into one"):
         Coupling([(V, right), (bar(2)[0], right)], point=(2, 0), kind=kind)
+    again = fem.functionspace(V.mesh, ("Lagrange", 1, (2,)))
+    with raises(ValueError, "on several function spaces of one mesh: give all .* the same space"):
+        Coupling([(V, right), (again, top)], point=(2, 0), kind=kind)
+    for facets in 3, None, "left", top[None], [[1], [1, 2]]:
+        with raises(InterfaceError, "the facets of the surface of a coupling must be a flat array"):
+            Coupling([(V, right), (V, facets)], point=(2, 0), kind=kind)
     with raises(InterfaceError, "the surface of a coupling.* twice"):
         Coupling([(V, right), (V, right)], point=(2, 0), kind=kind)
 
@@ -297,7 +303,7 @@ def test_bad_input():
                 (V, right),
                 {"point": (1e5, 0), "kind": kind},
                 r"\(100000, 0\), is farther from its "
-                r"surface, at \(2, 0.5\), than 1e\+04 times its size: give one nearer",
+                r"surface, at \(2, 0.5\), than 1e\+04 times the root mean square radius of this",
             )
             for kind in KINDS
         ),
