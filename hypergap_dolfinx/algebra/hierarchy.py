@@ -12,8 +12,9 @@ Aggregates that reach across an interface would have one set of rigid motions fo
 that on coarse levels bodies could not slide. Prolongators know nothing of B: they serve all sets of
 constraints, and :math:`P^T K P` is computed only if K changes. At first it is that of GAMG itself.
 
-Smoothing reads the levels' matrices many times, and memory takes the time. So real ones are stored
-by their upper halves, in blocks, and springs are applied as :math:`B^T W (B x)` beside them.
+Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
+symmetric are stored by their upper halves, in blocks, and springs are applied as
+:math:`B^T W (B x)` beside them.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.algebra.tolerances import UNSYMMETRIC
 from hypergap_dolfinx.core.sparse import mean_diagonal
 
 
@@ -97,6 +99,12 @@ class _Sprung:
         self._springs.mult(x, self._c)
         self._springs.multTransposeAdd(self._c, y, y)
 
+    def multTranspose(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
+        """Apply its transpose. Collective."""
+        self._K.multTranspose(x, y)
+        self._springs.mult(x, self._c)
+        self._springs.multTransposeAdd(self._c, y, y)
+
     def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):
         """The diagonal. Collective."""
         squares, one = self._springs.copy(), self._c.duplicate()
@@ -167,7 +175,7 @@ class Hierarchy:
                     last.destroy()  # a product of GAMG's
         self._num_updates += 1
         self._scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by size, without a unit
-        self._is_assembled = _needs_entries(ksp)
+        self._is_assembled = _needs_entries(ksp) or _asymmetry(K) > UNSYMMETRIC
         for matrix in self._stiffness:
             matrix.destroy()
         self._stiffness = [K, *(matrix.copy() for matrix in self._products)]
@@ -244,9 +252,23 @@ def _needs_entries(ksp: PETSc.KSP) -> bool:
     pc = ksp.getPC()
     if pc.getType() != PETSc.PC.Type.MG:
         return True
-    given = PETSc.Options(pc.getOptionsPrefix()).getAll().items()
-    smoothers = {v for k, v in given if k.startswith("mg_levels") and k.endswith("_pc_type")}
-    return not smoothers <= {"jacobi", "none"}
+    given = PETSc.Options(pc.getOptionsPrefix()).getAll()
+    of_levels = [k for k in given if k.startswith(("mg_levels", "mg_fine")) and "_pc_" in k]
+    return "pc_mg_galerkin" in given or not {given[k] for k in of_levels} <= {"jacobi", "none"}
+
+
+def _asymmetry(K: PETSc.Mat) -> float:
+    """|yᵀKx − xᵀKy| over |y| |Kx| for some x and y, as small as round-off if Kᵀ = K. Collective."""
+    (x, y), product, found = K.createVecs(), K.createVecLeft(), []
+    x.setRandom()
+    y.pointwiseMult(x, x)  # setRandom would give the same numbers
+    for a, b in ((x, y), (y, x)):
+        K.mult(a, product)
+        found.append(b.tDot(product))
+    size = x.norm() * product.norm()
+    for vector in (x, y, product):
+        vector.destroy()
+    return abs(found[1] - found[0]) / size if size else 0.0
 
 
 def _half(K: PETSc.Mat, block_size: int) -> PETSc.Mat:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from assembly import rectangle
 
+import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal
@@ -29,11 +30,29 @@ def springs_on(A, num=3):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("options", ({}, {"mg_levels_pc_type": "sor"}))
-def test_levels(options):
-    """Pᵀ(K + BᵀWB)P of three stiffnesses, whether springs are added to matrices or not."""
+@pytest.mark.parametrize(
+    ("options", "convection"),
+    (
+        ({}, False),
+        ({}, True),
+        *(
+            ({f"mg_{name}": value}, False)
+            for name, value in (
+                ("levels_pc_type", "sor"),
+                ("fine_pc_type", "sor"),
+                ("levels_pc_jacobi_type", "rowl1"),
+            )
+        ),
+    ),
+)
+def test_levels(options, convection):
+    """Pᵀ(K + BᵀWB)P of three stiffnesses, symmetric or not, with springs added or beside them."""
     bodies = [rectangle((24, 20), (0, 0), (1, 1)), rectangle((3, 2), (0, 1), (1, 2))]
-    K = [petsc.assemble_matrix(fem.form(body.a)) for body in bodies]
+    K = []
+    for body in bodies:
+        v, u = body.a.arguments()
+        more = (ufl.inner(u.dx(0), v) * ufl.dx,) if convection else ()
+        K.append(petsc.assemble_matrix(fem.form(sum(more, body.a))))
     for of in K:
         of.assemble()
         of.shift(1.0)  # nothing else holds the bodies
