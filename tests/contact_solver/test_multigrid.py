@@ -148,16 +148,17 @@ SCENES = {
 @pytest.mark.ranks(3, name=["finite", "friction", "free with a tie"])
 @pytest.mark.parametrize("name", SCENES)
 def test_as_with_factors(name):
-    """Sets, pressures and displacements; without friction Newton steps but for one.
+    """Sets, pressures and displacements; Newton steps: one more, with friction twice as many and 4.
 
     With friction round-off decides about guesses: with slightly rougher ones the second load step
-    of that scene takes 4 to 14 steps, on one rank and on two.
+    of that scene takes 4 to 14 steps, on one rank and on two; with those of now 5 on one rank.
     """
     options, path = SCENES[name]
     scenes = [Pressed(**options, solver=solver) for solver in ("direct", "iterative")]
     steps = [scene.solve(path) for scene in scenes]
     assert scenes[1].problem.halvings == 0
-    assert "friction" in options or max(np.abs(np.subtract(*steps))) <= 1, str(steps)
+    most = 2 * np.array(steps[0]) + 4 if "friction" in options else np.array(steps[0]) + 1
+    assert (steps[1] <= most).all(), str(steps)
     assert not isinstance(scenes[1].problem._tangent, Tangent)
     rows = [scene.problem.rows(scene.contact) for scene in scenes]
     assert rows[0].state.active.any()
