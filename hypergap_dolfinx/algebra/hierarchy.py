@@ -258,17 +258,17 @@ def _needs_entries(ksp: PETSc.KSP) -> bool:
 
 
 def _asymmetry(K: PETSc.Mat) -> float:
-    """|yᵀKx − xᵀKy| over |y| |Kx| for some x and y, as small as round-off if Kᵀ = K. Collective."""
+    """Difference of yᴴKx from the conjugate of xᴴKy over |x| |Ky|; 0 if Kᴴ = K. Collective."""
     (x, y), product, found = K.createVecs(), K.createVecLeft(), []
     x.setRandom()
     y.pointwiseMult(x, x)  # setRandom would give the same numbers
     for a, b in ((x, y), (y, x)):
         K.mult(a, product)
-        found.append(b.tDot(product))
+        found.append(product.dot(b))
     size = x.norm() * product.norm()
     for vector in (x, y, product):
         vector.destroy()
-    return abs(found[1] - found[0]) / size if size else 0.0
+    return abs(found[1] - np.conj(found[0])) / size if size else 0.0
 
 
 def _half(K: PETSc.Mat, block_size: int) -> PETSc.Mat:
