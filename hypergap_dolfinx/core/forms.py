@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import default_scalar_type, fem, mesh
+from dolfinx import fem, mesh
 from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm, get_integration_domains
 
@@ -39,13 +39,14 @@ def create_forms(
         jit_options: Options of the JIT compiler.
     """
     options = {**(compiler_options or {}), "scalar_type": PETSc.ScalarType}
-    return [_created(form, options, jit_options) for form in forms]
+    bodies = [form.arguments()[0].ufl_function_space().mesh for form in forms]
+    return [_created(*each, options, jit_options) for each in zip(forms, bodies, strict=True)]
 
 
-def _created(form, compiler_options, jit_options) -> fem.Form:
+def _created(form, body: mesh.Mesh, compiler_options=None, jit_options=None) -> fem.Form:
     """A form, compiled unless an equal one is known. Collective."""
     V = [argument.ufl_function_space() for argument in form.arguments()]
-    comm = V[0].mesh.comm
+    comm = body.comm
     key = form.signature(), repr((compiler_options, jit_options))
     # Bodies on other communicators may have left some ranks alone with it
     if not comm.allreduce(key in _COMPILED, MPI.LAND):
@@ -57,7 +58,7 @@ def _created(form, compiler_options, jit_options) -> fem.Form:
         # DOLFINx 0.9 takes one function for another where a form doesn't need all of them
         return fem.form(form, PETSc.ScalarType, compiler_options, jit_options)
     functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))
-    return fem.create_form(compiled, V, V[0].mesh, subdomains, functions, constants)
+    return fem.create_form(compiled, V, body, subdomains, functions, constants)
 
 
 def _subdomains(form: ufl.Form) -> dict[IntegralType, list] | None:
@@ -86,7 +87,8 @@ def _subdomains(form: ufl.Form) -> dict[IntegralType, list] | None:
 
 def thickness(body: mesh.Mesh) -> float:
     """Twice a body's volume over its area: a ring's is that of its wall. Collective."""
-    one = fem.Constant(body, default_scalar_type(1))
-    here = [fem.assemble_scalar(fem.form(one * dx)).real for dx in (ufl.dx, ufl.ds)]
+    options = {"scalar_type": PETSc.ScalarType}
+    forms = [_created(1 * dx, body, options) for dx in (ufl.dx(body), ufl.ds(body))]
+    here = [fem.assemble_scalar(form).real for form in forms]
     volume, area = body.comm.allreduce(np.array(here))
     return float(2 * volume / area)
