@@ -116,12 +116,12 @@ with .1, 4 with factors; 19, 19, 18 iterations."""
 RENEWED = 0.25
 """Share of multigrid's springs whose rows come or go before guesses of sets get new ones.
 Measured: Hertz, 30 000 and 66 000 displacements: 92 and 107 iterations; half 114 and 148, an eighth
-65 and 64 for a tenth more processor time, never 88 and 117."""
+65 and 64, never 88 and 117. Processor seconds with 30 000: 3.9, half 4.5, an eighth 3.8."""
 
 ROUGH = 0.5
 """Reduction of the residual by multigrid with which signs of multipliers and gaps are seen.
-Measured: Hertz, 30 000 displacements: 61 iterations in 24 working sets; .1 130 in 22, 1e-3 of the
-first residual 155 in 22."""
+Measured: Hertz, 30 000 displacements: 92 iterations in 26 working sets, 3.9 processor seconds; .1
+164 in 24, 5.4."""
 
 TIGHT = 1e-9
 """Reduction of the residual by multigrid in a Newton step.
@@ -129,5 +129,5 @@ Measured: Hertz with small sliding is solved in one Newton step, as with factors
 
 LARGE_CONTACT = 40000
 """Displacements in space from which multigrid is the default, without friction.
-Measured: Hertz in space in one step: 30 000 displacements 8.1 s (direct
-6.5), 111 000 36 s (130), times on a loaded machine."""
+Measured: Hertz in space in one step, processor seconds: 17 000 displacements 2.1 (direct 2.1),
+30 000 4.2 (6.0), 66 000 10.8; other scenes aren't measured from 17 000 to 40 000."""
