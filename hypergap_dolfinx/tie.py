@@ -696,9 +696,11 @@ class Tie(Settable, collective.Owner):
 
         Raises:
             ValueError: As :meth:`force`; values that aren't displacements; bodies of revolution; a
-                point of the wrong shape.
+                point of the wrong shape; another ``displaced``.
         """
         side = self._side(on)
+        if displaced not in (None, False, True):
+            raise ValueError(f"displaced is True, False or None, not {displaced!r}.")
         V, n = self._spaces[side], self.surfaces[0].gdim
         if V.value_shape != (n,):
             raise ValueError(f"a moment needs displacements; the value shape is {V.value_shape}.")

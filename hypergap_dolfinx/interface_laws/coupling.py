@@ -236,8 +236,10 @@ def _joined(side: Side | Sequence[Side]) -> Side:
     """A space and all facets of one side or several.
 
     Raises:
-        ValueError: Something else, or several spaces.
+        ValueError: Something else, none, or several spaces.
     """
+    if isinstance(side, Sequence) and not side:
+        raise ValueError("a coupling needs a surface: give a pair (V, facets), or a list of pairs.")
     several = isinstance(side, Sequence) and side and all(isinstance(s, Sequence) for s in side)
     sides: list = list(side) if several else [side]
     check_sides("coupling", *sides)

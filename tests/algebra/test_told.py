@@ -345,6 +345,11 @@ CASES = {
         V,
         "about: give 2 finite numbers, not 'axis'",
     ),
+    "moment at displaced places, by a word": (
+        of_tie(lambda scene, tie, problem: tie.moment(problem, (0, 0), displaced="yes")),
+        V,
+        "displaced is True, False or None, not 'yes'",
+    ),
     "rows of what is destroyed": (
         partial(destroyed, lambda problem: problem.x),
         V,

@@ -298,6 +298,7 @@ def test_bad_input():
         ((V, right), {**good, "point": (0, 0, 0)}, "point of a coupling: give 2 finite numbers"),
         ((V, right), {**good, "held": "z"}, "held has 'z'; components are x, y, rotation"),
         ((V, right[:0]), good, "has no facets on any rank"),
+        ([], good, "a coupling needs a surface: give a pair"),
         *(
             (
                 (V, right),
