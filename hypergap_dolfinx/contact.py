@@ -615,8 +615,9 @@ class Contact(Settable):
             on: Displacement of the body, one of the problem's. By default the body of the second
                 side as given to the constructor or to :meth:`between`, whichever became Γ1. The
                 opposite force acts on the other body.
-            facets: Some facets of that body, for the force at their nodes alone. Needed where both
-                sides are one surface, on which all forces together cancel.
+            facets: Some facets of that body, for the force at their nodes alone; those that aren't
+                on the contact's surface don't count. Needed where both sides are one surface, on
+                which all forces together cancel.
 
         Returns:
             Force, ``(n,)``, the same on every rank, in 2D per unit depth. For bodies of revolution
@@ -691,8 +692,15 @@ class Contact(Settable):
                 )
             side = second if on is None else sides[0]
             return [(side, np.ones(len(rows.sides[side].dofs), dtype=bool))]
-        part = create_surface(self._spaces[sides[0]], facets, "the surface in facets=").dofs
-        found = [(i, np.isin(rows.sides[i].dofs, part)) for i in sides]
+        part = np.sort(
+            create_surface(self._spaces[sides[0]], facets, "the surface in facets=").dofs
+        )
+        found = []
+        for i in sides:  # a facet beside the surface shares nodes with it, and has no force
+            both = np.vstack((part, np.sort(rows.sides[i].reference.dofs)))
+            _, at, times = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+            on_both = part[times[at.ravel()[: len(part)]] > 1]
+            found.append((i, np.isin(rows.sides[i].dofs, on_both)))
         if not any(at.any() for _, at in found):
             raise ValueError("no facet in facets= is on the contact's surface; give some that are.")
         return found
