@@ -700,7 +700,7 @@ class Tie(Settable, collective.Owner):
         """
         side = self._side(on)
         if displaced not in (None, False, True):
-            raise ValueError(f"displaced is True, False or None, not {displaced!r}.")
+            raise ValueError(f"displaced is {displaced!r}: give True, False or None.")
         V, n = self._spaces[side], self.surfaces[0].gdim
         if V.value_shape != (n,):
             raise ValueError(f"a moment needs displacements; the value shape is {V.value_shape}.")

@@ -348,7 +348,7 @@ CASES = {
     "moment at displaced places, by a word": (
         of_tie(lambda scene, tie, problem: tie.moment(problem, (0, 0), displaced="yes")),
         V,
-        "displaced is True, False or None, not 'yes'",
+        "displaced is 'yes': give True, False or None",
     ),
     "rows of what is destroyed": (
         partial(destroyed, lambda problem: problem.x),
