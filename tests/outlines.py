@@ -103,22 +103,21 @@ def side(x, degree, name, part=None):
 def is_inside(points, x):
     """Mask of points inside of an outline's polygon, ``(num_points,)``."""
     a, b = x, np.roll(x, -1, axis=0)
-    y = points[:, 1, None]
-    crossed = (a[:, 1] > y) != (b[:, 1] > y)
-    step = np.where(a[:, 1] == b[:, 1], 1, b[:, 1] - a[:, 1])
-    at = a[:, 0] + (y - a[:, 1]) / step * (b[:, 0] - a[:, 0])
-    return (crossed & (points[:, 0, None] < at)).sum(axis=1) % 2 == 1
+    above = a[:, 1] > points[:, 1, None]
+    i, j = np.nonzero(above != np.roll(above, -1, axis=1))
+    a, along = a[j], (b - a)[j]
+    at = a[:, 0] + (points[i, 1] - a[:, 1]) / along[:, 1] * along[:, 0]
+    return np.bincount(i[points[i, 0] < at], minlength=len(points)) % 2 == 1
 
 
 def distances(points, x):
     """Signed distances of points from an outline's polygon, and the nearest edge's number."""
-    a, b = x, np.roll(x, -1, axis=0)
-    along = b - a
-    s = np.einsum("pei,ei->pe", points[:, None] - a, along) / (along**2).sum(axis=1)
-    feet = a + np.clip(s, 0, 1)[..., None] * along
-    apart = np.linalg.norm(points[:, None] - feet, axis=2)
+    along = np.roll(x, -1, axis=0) - x
+    u, v = points[:, :1] - x[:, 0], points[:, 1:] - x[:, 1]
+    s = np.clip((u * along[:, 0] + v * along[:, 1]) / (along**2).sum(axis=1), 0, 1)
+    squares = (u - s * along[:, 0]) ** 2 + (v - s * along[:, 1]) ** 2
     sign = np.where(is_inside(points, x), -1, 1)
-    return sign * apart.min(axis=1), apart.argmin(axis=1)
+    return sign * np.sqrt(squares.min(axis=1)), squares.argmin(axis=1)
 
 
 def apart(x0, x1):
