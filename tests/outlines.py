@@ -144,7 +144,7 @@ class Path:
         self.height, step = 4.0, 0.5
         while step > 1e-3:
             self.height -= step
-            if min(apart(*self.at(t)) for t in np.linspace(0, 1, 80)) < -DEPTH:
+            if any(apart(*self.at(t)) < -DEPTH for t in np.linspace(0, 1, 80)):
                 self.height += step
                 step /= 2
 

@@ -223,7 +223,7 @@ def test_no_memory(name, degree):
     """Gaps depend on the displacements alone, not on those before."""
     path = path_of(name, degree)
     kept = None
-    for t in np.linspace(0, 1, 200):
+    for t in np.linspace(0, 1, 100):
         u = path.u(t)
         fresh = segments_of(path.sides, u)
         if fresh is None:
