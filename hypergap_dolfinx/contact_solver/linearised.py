@@ -70,13 +70,9 @@ class _Laws:
     def slope(self, A: Array, B: Array) -> Array:
         """Derivative by unknowns, of which A and B are those of multipliers and gaps."""
         found = np.zeros_like(A)
-        for n in {len(rows) for rows, *_ in self.parts}:  # contacts with and without friction
-            some = [part for part in self.parts if len(part[0]) == n]
-            rows, *parts = (np.concatenate(of, axis=-1) for of in zip(*some, strict=True))
+        for rows, *parts in self.parts:
             for by, matrix in zip(parts, (B, A), strict=True):
-                for i, j in np.argwhere(by.any(axis=2)):
-                    at = by[i, j].nonzero()[0]
-                    found[rows[i, at]] += by[i, j, at, None] * matrix[rows[j, at]]
+                found[rows.T] += by.transpose(2, 0, 1) @ matrix[rows.T]
         return found
 
 

@@ -447,7 +447,7 @@ class Tangent:
 
         Args:
             loads: This rank's part of them, columns are its unknowns.
-            of: Rows for which to solve.
+            of: Rows for which to solve, in ascending order.
 
         Returns:
             This rank's part, ``(len(of), num_local)``.
@@ -458,31 +458,33 @@ class Tangent:
         retained = self._retained
         assert retained is not None and retained.ksp is not None
         ksp, (x, b) = retained.ksp, retained.vectors
-        pc, num, at = ksp.getPC(), len(of), np.flatnonzero(np.isin(loads.i, of))
-        order = np.argsort(of)
-        row = order[np.searchsorted(of, loads.i[at], sorter=order)]
-        places, found = row * self.num_local + loads.j[at], np.empty((num, self.num_local))
-        right = np.bincount(places, loads.values[at], found.size).reshape(found.shape)
-        if pc.getType() not in ("lu", "cholesky"):
-            for values, solution in zip(right, found, strict=True):
-                b.array[:] = values
+        pc, num, loads = ksp.getPC(), len(of), loads.some(np.isin(loads.i, of))
+        row = np.searchsorted(of, loads.i)
+        if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+            found = np.empty((num, self.num_local))
+            for k, solution in enumerate(found):
+                mine = row == k
+                b.array[:] = np.bincount(loads.j[mine], loads.values[mine], self.num_local)
                 with self._ways[0].options.in_use():
                     ksp.solve(b, x)
                 message = saddle.failure(ksp, units=retained.units)
                 if message:
                     raise UnsolvableError(message)
-                solution[:] = x.array_r
+                solution[:] = x.array_r.real
             return found
-        sizes = (b.getSizes(), (PETSc.DECIDE, num))
-        B = PETSc.Mat().createDense(sizes, comm=b.comm)
-        X = PETSc.Mat().createDense(sizes, comm=b.comm)
-        B.getDenseArray()[:] = right.T
-        for matrix in (B, X):
-            matrix.assemble()
+        # Sparse right-hand sides, in rows that MUMPS wants on the first rank
+        right, is_first = PETSc.Mat().create(b.comm), b.comm.rank == 0
+        right.setSizes([(total * is_first, total) for total in (num, b.getSize())])
+        right.setType(PETSc.Mat.Type.AIJ)
+        entries = compat.Triplets(right, row, b.getOwnershipRange()[0] + loads.j)
+        entries.set(loads.values.astype(PETSc.ScalarType))
+        columns = PETSc.Mat().createTranspose(right)
+        X = PETSc.Mat().createDense((b.getSizes(), (PETSc.DECIDE, num)), comm=b.comm)
+        X.assemble()
         with self._ways[0].options.in_use():
-            pc.getFactorMatrix().matSolve(B, X)
-        found[:] = X.getDenseArray().real.T
-        for matrix in (B, X):
+            pc.getFactorMatrix().matSolve(columns, X)
+        found = X.getDenseArray().real.T.copy()
+        for matrix in (columns, right, X):
             matrix.destroy()
         if not b.comm.tompi4py().allreduce(bool(np.isfinite(found).all()), MPI.LAND):
             raise SolveError("the linear solve gave no numbers.")
