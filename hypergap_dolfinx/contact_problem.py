@@ -470,7 +470,7 @@ class ContactProblem(ContactSystem):
         only = self._strays.moving(owned, every[0])
         found = [f"only contact can hold {only}; otherwise hold it by {self._strays.remedy}."]
         for rows in found_rows:
-            moves = self._free_moves(rows, modes)
+            moves = rows.moved(modes)
             every.append(rows.holds(moves)[rows.valid])
             if isinstance(rows, FrictionRows):
                 every.append(rows.holds_across(moves)[rows.valid].reshape(-1, self._num_free))

@@ -190,16 +190,17 @@ class ContactRows:
         c = self._contact.compliance.at_vertices()
         return float((self._area[c > 0] / c[c > 0]).mean()) if c.any() else 0.0
 
-    def displacements(self, u: Sequence[npt.NDArray[np.float64] | None]) -> Displacements:
+    def displacements(self, u: Sequence[npt.NDArray[np.float64] | None], more=()) -> Displacements:
         """Displacements at both sides' dofs. Collective.
 
         Args:
             u: This rank's values of Γ0's and Γ1's body, the owned ones first; None for zero.
+            more: Shape of further axes, of values and of what is found.
         """
-        u0, u1 = (np.zeros((len(side.dofs), self._n)) for side in self.sides)
+        u0, u1 = (np.zeros((len(side.dofs), self._n, *more)) for side in self.sides)
         for values, part, (mine, dofs) in zip((u0, u1), u, self._owned_dofs, strict=True):
             if part is not None:
-                values[mine] = part[dofs].reshape(-1, self._n)
+                values[mine] = part[dofs].reshape(-1, self._n, *more)
                 self._comm.Allreduce(MPI.IN_PLACE, values)
         return u0, u1
 
@@ -209,7 +210,7 @@ class ContactRows:
         of_bodies = [
             None if b is None or on else values[b] for b, on in zip(self.bodies, moves, strict=True)
         ]
-        found = self.displacements(of_bodies)
+        found = self.displacements(of_bodies, values[0].shape[1:])
         for side, body in enumerate(self.bodies):
             if moves[side] and self._rigid and body is not None:
                 found[side][:] = self._rigid.moved(side, values[body])
@@ -526,10 +527,6 @@ class ContactRows:
         """Length of gaps treated as closed."""
         return CLOSED_GAP * self._size
 
-    def times(self, values: Displacements) -> npt.NDArray[np.float64]:
-        """C applied to values at both sides' dofs, ``(num_multipliers,)``."""
-        return self.C.times(values, len(self.m))
-
     def subtract_forces(
         self, residual: Sequence[npt.NDArray], prescribed: Sequence[npt.NDArray[np.bool_]]
     ) -> list[npt.NDArray[np.float64]]:
@@ -705,9 +702,18 @@ class ContactRows:
         every = len(self._is_free) + np.arange(len(none))
         return Linear(Sparse(every, every, none + self._diagonal), none, none)
 
-    def holds(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
-        """C applied to motions, over areas, ``(num_multipliers, num)``."""
-        return self._over_areas(np.stack([self.times(move) for move in moves])).T
+    def moved(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+        """Motions at both sides' dofs, ``(num, num_dofs)``. Collective.
+
+        Args:
+            modes: This rank's motions of each body, ``(num_owned, num)``.
+        """
+        parts = [part.reshape(-1, part.shape[2]) for part in self.from_bodies(modes)]
+        return np.ascontiguousarray(np.vstack(parts).T)
+
+    def holds(self, moves: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """C applied to what :meth:`moved` gives, over areas, ``(num_multipliers, num)``."""
+        return self._over_areas(self.C.products(moves, len(self.m))).T
 
     def contact_forces(self) -> list[npt.NDArray[np.float64]]:
         """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""

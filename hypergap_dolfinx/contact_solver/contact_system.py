@@ -49,7 +49,6 @@ from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
 from hypergap_dolfinx.solvers.solver import names_types
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.moving import Displacements
 from hypergap_dolfinx.surface.trace import is_mixed
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -569,7 +568,7 @@ class ContactSystem(NonlinearSystem):
         if self._holding is not None and not (self._holding & ~self._acting()).any():
             return
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
-        moves = [self._free_moves(rows, modes) for rows in self._rows]
+        moves = [rows.moved(modes) for rows in self._rows]
         pairs = list(zip(self._rows, moves, strict=True))
         holds = np.vstack([rows.holds(part) for rows, part in pairs])
         every = np.concatenate([rows.state.active for rows in self._rows])
@@ -619,12 +618,6 @@ class ContactSystem(NonlinearSystem):
         """Forces on free rigid motions that contact is to balance, ``(num,)``. Collective."""
         parts = [m.T @ b.array_r for m, b in zip(modes, self._b.getNestSubVecs(), strict=False)]
         return self._comm.allreduce(sum(parts))
-
-    def _free_moves(
-        self, rows: ContactRows, every: Sequence[npt.NDArray[np.float64]]
-    ) -> list[Displacements]:
-        """Free rigid motions of each body at a contact's sides. Collective."""
-        return [rows.from_bodies([modes[:, k] for modes in every]) for k in range(self._num_free)]
 
     def _springs(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
         """Elongations of rigid bodies' springs by free motions, ``(num, num_free)``. Collective."""

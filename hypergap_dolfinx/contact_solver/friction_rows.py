@@ -103,13 +103,9 @@ class FrictionRows(ContactRows):
         elif self._follows or not len(self.T.i):
             self.T = self._condensed(opening.slip(self.at, self.condensed_to))
         moves = self.u[0] - self._since[0], self.u[1] - self._since[1]
-        self.s = self._times(self.T, moves)
+        self.s = self.T.times(moves, (self._n - 1) * len(self.g)).reshape(-1, len(self.g))
         self._lengths, self._all_slopes = np.append(self.g, self.s), None
         self._acting = joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
-
-    def _times(self, matrix: Sparse, values) -> npt.NDArray[np.float64]:
-        """Rows of slips times values at both sides' dofs, ``(n - 1, num_multipliers)``."""
-        return matrix.times(values, (self._n - 1) * len(self.g)).reshape(-1, len(self.g))
 
     @property
     def slip(self) -> npt.NDArray[np.float64]:
@@ -180,10 +176,10 @@ class FrictionRows(ContactRows):
         self.state.sticks, self.state.way = np.zeros_like(self.state.sticks), 0 * self.state.way
         return stuck
 
-    def holds_across(self, moves: Sequence[Displacements]) -> npt.NDArray[np.float64]:
+    def holds_across(self, moves: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
-        rows = np.stack([self._times(self.T, move) for move in moves])
-        return self._over_areas(rows).T
+        rows = self.T.products(moves, (self._n - 1) * len(self.g))
+        return self._over_areas(rows.reshape(len(moves), -1, len(self.g))).T
 
     # The linearised contact problem
 
