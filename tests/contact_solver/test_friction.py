@@ -89,7 +89,7 @@ def test_slip_in_space(monkeypatch):
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
 
 
-def rotating(dim, swap=False, rigid=False, **options):
+def rotating(dim, swap=False, rigid=False, solver=None, **options):
     """A block on another one, far ends of which a rigid motion takes along, or all of the lower."""
     u, F, bcs, sides, goals = [], [], [], [], []
     low, high = 2 * dim - 1, 2 * dim
@@ -113,7 +113,7 @@ def rotating(dim, swap=False, rigid=False, **options):
         F.append(None if fixed else body.F)
         sides.append((V, ft.find((high, low)[i])))
     contact = Contact(*sides[:: -1 if swap else 1], **options)
-    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-11)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-11, petsc_options=solver)
 
     def go(angle, *shift):
         turn = np.eye(dim)
@@ -424,6 +424,27 @@ def test_guessed_sets(monkeypatch, dim):
         go(0, *(0.04, 0.02)[: dim - 1], -0.1)
         found.append(contact.rows.state.p)
     assert counts[0] == 0 < counts[1] and contact.slipping.any()
+    close(found[1], found[0], 1e-9)
+
+
+@pytest.mark.ranks(2)
+def test_other_direct_solver(monkeypatch):
+    """States that are wrong at first are found without MUMPS as with it."""
+    found, sizes, responses = [], [], tangent.Tangent.responses
+
+    def counted(self, loads, of):
+        sizes.append(len(of))
+        return responses(self, loads, of)
+
+    monkeypatch.setattr(tangent.Tangent, "responses", counted)
+    other = {"pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"}
+    for solver in (None, other):
+        contact, problem, go = rotating(2, friction=0.1, solver=solver)
+        go(0, 0.04, -0.1)
+        found.append(contact.rows.state.p)
+        problem.destroy()
+    half = len(sizes) // 2
+    assert sizes[:half] == sizes[half:] and half > 0 and contact.slipping.any()
     close(found[1], found[0], 1e-9)
 
 
