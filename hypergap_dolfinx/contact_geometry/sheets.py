@@ -3,9 +3,11 @@
 r"""Weighted gaps of parts of Γ1's facets in space where sheets of Γ0 end, turn away or overlap.
 
 This is as in the plane (``rays.py``), with facets for edges and parts for halves: a sheet has the
-weight ω at a point, and covers those in front of it by that share. Where ω = 1 on all of a facet,
-since one sheet of Γ0 lies opposite and reaches beyond it, the gap is the volume of columns, whose
-derivatives are simple (``heights.py``). Other facets, few in most scenes, are *faded*. There
+weight ω at a point, and covers those in front of it by that share. It fades at smaller angles than
+there: facets of Γ1 beside what is pressed into it tilt towards its walls, which are far along their
+rays, and such gaps in a mean take forces away. Where ω = 1 on all of a facet, since one sheet of Γ0
+lies opposite and reaches beyond it, the gap is the volume of columns, whose derivatives are simple
+(``heights.py``). Other facets, few in most scenes, are *faded*. There
 
 .. math:: \sum_k \omega_k h_k \prod_{j<k} (1 - \omega_j)
    = \sum_S (-1)^{|S| + 1} \max_{k\in S} h_k \prod_{k\in S} \omega_k
@@ -36,7 +38,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
 )
 from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import (
-    COSINES,
+    COSINES_SPACE,
     INSIDE,
     LAST,
     NEAREST,
@@ -106,7 +108,7 @@ def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[n
     size, length = np.maximum(lengths(below), 1e-300), lengths(normal)
     cos = -np.einsum("pi,pi->p", below, normal) / (size * length)
     deep = np.einsum("pi,pi->p", below, q[:, At.R]) / size
-    result = _ramp(cos, COSINES)
+    result = _ramp(cos, COSINES_SPACE)
     if body.own:
         result[deep > cos * body.own.walls[rays.facets[1]]] = 0
     if rays.bends is not None:
@@ -190,7 +192,7 @@ class Faded:
             inverse=doubles(inverse),
             num_inner=len(inner),
             inner=inner,
-            cosines=list(COSINES),
+            cosines=list(COSINES_SPACE),
             inside=list(INSIDE),
             nearest=list(NEAREST),
             slack=SLACK,

@@ -150,6 +150,33 @@ def test_corners_slide_across_quadrilaterals():
     assert problem.iterations <= 10
 
 
+def test_walls_beside_a_punch():
+    """Facets of Γ1 beside a punch tilt towards its walls: these are far, and take no force away."""
+    spans = ((-0.3, -0.3, -0.5), (1.3, 1.3, 0)), ((0, 0, 0), (1, 1, 0.5))
+    found = []
+    for every in (False, True):
+        F, u, bcs, sides = [], [], [], []
+        for i, (low, high) in enumerate(spans):
+            cells = (4 + 2 * i, 4 + 2 * i, 2)
+            mesh = meshing.create_box(comm, [low, high], cells, meshing.CellType.hexahedron)
+            V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+            body = Elastic.on(V, (1.0, 1.0), large=True)
+            held = boundary(mesh, 2, (low, high)[i][2])
+            dofs = fem.locate_dofs_topological(V, 2, held)
+            bcs.append(fem.dirichletbc(default_scalar_type((0, 0, -0.1 * i)), dofs, V))
+            F.append(body.F)
+            u.append(body.u)
+            mesh.topology.create_connectivity(2, 3)
+            free = np.setdiff1d(meshing.exterior_facet_indices(mesh.topology), held)
+            sides.append((V, free if every else boundary(mesh, 2, 0)))
+        contact = Contact(*sides[::-1])
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+        problem.solve()
+        assert problem.iterations <= 6
+        found.append(contact.force(problem)[2])
+    close(found[1], found[0], 1e-9)
+
+
 def sides(heights, h=(0.25, 0.17), degree=1, offset=0.0):
     """Two surfaces, each from 0 to 1 but for the second one's offset; heights tell both."""
     found = []
