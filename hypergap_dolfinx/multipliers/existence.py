@@ -21,10 +21,12 @@ Three rules lead there:
    that is prescribed, or that another interface has on its Γ1 too: there λ follows its neighbours,
    as in mortar methods with cross points. The same holds for dofs on another interface's Γ0 if
    that one is left with too few multipliers, or if ties lead round in a circle, for one tie of it
-   (:meth:`~.numbering.Numbering.breaks`). So B is triangular: rows of such ties have dofs of Γ1
-   that are in no other rows; without them, in an order in which Γ0's body comes before Γ1's, a
-   row's dof of Γ1 is else in rows of later bodies only. (If a compliance determines λ between two
-   prescribed sides, no dof has to answer.)
+   (:meth:`~.numbering.Numbering.breaks`). So B is triangular, but for an exception: rows of such
+   ties have dofs of Γ1 that are in no other rows; without them, in an order in which Γ0's body
+   comes before Γ1's, a row's dof of Γ1 is else in rows of later bodies only. (If a compliance
+   determines λ between two prescribed sides, no dof has to answer.) The exception, in the plane,
+   is an interface that ends between two bodies on a smooth Γ0: by rule 1 there is one multiplier
+   for both of them there, and the interface keeps its own, two rows for two dofs.
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
@@ -177,22 +179,29 @@ def _at_cross_points(numbering: Numbering, users, label, members, alone, breaks)
     :meth:`~.numbering.Numbering.breaks`.
     """
     crossed = np.zeros(len(numbering), dtype=bool)
+    in_plane = numbering.ties[0].surfaces[1].gdim == 2
     for same in numbering.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= numbering.tie[a] == numbering.tie[b]  # patches that meet at a kink
-    for m, others in users.items():
-        mine = [numbering.tie[k] for k in members[label[m]]]
-        # An interface between the bodies that meet here ends here, and loses its multiplier
-        ending = {
+    # At each dof, bodies that meet on a smooth surface there: the interface between them ends
+    ending: defaultdict[tuple[int, int], set[frozenset]] = defaultdict(set)
+    for m in users:
+        mine = numbering.tie[members[label[m]]]
+        ending[numbering.place(m)] |= {
             frozenset((numbering.body(s, side), numbering.body(t, side)))
             for s, t in combinations(mine, 2)
             for side in (0, 1)
         }
-        for s, side in sorted(others):
+    for m, others in users.items():
+        mine, ends = numbering.tie[members[label[m]]], ending[numbering.place(m)]
+        # In space nodes seldom meet there, and the solver "bodies" needs triangular rows
+        is_end = in_plane and numbering.between(numbering.tie[m]) in ends
+        for s, side in others:
             if s in mine if side else not (alone[s] or breaks[mine].any()):
                 continue
-            between = frozenset((numbering.body(s, 0), numbering.body(s, 1))) if ending else None
-            crossed[m] |= s in mine or between not in ending
+            # Of an interface that ends and those on the surface all keep theirs
+            other_end = numbering.between(s) in ends
+            crossed[m] |= s in mine or ((not side or other_end) if is_end else not other_end)
     return crossed
 
 

@@ -103,11 +103,18 @@ class Numbering:
             self._bodies[t, side] = self.bodies[t][side], found
         return self._bodies[t, side]
 
+    def between(self, t: int) -> frozenset:
+        """Such bodies of a tie. Collective when new."""
+        return frozenset((self.body(t, 0), self.body(t, 1)))
+
     @cached_property
     def tied(self) -> set[frozenset]:
         """Pairs of such bodies that ties tie to each other. Collective."""
-        each = range(len(self.ties))
-        return {frozenset((self.body(t, 0), self.body(t, 1))) for t in each}
+        return set(map(self.between, range(len(self.ties))))
+
+    def place(self, m: int) -> Pair:
+        """Body of Γ1 and dof (block) under a multiplier."""
+        return self.bodies[self.tie[m]][1], int(self.dof[m])
 
     def breaks(self, users) -> npt.NDArray[np.bool_]:
         """Mask of ties without which no circle of Γ0's and Γ1's bodies is left. Collective.

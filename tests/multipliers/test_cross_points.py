@@ -6,6 +6,7 @@ from itertools import product
 
 from mpi4py import MPI
 
+import any_assemblies
 import helpers
 import numpy as np
 import pytest
@@ -295,3 +296,9 @@ def test_two_facets_in_circles_of_ties(tied):
         corners = ((0, 0), (a, 0.5)), ((a, 0), (1, 0.5)), ((0, 0.5), (b, 1)), ((b, 0.5), (1, 1))
         boxes = [(*box, (m, n // 2)) for box, m in zip(corners, counts, strict=True)]
         assert over_interpolant(boxes, "quadrilateral", bent, tied) < 1.1
+
+
+@pytest.mark.serial
+def test_interfaces_that_end_on_a_smooth_surface():
+    """They keep their multipliers: else both corners there come apart, and this is 1.22."""
+    assert any_assemblies.run(250, 2, np.inf)["h1"] < 1.05
