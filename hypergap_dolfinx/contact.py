@@ -579,6 +579,7 @@ class Contact(Settable):
             self.pressures(problem),
             rows.spread(active.astype(float)) > 0,
             rows.spread(rows.valid.astype(float)) > 0,
+            rows.spread(rows.distance),
             forces.reshape(-1, self._surfaces[1].gdim)[len(rows.sides[0].dofs) :],
         )
         return SurfacePressure.of(state)

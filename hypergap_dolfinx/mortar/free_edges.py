@@ -10,11 +10,17 @@ Where two smooth surfaces part, p has a root: with the distance d from the edge 
 with s linear on facets between values at vertices, which may be negative: p ends where s = 0, and
 not where a vertex is. s is found by least squares from the moments of the computed forces,
 
-.. math:: \sum_j \Bigl(\frac{\int \varphi_j\,p - F_j}{\bar p \int |\varphi_j|}\Bigr)^2 +
-   \mu^2 \sum_e \Bigl(\frac{h\,[\partial s/\partial\nu]_e}{\bar p^2}\Bigr)^2 \to \min,
+.. math:: \sum_f \Bigl(\frac{\sum_{j \in f} (\int \varphi_j\,p - F_j)}
+   {\bar p \sum_{j \in f} \int |\varphi_j|}\Bigr)^2 +
+   \mu^2 \sum_e \Bigl(\frac{h\,[\partial s/\partial\nu]_e}{\bar p^2}\Bigr)^2 +
+   \sum_r \Bigl(\frac{s(x_r)}{\bar p^2}\Bigr)^2 \to \min,
 
-with the forces F of the multipliers at the dofs j of Γ1's body, along its normals, and jumps of
-slopes between facets. Elsewhere p is linear between vertices.
+with the forces F of the multipliers at the dofs j of Γ1's body, along its normals, in sums over
+facets f: what goes from a dof to the next is an error of the mesh. The sum over all dofs near one
+edge is kept. There are jumps of slopes between facets, and in the plane places :math:`x_r` where
+gaps say that contact ends. Beyond an edge they go like :math:`d^{3/2}`, and those of vertices are
+means over hat functions: the quotient of the first two has one :math:`x_r`. Elsewhere p is linear
+between vertices.
 
 An edge of contact is free where an active vertex has a neighbour that is open, as others beside
 that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
@@ -37,6 +43,7 @@ from hypergap_dolfinx.mortar.tolerances import (
     RINGS_ROOT,
     SMOOTH_ROOT,
     STEPS_ROOT,
+    TOTAL_ROOT,
 )
 from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
@@ -59,6 +66,8 @@ class ContactState:
     """Vertices in contact, ``(num_vertices,)``."""
     exists: Mask
     """Vertices that lie opposite Γ0, ``(num_vertices,)``."""
+    gaps: Floats
+    """Mean gaps of open vertices, weighted by their hat functions, ``(num_vertices,)``."""
     forces: Floats
     """Forces of the pressures at :attr:`side`'s dofs, ``(num_dofs, n)``."""
 
@@ -102,7 +111,7 @@ class SurfacePressure:
         known = self.p > 0
         result = np.divide(q, self.p[:, None], out=np.zeros_like(q), where=known[:, None])
         facets = self.surface.facets
-        for _ in range(RINGS_ROOT + 1):
+        for _ in range(_rings(self.surface) + 1):
             count, total = np.zeros(len(q)), np.zeros_like(q)
             on = known[facets]
             np.add.at(count, facets, on.sum(axis=1)[:, None])
@@ -158,6 +167,11 @@ def simplices(cell_type: basix.CellType, num: int) -> Floats:
     return np.moveaxis(found, 2, 0) / num
 
 
+def _rings(surface: Surface) -> int:
+    """Facets beside those with a free edge on which pressure has a root, as Γ1 is split."""
+    return RINGS_ROOT[surface.gdim - 2] * surface.num_parts
+
+
 def _near_free_edges(state: ContactState) -> Mask:
     """Vertices near free edges of contact, those where pressure has a root, ``(num_vertices,)``."""
     facets, active = state.surface.facets, state.active
@@ -179,7 +193,7 @@ def _near_free_edges(state: ContactState) -> Mask:
     near, singular = np.zeros((2, len(active)), dtype=bool)
     near[facets[ends & falls]] = True
     singular[facets[ends & ~falls]] = True
-    for _ in range(RINGS_ROOT):
+    for _ in range(_rings(state.surface)):
         near[facets[near[facets].any(axis=1)]] = True
     return near & ~singular
 
@@ -217,19 +231,47 @@ class _RootFit:
         along /= np.maximum(lengths(along), 1e-300)[:, None]
         # ∫ φ_j p over facets, of p at their points
         self.moments = np.einsum("fqd,fqi,fdi->fqd", functions, normals, along[at])
-        mean = _means(state, free)
+        mean, part = _means(state, surface.facets[self.facets])
         self.mean = np.where(free, mean, 1)
         rest = -np.einsum("ji,ji->j", state.forces, along)
         own = near[around]
         linear = state.p[surface.facets[around[~own]]] @ self.hats.T
         np.add.at(rest, at[~own], -np.einsum("fqd,fq->fd", self.moments[~own], linear))
-        self.moments, self.at = self.moments[own], at[own]
-        of_dofs = np.zeros(len(side.dofs))
-        np.maximum.at(of_dofs, self.at, mean[surface.facets[self.facets]].max(axis=1)[:, None])
-        self.dofs = np.flatnonzero(dofs)
-        self.scale = 1 / (scale * np.where(dofs, of_dofs, 1))[self.dofs]
-        self.rest = rest[self.dofs]
-        self.jumps = self._jumps()
+        self.moments, self.at, self.rest = self.moments[own], at[own], rest
+        first = surface.facets[self.facets, 0]
+        of_dofs, part_of_dofs = np.zeros(len(side.dofs)), np.zeros(len(side.dofs), dtype=np.int64)
+        of_dofs[self.at] = mean[first, None]
+        part_of_dofs[self.at] = part[first, None]
+        self.sums = self._sums(scale * of_dofs, part_of_dofs)
+        jumps = self._jumps()
+        roots = self._roots() if surface.gdim == 2 else Sparse.empty()
+        after = jumps.i.max(initial=-1) + 1
+        self.jumps = joined(jumps, Sparse(after + roots.i, roots.j, roots.values))
+
+    def _sums(self, scale: Floats, part: npt.NDArray[np.int64]) -> Sparse:
+        """Sums of forces over facets and over parts of the region, over their sizes.
+
+        Args:
+            scale: Sizes of forces, zero where no pressure is sought, ``(num_dofs,)``.
+            part: Of the region, ``(num_dofs,)``.
+        """
+        side, every = self.state.side, np.flatnonzero(scale)
+        at = self.at
+        if side.reference.num_parts > 1:  # a facet with two of an edge's three dofs
+            vertices = np.searchsorted(side.dofs, side.vertex_dofs)
+            at = vertices[side.reference.facets[self.facets]]
+        i = np.append(np.repeat(np.arange(len(at)), at.shape[1]), len(at) + part[every])
+        j = np.append(at.ravel(), every)
+        weight = np.where(i < len(at), 1, TOTAL_ROOT) / np.bincount(i, scale[j])[i]
+        return Sparse(i, j, weight)
+
+    def _roots(self) -> Sparse:
+        """Values of s where gaps say that contact ends, in the plane."""
+        vertices, share = edges_by_gaps(self.state)
+        v, w = vertices[:, self.free[vertices[0]]]
+        share = share[self.free[vertices[0]]]
+        values = np.append(1 - share, share) / np.tile(self.mean[v] ** 2, 2)
+        return Sparse(np.tile(np.arange(len(v)), 2), np.append(v, w), values)
 
     def _jumps(self) -> Sparse:
         """Jumps of slopes of s over edges at free vertices, times sizes and factors."""
@@ -245,7 +287,7 @@ class _RootFit:
         return Sparse(
             D.i[use],
             D.j[use],
-            SMOOTH_ROOT * D.values[use] / mean[D.i[use]] ** 2,
+            SMOOTH_ROOT[surface.gdim - 2] * D.values[use] / mean[D.i[use]] ** 2,
         )
 
     def _errors(self, s: Floats) -> tuple[Floats, Sparse]:
@@ -253,21 +295,19 @@ class _RootFit:
         corners = self.state.surface.facets[self.facets]
         values = s[corners] @ self.hats.T  # (facet, point)
         p = np.sqrt(np.maximum(values, 0))
-        error = -self.rest
-        number = np.zeros(len(self.state.side.dofs), dtype=np.int64)
-        number[self.dofs] = np.arange(len(self.dofs))
-        at = number[self.at]
+        error, at = -self.rest, self.at
         np.add.at(error, at, np.einsum("fqd,fq->fd", self.moments, p))
         slope = np.divide(0.5, p, out=np.zeros_like(p), where=p > 0)
         by = np.einsum("fqd,fq,qv->fdv", self.moments, slope, self.hats)
         i = np.broadcast_to(at[:, :, None], by.shape).ravel()
         j = np.broadcast_to(corners[:, None], by.shape).ravel()
-        J = Sparse(i, j.astype(np.int64), self.scale[i] * by.ravel())
+        J = self.sums @ Sparse(i, j.astype(np.int64), by.ravel())
+        error = np.bincount(self.sums.i, self.sums.values * error[self.sums.j])
         jumps = np.bincount(self.jumps.i, self.jumps.values * s[self.jumps.j])
         K = Sparse(len(error) + self.jumps.i, self.jumps.j, self.jumps.values)
         every = joined(J, K).some(self.free[np.append(J.j, K.j)])
         values = every.values * self.mean[every.j] ** 2
-        return np.append(error * self.scale, jumps), Sparse(every.i, every.j, values).summed
+        return np.append(error, jumps), Sparse(every.i, every.j, values).summed
 
     def _continued(self, s: Floats) -> Floats:
         """Values of s with slopes that go on beyond the edge: from s = 0 no step finds its sign."""
@@ -298,14 +338,55 @@ class _RootFit:
         return s
 
 
-def _means(state: ContactState, free: Mask) -> Floats:
-    """Largest pressure on the part of a region with each of its vertices, ``(num_vertices,)``."""
-    facets = state.surface.facets[free[state.surface.facets].any(axis=1)]
+def edges_by_gaps(state: ContactState) -> tuple[npt.NDArray[np.intp], Floats]:
+    """Where contact ends by the first two gaps beyond, in the plane.
+
+    Returns:
+        Active vertices and the open ones beside them, ``(2, num)``, and how far from the first to
+        the second contact ends, ``(num,)``.
+    """
+    surface, active, gaps = state.surface, state.active, state.gaps
+    vertices, shares = [], []
+    for ends in (surface.facets, surface.facets[:, ::-1]):
+        after = np.full(len(active) + 1, -1)  # the last one for those that have none
+        after[ends[:, 0]] = ends[:, 1]
+        chain = [np.flatnonzero(active)]
+        for _ in range(3):
+            chain.append(after[chain[-1]])
+        v, w, x, y = chain
+        use = (y >= 0) & ~active[w] & ~active[x] & state.exists[w] & state.exists[x]
+        v, w, x, y = np.stack(chain)[:, use]
+        steps = [lengths(surface.x[b] - surface.x[a]) for a, b in ((v, w), (w, x), (x, y))]
+        at = np.cumsum([np.zeros(len(v)), *steps], axis=0)
+        low, high = at[0], at[1]
+        for _ in range(40):
+            middle = (low + high) / 2
+            of_w, of_x = _mean_gaps(at, middle)
+            before = of_w * gaps[x] > gaps[w] * of_x
+            low, high = np.where(before, middle, low), np.where(before, high, middle)
+        vertices.append(np.stack((v, w)))
+        shares.append(low / at[1])
+    return np.concatenate(vertices, axis=1), np.concatenate(shares)
+
+
+def _mean_gaps(at: Floats, edge: Floats) -> Floats:
+    """Means over hat functions of gaps like d^1.5, but for a factor, ``(num_nodes - 2, num)``.
+
+    Args:
+        at: Nodes in the order of distance, ``(num_nodes, num)``.
+        edge: Where gaps begin, ``(num,)``.
+    """
+    slopes = np.diff(np.maximum(at - edge, 0) ** 3.5, axis=0) / np.diff(at, axis=0)
+    return np.diff(slopes, axis=0) / (at[2:] - at[:-2])
+
+
+def _means(state: ContactState, facets) -> tuple[Floats, npt.NDArray[np.int32]]:
+    """Largest pressures on parts of a region of facets, and parts' numbers, at vertices."""
     first = np.repeat(facets[:, 0], facets.shape[1] - 1)
-    part = components(len(free), first, facets[:, 1:].ravel())
+    part = components(len(state.p), first, facets[:, 1:].ravel())
     most = np.zeros(part.max() + 1)
     np.maximum.at(most, part[facets], state.p[facets])
-    return most[part]
+    return most[part], part
 
 
 def _normals(surface: Surface, facets, X: Floats) -> Floats:

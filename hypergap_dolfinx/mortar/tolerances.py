@@ -62,23 +62,30 @@ UNEVEN = 5.5
 """Ratio by which facets of Γ1 may be narrower, per degree, without a warning.
 Measured: cubes, smooth field: λ's error 2.3 × at 4, 4 × at 8."""
 
-SMOOTH_ROOT = 0.2
-"""μ: weight of jumps of slopes beside that of moments, for roots at free edges.
-Measured: with .05, .1, .15, .2: L², means over four places of the edge. Hertz, degree 1, a/3:
-6.8e-2, 5.3e-2, 4.3e-2, 3.5e-2; degree 2: 1.6e-2, 1.5e-2, 1.4e-2, 1.4e-2. A profile x⁴, degree 1,
-a/5: 7.1e-2, 6.0e-2, 6.3e-2, 6.7e-2; degree 2, a/3: 2.9e-2, 3.3e-2, 4.0e-2, 4.8e-2. Cattaneo's
-shear, degree 2, a/10, from .1 on: 6.2e-2, 5.8e-2, 5.5e-2."""
+SMOOTH_ROOT = 0.15, 0.3
+"""μ: weight of jumps of slopes beside that of moments, for roots at free edges; plane, space.
+Measured: L², means over four places of the edge. Plane, with .1, .15, .2: Hertz, degree 1, a/2
+3.5e-2, 3.3e-2, 3.3e-2, a/10 1.0e-2, 9.2e-3, 8.2e-3; degree 2, a/3 5.1e-3, 4.3e-3, 4.0e-3; a
+profile x⁴, degree 2, a/3 3.7e-2, 4.1e-2, 4.6e-2. Space, with .2, .3, .4: Hertz, degree 1, a/3
+8.7e-2, 7.2e-2, 6.4e-2; degree 2, a/2 8.1e-2, 8.1e-2, 8.4e-2; r⁴ likewise 4.8e-1, 4.7e-1, 4.6e-1
+and 3.7e-1, 3.6e-1, 3.6e-1."""
 
-RINGS_ROOT = 2
-"""Facets of multipliers beside those with a free edge on which pressure has a root.
-Measured: Hertz's line, L², a/3.6 and a/5.4, degree 1, then 2: with 0 2.4e-2, 4.0e-2, 4.1e-2,
-3.5e-3, with 1 3.5e-2, 3.0e-2, 1.5e-2, 3.2e-3, with 2 2.0e-2, 3.5e-2, 1.9e-2, 2.8e-3, with 3 and 4
-2.4e-2, 3.6e-2, 1.9e-2, 2.6e-3."""
+TOTAL_ROOT = 50.0
+"""Weight of a region's total force, relative, beside those of facets' forces.
+Measured: Hertz's line, degree 1, a/2, 3, 5, 10: with 0 3.8e-2, 2.5e-2, 1.6e-2, 9.5e-3; with 20 to
+100 3.3e-2, 2.2e-2, 1.5e-2, 9.3e-3; with 200 the last is 1.1e-2 (more steps are needed)."""
+
+RINGS_ROOT = 1, 0
+"""The mesh's facets beside those with a free edge on which pressure has a root; plane, space.
+Measured: plane, Hertz, a/2, 3, 5, 10, degree 1: with 0 3.0e-2, 2.8e-2, 2.1e-2, 1.2e-2, with 1
+3.3e-2, 2.2e-2, 1.5e-2, 9.2e-3, with 2 7.7e-2, 2.3e-2, 1.8e-2, 1.0e-2; degree 2, a/3, with 0, 1, 2:
+2.0e-2, 4.3e-3, 4.2e-3. Space, with 0, 1, 2: Hertz, degree 1, a/3 7.2e-2, 9.0e-2, 9.2e-2, degree 2,
+a/2 8.1e-2, 8.4e-2, 9.1e-2."""
 
 PARTS_ROOT = 32, 8
 """Parts of edges for integrals of roots, and to draw them, in the plane and in space.
-Measured: the same, in the plane: with 2 5.5e-2, 2.4e-2, 1.9e-2, 1.3e-2, with 8 2.4e-2, 3.0e-2,
-1.4e-2, 5.3e-3, with 16 2.1e-2, 3.2e-2, 1.9e-2, 4.3e-3, with 64 2.2e-2, 3.5e-2, 1.8e-2, 2.6e-3."""
+Measured: plane, Hertz, degree 1, a/3, with 4, 16, 32, 64: 2.6e-2, 2.1e-2, 2.2e-2, 2.2e-2; degree 2,
+a/5, 3.6e-3, from 16 on 3.2e-3."""
 
 STEPS_ROOT = 30
 """Most steps of Levenberg and Marquardt's method for roots.
