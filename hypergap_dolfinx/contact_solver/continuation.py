@@ -13,6 +13,9 @@ process). If a share α of one step was taken, and the next step is r times that
 the share α / (1 − r). So steps to and fro, as from a stiffness that changes within the step, are
 halved. Steps that creep on, as from stiffness added to a tangent that isn't positive, are
 lengthened.
+
+Around a kink steps can also go in cycles that aren't along one line. Then none of them is shorter
+than the shortest so far, and they are halved until one is.
 """
 
 from collections.abc import Sequence
@@ -38,6 +41,7 @@ class Continuation:
         self._comm, self._num_back, self._square = comm, 0, 0.0
         self._least = least
         self._num_in_line, self._share = 0, 1.0
+        self._shortest, self._num_longer = np.inf, 0
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
 
     def share(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> float:
@@ -58,9 +62,18 @@ class Continuation:
         share = 1.0
         if moves_on and turned and work < 0 and self._num_back < PATIENCE:
             share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
+            self._shortest = np.inf  # it leads elsewhere
         elif moves_on and self._num_in_line > PATIENCE:
             falls = 1 / self._share - product / before  # over a whole step
             share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
+        elif moves_on:
+            share = 0.5 ** self._cycles(square)
         self._last, self._square = [share * part for part in moves], share**2 * square
         self._share = share
         return share
+
+    def _cycles(self, square: float) -> int:
+        """Times that no step of several was shorter than all before, since one was."""
+        self._num_longer = 0 if square < self._shortest else self._num_longer + 1
+        self._shortest = min(square, self._shortest)
+        return self._num_longer // (PATIENCE + 1)

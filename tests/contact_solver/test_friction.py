@@ -300,6 +300,26 @@ def test_steps_in_line(slope):
     assert shares[:4] == [1.0] * 4 and shares[4] != 1  # the first one is in line with none
 
 
+def test_steps_in_cycles(monkeypatch):
+    """Around kinks steps go in cycles that aren't along a line; halved ones end at the solution."""
+    normals, along = [[-0.2, -1.7], [-0.6, -0.7], [0.4, 0.5]], [[-0.1, -1.1], [-0.1, 0.1], [0.9, 0.7]]
+    n, m, limits = np.array(normals), np.array(along), np.array([-0.3, -0.2, -0.3])
+    k, K = np.array([7.2, 18.7, 9.8]), np.array([[1.0, -2.4], [2.4, 1.0]])
+
+    def after(num):
+        x, continuation = np.array([2.0, 1.0]), Continuation(MPI.COMM_SELF, 1e-12)
+        for _ in range(num):
+            beyond = n @ x - limits
+            F = K @ x + (k * np.maximum(beyond, 0)) @ m
+            step = -np.linalg.solve(K + (m.T * (k * (beyond > 0))) @ n, F)
+            x = x + continuation.share([step], 1.0) * step
+        return np.linalg.norm(F)
+
+    assert after(12) <= 1e-12
+    monkeypatch.setattr(Continuation, "_cycles", lambda self, square: 0)
+    assert after(60) > 0.1
+
+
 def test_slides_off():
     """What has nothing opposite any more slips by nothing, and is no error of NumPy's."""
     contact, problem, go = rotating(2, friction=0.1)
