@@ -302,7 +302,10 @@ def test_steps_in_line(slope):
 
 def test_steps_in_cycles(monkeypatch):
     """Around kinks steps go in cycles that aren't along a line; halved ones end at the solution."""
-    normals, along = [[-0.2, -1.7], [-0.6, -0.7], [0.4, 0.5]], [[-0.1, -1.1], [-0.1, 0.1], [0.9, 0.7]]
+    normals, along = (
+        [[-0.2, -1.7], [-0.6, -0.7], [0.4, 0.5]],
+        [[-0.1, -1.1], [-0.1, 0.1], [0.9, 0.7]],
+    )
     n, m, limits = np.array(normals), np.array(along), np.array([-0.3, -0.2, -0.3])
     k, K = np.array([7.2, 18.7, 9.8]), np.array([[1.0, -2.4], [2.4, 1.0]])
 
