@@ -14,7 +14,9 @@ constraints, and :math:`P^T K P` is computed only if K changes. At first it is t
 
 Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
 symmetric are stored by their upper halves, in blocks, and springs are applied as
-:math:`B^T W (B x)` beside them.
+:math:`B^T W (B x)` beside them. For its smoother each level needs the largest eigenvalue of
+its matrix over the diagonal. On the finest level springs change it by a few percent, and it is kept
+as long as K is. On coarser levels they may double it.
 """
 
 from collections.abc import Sequence
@@ -158,6 +160,7 @@ class Hierarchy:
         self._num_updates = 0
         self._stiffness: list[PETSc.Mat] = []
         self._levels: list[PETSc.Mat] = []
+        self._largest: float | None = None  # eigenvalue of the finest level
 
     def set_stiffness(self, K: PETSc.Mat, ksp: PETSc.KSP):
         """Compute PᵀKP on all levels; the first stiffness is that of the aggregates. Collective.
@@ -174,6 +177,7 @@ class Hierarchy:
                 if self._num_updates == 1:
                     last.destroy()  # a product of GAMG's
         self._num_updates += 1
+        self._largest = None
         self._scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by size, without a unit
         self._is_assembled = _needs_entries(ksp) or _asymmetry(K) > UNSYMMETRIC
         for matrix in self._stiffness:
@@ -210,6 +214,22 @@ class Hierarchy:
             pc.setMGInterpolation(num - 1 - level, P)
         for level, matrix in enumerate(levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
+        self._set_up(pc, levels[0], num - 1)
+
+    def _set_up(self, pc: PETSc.PC, finest: PETSc.Mat, number: int):
+        """Set up multigrid, with the largest eigenvalue for the smoother of the finest level."""
+        prefix, database, name = pc.getOptionsPrefix(), PETSc.Options(), "ksp_chebyshev_eigenvalues"
+        one = f"{prefix}mg_levels_{number}_{name}"
+        if f"{prefix}mg_levels_{name}" in database or one in database:
+            pc.setUp()
+            return
+        if self._largest is None:
+            self._largest = _largest_eigenvalue(finest, f"{prefix}mg_levels_esteig_")
+        database[one] = f"{0.1 * self._largest},{1.1 * self._largest}"  # as PETSc for others
+        try:
+            pc.setUp()
+        finally:
+            del database[one]
 
     def _sprung(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
         """Each level with (√W B P)ᵀ √W B P. Collective."""
@@ -269,6 +289,25 @@ def _asymmetry(K: PETSc.Mat) -> float:
     for vector in (x, y, product):
         vector.destroy()
     return abs(found[1] - np.conj(found[0])) / size if size else 0.0
+
+
+def _largest_eigenvalue(A: PETSc.Mat, prefix: str) -> float:
+    """Largest eigenvalue of a matrix over its diagonal, nearly. Collective."""
+    ksp = PETSc.KSP().create(A.comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setType(PETSc.KSP.Type.GMRES)
+    ksp.getPC().setType(PETSc.PC.Type.JACOBI)
+    ksp.setNormType(PETSc.KSP.NormType.NONE)
+    ksp.setComputeEigenvalues(True)
+    ksp.setFromOptions()
+    ksp.setOperators(A)
+    x, b = A.createVecs()
+    b.setRandom()
+    ksp.solve(b, x)
+    found = float(ksp.computeEigenvalues().real.max())
+    for obj in (ksp, x, b):
+        obj.destroy()
+    return found
 
 
 def _half(K: PETSc.Mat, block_size: int) -> PETSc.Mat:

@@ -130,6 +130,7 @@ class ContactRows:
         self._is_free = self._moves & np.repeat(own, [part.size for part in self._held])
         self._compliance = np.zeros(num)
         self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
+        self._guess: npt.NDArray[np.float64] | None = None  # gaps where laws are linearised
         corners = surface.facets.shape[1]
         x = surface.x[surface.facets]
         areas = lengths(normals_by_area(x)) / (corners * (self._n - 1))
@@ -413,6 +414,11 @@ class ContactRows:
         now.active = self.valid & np.where(changed, f > y, now.active)
         now.p = np.where(now.active, f, 0) * self._per_unit
 
+    def guess(self, y, f, changed):
+        """Take a solution as a guess: laws are linearised there; arguments as :meth:`accept`."""
+        self.accept(y, f, changed)
+        self._guess = y.reshape(self._per_vertex, -1)
+
     @property
     def _per_unit(self) -> npt.NDArray[np.float64]:
         """Pressures over multipliers in these units."""
@@ -430,7 +436,7 @@ class ContactRows:
             zero: Pressure treated as zero.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
-        self._diagonal, self._bends = self._diagonal or stiffness, None
+        self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
         now = self.state
         now.active = self.valid & (now.active | (self.distance <= EXACT * self._size))
         now.p = np.where(now.active, now.p, 0)
@@ -640,11 +646,13 @@ class ContactRows:
         if not self.state.active.any():
             return self.without_forces()
         n, num, k = self._per_vertex, len(self.g), self._stiffness
-        f, give = self._forces, self.give().reshape(n, num)
-        error, by_y, by_f = self._first_order(self._scaled(self._lengths) + give * f, f)
-        # by_y (y_new − y) + by_f (f_new − f) = −error, y_new = y − G dx + give (f_new − f)
-        by_f = by_f + by_y * give
+        f, give, y0 = self._forces, self.give().reshape(n, num), self._scaled(self._lengths)
+        y = y0 + give * f if self._guess is None else self._guess
+        error, by_y, by_f = self._first_order(y, f)
+        # by_y (y_new − y) + by_f (f_new − f) = −error, y_new = y0 − G dx + give f_new
         right = error - np.einsum("kla,la->ka", by_f, f)
+        right += np.einsum("kla,la->ka", by_y, y0 - y)
+        by_f = by_f + by_y * give
         if increments is not None:
             moves = self._scaled(self._product(self.from_bodies(increments)))
             right += np.einsum("kla,la->ka", by_y, moves)

@@ -429,7 +429,7 @@ class ContactSystem(NonlinearSystem):
                 break
             guesses.take(sum(int(part.sum()) for part in found.changed))
             for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
-                rows.accept(*solution)
+                rows.guess(*solution)
             if self._num_free:
                 self._hold()
         if not found.is_solved and any([rows.slide() for rows in self._rows]):

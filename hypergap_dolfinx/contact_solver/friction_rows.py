@@ -314,6 +314,23 @@ class FrictionRows(ContactRows):
             now.way = np.where(changed[0], way, now.way)
         now.q = np.where(now.active, f[1:], 0) * self._per_unit
 
+    def guess(self, y, f, changed):
+        """Take a solution as a guess, with its directions of slip."""
+        num, now = len(self.g), self.state
+        sticks = self._goes_along(y) & changed[:num] & (self.mu > 0)
+        super().guess(y, f, changed)
+        y, f = (v.reshape(self._n, -1) for v in (y, f))
+        now.way = self._states(y, f, np.arange(num))[2]
+        now.sticks |= sticks
+
+    def _goes_along(self, y) -> npt.NDArray[np.bool_]:
+        """Mask of multipliers that slip along their tractions, ``(num_multipliers,)``.
+
+        They stick next. If they slipped the other way, they could turn back again, and so on.
+        """
+        now, along = self.state, (y.reshape(self._n, -1)[1:] * self.state.way).sum(axis=0) > 0
+        return along & now.active & ~now.sticks & (self._soft == 0)
+
     @property
     def _values(self) -> npt.NDArray[np.float64]:
         return np.concatenate((self.state.p, self.state.q.ravel()))

@@ -9,9 +9,7 @@ symmetric, and conjugate gradients solve the system. With friction GMRES does, w
 preconditioner.
 
 Aggregates are those of the bodies (:mod:`~hypergap_dolfinx.algebra.hierarchy`) and are made once.
-The preconditioner has springs in the place of the rows. They may belong to earlier rows, since the
-projection Π satisfies the present ones exactly. While working sets are guessed, springs are renewed
-when a quarter as many rows as there are have come or gone; for an accurate solution, when any has.
+The preconditioner has springs in the place of the rows, new ones for each working set.
 """
 
 from collections.abc import Sequence
@@ -31,7 +29,6 @@ from hypergap_dolfinx.contact_solver.tangent import StackedNumbering
 from hypergap_dolfinx.contact_solver.tolerances import (
     HOLDS,
     NEARLY_STICKS,
-    RENEWED,
     ROUGH,
     STEPS,
     TIGHT,
@@ -195,8 +192,6 @@ class MultigridTangent:
         """Force that is a residual of zero."""
         self._equations: list[Linear] | None = None
         self._near, self._states = 0.0, list[int]()
-        self._sprung: npt.NDArray[np.bool_] | None = None
-        self._is_stale = False  # springs are of other rows
         self._constraints: Constraints | None = None
         self._more: PETSc.Mat | None = None
         self._last: tuple[Array, Array, float] | None = None
@@ -227,8 +222,8 @@ class MultigridTangent:
         self._constraints = self._more = None
 
     def start_step(self):
-        """Start a load step: springs of the last one may be elsewhere by now."""
-        self._sprung = self._last = None
+        """Start a load step."""
+        self._last = None
 
     def remember_stiffness(self, _of_rigid: float):
         """Remember the diagonal of the bodies' present stiffness, which is that without stress."""
@@ -282,7 +277,7 @@ class MultigridTangent:
         """
         try:
             with self._options.in_use():
-                self._update(equations, shift, accurate=anew)
+                self._update(equations, shift)
         except SolveError as error:  # aggregates and springs need a positive diagonal
             raise IterationFailed(f"{error}".removesuffix(".")) from error
         own = [part.right[rows.mine] for part, rows in zip(equations, self._rows, strict=True)]
@@ -379,13 +374,12 @@ class MultigridTangent:
 
     # Equations
 
-    def _update(self, equations: Sequence[Linear], shift: tuple[float, float], *, accurate: bool):
-        """Take the present stiffness, and equations; springs are these rows' if it's accurate."""
+    def _update(self, equations: Sequence[Linear], shift: tuple[float, float]):
+        """Take the present stiffness, and equations."""
         self._projection.factor = 1 + shift[0]
         near = shift[1]
         states = [K.stateGet() for K in self._system.K]
         same = self._equations is not None and near == self._near and states == self._states
-        same &= not (accurate and self._is_stale)
         if same and all(map(_is_same, equations, self._equations or ())):
             return
         self._now = now = self._sorted(equations)
@@ -396,13 +390,7 @@ class MultigridTangent:
         self._own = np.concatenate(own)
         self._constraints = self._joined(own, now.G, None if self._symmetric else F)
         self._more = self._matrix(more, near)
-        renews = states != self._states or self._sprung is None
-        if self._sprung is not None:
-            num = int((now.held ^ self._sprung).sum())
-            renews |= bool(num > RENEWED * self._sprung.sum()) or (accurate and num > 0)
-            self._is_stale = num > 0 and not renews
-        self._projection.update(self._ksp, self._constraints, self._more, renews=renews)
-        self._sprung = now.held if renews else self._sprung
+        self._projection.update(self._ksp, self._constraints, self._more)
         self._equations, self._near, self._states = list(equations), near, states
 
     def _sorted(self, equations: Sequence[Linear]) -> _Equations:

@@ -108,12 +108,7 @@ class Projection:
         self._constraints, self._of_constraints = None, []
 
     def update(
-        self,
-        ksp: PETSc.KSP,
-        constraints: Constraints | None,
-        more: PETSc.Mat | None = None,
-        *,
-        renews: bool = True,
+        self, ksp: PETSc.KSP, constraints: Constraints | None, more: PETSc.Mat | None = None
     ):
         """Take the present stiffness, and constraints, for a KSP.
 
@@ -121,14 +116,9 @@ class Projection:
             ksp: The KSP.
             constraints: The constraints, which stay the caller's, or None.
             more: What is added to the stiffness, but not to the preconditioner.
-            renews: False if the preconditioner is to be that of similar constraints before.
         """
         self._forget()
         self._more = more
-        if not renews and self._hierarchy is not None:
-            if constraints is not None:
-                self._constrain(constraints).destroy()
-            return
         self._make_levels(ksp)
         springs = self._constrain(constraints) if constraints is not None else None
         assert self._hierarchy is not None

@@ -9,6 +9,7 @@ from pathlib import Path
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import hertz
 import numpy as np
 import pytest
 from assembly import Elastic, lame_constants
@@ -17,7 +18,7 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
-from hypergap_dolfinx.contact_solver import contact_system
+from hypergap_dolfinx.contact_solver import contact_system, multigrid_tangent
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.solvers.multigrid import Multigrid
@@ -148,17 +149,12 @@ SCENES = {
 @pytest.mark.ranks(3, name=["finite", "friction", "free with a tie"])
 @pytest.mark.parametrize("name", SCENES)
 def test_as_with_factors(name):
-    """Sets, pressures and displacements; Newton steps: one more, with friction twice as many and 4.
-
-    With friction round-off decides about guesses: with slightly rougher ones the second load step
-    of that scene takes 4 to 14 steps, on one rank and on two; with those of now 5 on one rank.
-    """
+    """Sets, pressures and displacements; Newton steps: at most one more."""
     options, path = SCENES[name]
     scenes = [Pressed(**options, solver=solver) for solver in ("direct", "iterative")]
     steps = [scene.solve(path) for scene in scenes]
     assert scenes[1].problem.halvings == 0
-    most = 2 * np.array(steps[0]) + 4 if "friction" in options else np.array(steps[0]) + 1
-    assert (steps[1] <= most).all(), str(steps)
+    assert (np.array(steps[1]) <= np.array(steps[0]) + 1).all(), str(steps)
     assert not isinstance(scenes[1].problem._tangent, Tangent)
     rows = [scene.problem.rows(scene.contact) for scene in scenes]
     assert rows[0].state.active.any()
@@ -199,6 +195,26 @@ def test_iterations(counted):
         sums.append(sum(counted))
     assert max(most) <= 22, str(most)
     assert sums[1] <= 64, str(sums)  # 55; with a thousandth of the residual for each guess 76
+
+
+@pytest.mark.ranks(2, friction=[0.3], rough=[0.5])
+@pytest.mark.parametrize("rough", (0.9, 0.5, 0.3))
+@pytest.mark.parametrize("friction", (0.1, 0.3))
+def test_rough_guesses_with_friction(monkeypatch, friction, rough):
+    """Laws of friction are linearised at each guess: how rough guesses are doesn't matter."""
+    monkeypatch.setattr(multigrid_tangent, "ROUGH", rough)
+    scene = Pressed(7, friction=friction, large=True, solver="iterative")
+    steps = scene.solve(ACROSS)
+    assert max(steps) <= 5 and scene.problem.halvings == 0, str(steps)  # with factors 4 and 4
+    assert scene.problem._tangent.iterations <= 300
+
+
+def test_few_iterations_for_each_set(monkeypatch):
+    """Of many working sets that differ little each needs about one iteration for its signs."""
+    pytest.importorskip("gmsh")
+    monkeypatch.setattr(contact_system, "LARGE_CONTACT", 0)
+    problem, _ = hertz.press(comm, hertz.a / 6, 1, 2 / 3, False, dim=3)
+    assert problem._tangent.iterations <= 50  # 41; 62 if springs are renewed for a quarter of rows
 
 
 @pytest.mark.ranks(2)
