@@ -133,6 +133,12 @@ def notices(item):
     return wanted and world.size <= max(marker.args, default=world.size)
 
 
+def pytest_ignore_collect(collection_path):
+    """Files without a test that notices ranks: to import sympy, pyvista and others takes longer."""
+    is_test = parallel and collection_path.match("test_*.py")
+    return True if is_test and "ranks" not in collection_path.read_text("utf-8") else None
+
+
 def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=[item for item in items if not notices(item)])
     items[:] = [item for item in items if notices(item)]

@@ -3,7 +3,7 @@
 """Outlines of bodies in the plane without meshes: surfaces, distances, paths on which they pass."""
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -205,6 +205,7 @@ SCENES = {
 CASES = [(name, degree) for name in SCENES for degree in (1, 2)]
 
 
+@cache
 def path_of(name, degree):
     """The path of a scene."""
     *shapes, options = SCENES[name]

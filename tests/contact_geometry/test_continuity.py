@@ -92,7 +92,7 @@ def changes(path):
         until it is 1e-5, at most 30 times, ``(len(STEPS) + 1,)`` each.
     """
     scale = 1.0, DEPTH * SIZE ** (path.sides[0].reference.gdim - 1)
-    at = lambda t: evaluated(path.sides, path.u(t))  # noqa: E731
+    at = cache(lambda t: evaluated(path.sides, path.u(t)))
     times = np.linspace(0, 1, STEPS[-1] + 1)
     values, result = [np.array(part) for part in zip(*map(at, times), strict=True)], []
     for k, array in enumerate(values):
@@ -223,7 +223,7 @@ def test_no_memory(name, degree):
     """Gaps depend on the displacements alone, not on those before."""
     path = path_of(name, degree)
     kept = None
-    for t in np.linspace(0, 1, 100):
+    for t in np.linspace(0, 1, 100 if helpers.thorough else 50):
         u = path.u(t)
         fresh = segments_of(path.sides, u)
         if fresh is None:
@@ -255,8 +255,8 @@ def corner_states(turn, degree):
         if number % 2:  # about to touch from above
             x[:, 1] += 2.0 - x[:, 1].min()
             wanted = rng.uniform(-1.5 * DEPTH, 0.5)
-            while apart(x, base) > wanted and x[:, 1].min() > -0.5:
-                x[:, 1] -= 0.03
+            while (above := apart(x, base) - wanted) > 0 and x[:, 1].min() > -0.5:
+                x[:, 1] -= max(0.03, above)
         u = x - block, 0 * base
         segments = segments_of(sides, u)
         if segments is not None:
@@ -337,6 +337,7 @@ def errors_of_derivatives(sides, u, rng, step=1e-5):
     since = tuple(part - 0.1 * rng.standard_normal(part.shape) for part in u)
     target, on = np.arange(num), np.ones(num, dtype=bool)
 
+    @cache  # for all four, and both steps
     def at(t):
         x = tuple(a + t * b for a, b in zip(u, d, strict=True))
         g, _, C = segments.gap(x)
