@@ -102,7 +102,7 @@ def test_ring():
     )
 
 
-@pytest.mark.ranks(3, cell=["hexahedron"], degree=[1])
+@two_ranks(cell=["hexahedron"], degree=[1])
 @pytest.mark.parametrize(
     ("cell", "degree", "cells"),
     [
@@ -153,7 +153,7 @@ def two_blocks():
     return mesh
 
 
-@two_ranks()
+@pytest.mark.ranks
 def test_patch_in_space():
     """Two blocks, pressed by a fifth of their height, whose whole outline is one surface."""
     mesh = two_blocks()

@@ -13,6 +13,7 @@ import hertz
 import numpy as np
 import pytest
 from assembly import Elastic, lame_constants
+from helpers import thorough
 
 import meshes
 import ufl
@@ -146,7 +147,11 @@ SCENES = {
 }
 
 
-@pytest.mark.ranks(3, name=["finite", "friction", "free with a tie"])
+ON_RANKS = "free with a tie", *("finite", "friction") * (comm.size == 2 or thorough)
+"""On three ranks the scene with rows of contact and of a tie."""
+
+
+@pytest.mark.ranks(3, name=ON_RANKS)
 @pytest.mark.parametrize("name", SCENES)
 def test_as_with_factors(name):
     """Sets, pressures and displacements; Newton steps: at most one more."""
