@@ -602,7 +602,7 @@ def test_screwdriver():
     torque, angles = 0.04, []
     for held_parts, spring in ((("x", "y", "rotation"), 0.0), (("x", "y"), 0.02)):
         problem, driver, grips = screw(held_parts, spring)
-        for share in (0.25, 0.5, 0.75, 1.0):
+        for share in (0.5, 1.0):
             driver.torque = torque * share
             problem.solve()
         angles.append(np.concatenate([one.angles for one in (driver, *grips)]))
