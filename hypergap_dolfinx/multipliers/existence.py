@@ -24,18 +24,18 @@ Three rules lead there:
    (:meth:`~.numbering.Numbering.breaks`). So B is triangular, but for an exception: rows of such
    ties have dofs of Γ1 that are in no other rows; without them, in an order in which Γ0's body
    comes before Γ1's, a row's dof of Γ1 is else in rows of later bodies only. (If a compliance
-   determines λ between two prescribed sides, no dof has to answer.) The exception, in the plane,
-   is an interface that ends between two bodies on a smooth Γ0: by rule 1 there is one multiplier
-   for both of them there, and the interface keeps its own, two rows for two dofs.
+   determines λ between two prescribed sides, no dof has to answer.) The exception is an interface
+   that ends between two bodies on a smooth Γ0 (:mod:`~.multipliers.ends`). It keeps its
+   multipliers; those on Γ0 are one body's, which by rule 1 are the other one's too, or which that
+   one follows: as many rows as both have dofs there.
 3. A patch that is left with too few multipliers gets other ones instead: λ is constant, linear, …
    in space, as far as these rows don't follow from those of other such patches. If those that are
    left lie on lines (one cell wide, held along both edges), λ's slopes across are added.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -44,7 +44,7 @@ import numpy.typing as npt
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.mortar.constraint import smooth_pieces
+from hypergap_dolfinx.multipliers.ends import Ends, Follows, SmoothPieces, find_ends
 from hypergap_dolfinx.multipliers.interface import Interface
 from hypergap_dolfinx.multipliers.numbering import (
     Numbering,
@@ -108,46 +108,21 @@ class Choice:
             self.undetermined[t] = other.undetermined[k]
 
 
-def _smooth_pieces(numbering: Numbering) -> Callable[[int, int], set[int]]:
-    """Smooth pieces of a side's body at a multiplier; on Γ0 the nearest one."""
-
-    @cache
-    def on_body(side: int, body: int) -> dict[int, npt.NDArray]:
-        """Piece of each facet of the ties on a body."""
-        on = [s for s, pair in enumerate(numbering.bodies) if pair[side] == body]
-        surfaces = [numbering.ties[s].surfaces[side] for s in on]
-        return dict(zip(on, smooth_pieces(surfaces), strict=True))
-
-    def at(m: int, side: int) -> set[int]:
-        t, (multipliers, local) = numbering.tie[m], numbering.local(m)
-        facets = multipliers.facets_of(local)[0]
-        if side == 0:
-            x = numbering.ties[t].domain.surfaces[0].nodes.mean(axis=1)
-            facets = np.linalg.norm(x - multipliers.x[local], axis=1).argmin(keepdims=True)
-        return set(on_body(side, numbering.bodies[t][side])[t][facets])
-
-    return at
-
-
-def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
+def _merge(numbering: Numbering, users, smooth: SmoothPieces) -> npt.NDArray[np.int32]:
     """Rule 1: number of the class of each multiplier; those of one class are one."""
-    ties, bodies, tie = numbering.ties, numbering.bodies, numbering.tie
-    smooth = _smooth_pieces(numbering)
-    alike = [(tie.closes_gap, tie.motion and tie.motion.key) for tie in ties]
+    bodies, tie = numbering.bodies, numbering.tie
 
     def may(a: int, b: int, side: int) -> bool:
         """True if two ties on one smooth piece of a body act as one interface at a place."""
         s, t = tie[a], tie[b]
-        if s == t or alike[s] != alike[t]:
-            return False
-        if any(ties[i].free_interior or ties[i].discontinuous for i in (s, t)):
+        if s == t or not numbering.are_alike(s, t):
             return False
         if numbering.body(s, side) != numbering.body(t, side):
             return False
         opposite = numbering.body(s, 1 - side), numbering.body(t, 1 - side)
         if opposite[0] != opposite[1] and frozenset(opposite) not in numbering.tied:
             return False
-        return bool(smooth(a, side) & smooth(b, side))
+        return bool(smooth.at(a, side) & smooth.at(b, side))
 
     pairs = [
         (a, b)
@@ -172,36 +147,25 @@ def _merge(numbering: Numbering, users) -> npt.NDArray[np.int32]:
     return components(len(numbering), first, second)
 
 
-def _at_cross_points(numbering: Numbering, users, label, members, alone, breaks):
+def _at_cross_points(numbering: Numbering, users, mine, alone, breaks, ends: Ends):
     """Mask of the multipliers whose dofs another interface uses too, ``(num,)``.
 
     ``alone`` is the mask of ties on whose Γ0 no other one may have a multiplier, ``breaks`` that of
     :meth:`~.numbering.Numbering.breaks`.
     """
     crossed = np.zeros(len(numbering), dtype=bool)
-    in_plane = numbering.ties[0].surfaces[1].gdim == 2
     for same in numbering.places.values():
         for a, b in combinations(same, 2):
             crossed[[a, b]] |= numbering.tie[a] == numbering.tie[b]  # patches that meet at a kink
-    # At each dof, bodies that meet on a smooth surface there: the interface between them ends
-    ending: defaultdict[tuple[int, int], set[frozenset]] = defaultdict(set)
-    for m in users:
-        mine = numbering.tie[members[label[m]]]
-        ending[numbering.place(m)] |= {
-            frozenset((numbering.body(s, side), numbering.body(t, side)))
-            for s, t in combinations(mine, 2)
-            for side in (0, 1)
-        }
     for m, others in users.items():
-        mine, ends = numbering.tie[members[label[m]]], ending[numbering.place(m)]
-        # In space nodes seldom meet there, and the solver "bodies" needs triangular rows
-        is_end = in_plane and numbering.between(numbering.tie[m]) in ends
+        ending = ends.between[numbering.place(m)]
+        is_end = numbering.between(numbering.tie[m]) in ending
         for s, side in others:
-            if s in mine if side else not (alone[s] or breaks[mine].any()):
+            if s in mine[m] if side else not (alone[s] or breaks[mine[m]].any()):
                 continue
             # Of an interface that ends and those on the surface all keep theirs
-            other_end = numbering.between(s) in ends
-            crossed[m] |= s in mine or ((not side or other_end) if is_end else not other_end)
+            other_end = numbering.between(s) in ending
+            crossed[m] |= s in mine[m] or ((not side or other_end) if is_end else not other_end)
     return crossed
 
 
@@ -247,12 +211,20 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
     num, groups = len(ties), interfaces(ties, bodies)
     numbering = Numbering(ties, bodies)
     users = numbering.users()
-    label = _merge(numbering, users)
+    smooth = SmoothPieces(numbering)
+    label = _merge(numbering, users, smooth)
     members: defaultdict[int, list[int]] = defaultdict(list)
     for m in np.flatnonzero(np.bincount(label)[label] > 1).tolist():
         members[int(label[m])].append(m)
     for m in users:
         members.setdefault(int(label[m]), [m])
+    mine = {m: numbering.tie[members[label[m]]] for m in users}
+    ends = find_ends(numbering, users, mine, smooth)
+    # What isn't one with a multiplier across an interface that ends follows those there
+    follows: Follows = {}
+    for m, across in ends.across.items():
+        if numbering.tie[across[0][0]] not in mine[m]:
+            follows |= dict.fromkeys(members[label[m]], across)
     by_compliance = [_from_compliance(numbering, t, prescribed) for t in range(num)]
     parts = zip(ties, bodies, numbering.lists, by_compliance, strict=True)
     held = np.vstack(
@@ -264,14 +236,14 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
     covered, alone = _covered(numbering, label, members), np.zeros(num, dtype=bool)
     breaks, changed = numbering.breaks(users), True
     while changed:
-        gone = _at_cross_points(numbering, users, label, members, alone, breaks) | ~covered
+        gone = _at_cross_points(numbering, users, mine, alone, breaks, ends) | ~covered
         drop = held | gone[:, None]
         for same in members.values():
             drop[same] = held[same].all(axis=0) | gone[same].any()
-        few = ties_with_too_few(numbering, label, drop) if users else alone
+        few = ties_with_too_few(numbering, label, drop, follows) if users else alone
         changed = bool((few & ~alone).any())
         alone |= few
-    chosen = _Assembly(numbering, groups, label, held, drop, prescribed).choice()
+    chosen = _Assembly(numbering, groups, label, held, drop, prescribed, follows).choice()
     chosen.undetermined = [undetermined for _, undetermined in by_compliance]
     return chosen
 
@@ -317,12 +289,22 @@ def _from_compliance(numbering: Numbering, t: int, prescribed) -> tuple[npt.NDAr
     return fixed & says, bool((fixed & ~says).any())
 
 
+def _through(numbers, weights, rows) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+    """Multipliers and weights of a sum; those that have ``rows`` in terms of others."""
+    parts = [rows.get(j, (np.array([j]), np.ones(1))) for j in numbers]
+    if not parts:
+        return np.empty(0, dtype=np.intp), np.empty(0)
+    scaled = [w * part[1] for w, part in zip(weights, parts, strict=True)]
+    found, at = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
+    return found, np.bincount(at, np.concatenate(scaled), len(found))
+
+
 class _Assembly:
     """Columns of E for the multipliers that exist, and its rows for all others."""
 
-    def __init__(self, numbering: Numbering, groups, label, held, drop, prescribed):
+    def __init__(self, numbering: Numbering, groups, label, held, drop, prescribed, follows):
         self._numbering, self._groups, self._label = numbering, groups, label
-        self._held, self._drop = held, drop
+        self._held, self._drop, self._follows = held, drop, follows
         self._prescribed = prescribed
         self._group = np.empty(len(numbering.ties), dtype=np.intp)
         for g, group in enumerate(groups):
@@ -337,27 +319,40 @@ class _Assembly:
     def choice(self) -> Choice:
         """Make the columns and the entries. Collective."""
         numbering, block_size = self._numbering, self._held.shape[1]
-        new = replacements(numbering, self._label, self._held, self._drop, self._prescribed)
+        new = replacements(
+            numbering, self._label, self._held, self._drop, self._prescribed, self._follows
+        )
         elsewhere = np.zeros_like(self._drop)
         for piece in new:
             elsewhere[piece.numbers, piece.component] = True
         # One column for each class that is left, at its first multiplier
         first = np.unique(self._label, return_index=True)[1][self._label]
-        m, component = np.nonzero(~self._drop)
+        gone = self._drop.copy()
+        gone[list(self._follows)] = True
+        m, component = np.nonzero(~gone)
         own = first[m] == m
-        column = np.full(self._drop.shape, -1, dtype=np.intp)
+        column = np.full(gone.shape, -1, dtype=np.intp)
         column[m[own], component[own]] = np.arange(own.sum())
         dofs = numbering.dof[m[own]] * block_size + component[own]
         self._add_columns(m[own], component[own], dofs)
         column[m, component] = column[first[m], component]
         self._entries.append((m, component, column[m, component], np.ones(len(m))))
+        across = {}
+        for m, component in np.argwhere(gone & ~self._drop).tolist():
+            others, weights = self._follows[m]
+            dropped = others[gone[others, component]]
+            rows = {j: self._follow(j, component, gone)[:2] for j in dropped}
+            across[m, component] = _through(others, weights, rows)
+            self._add_row(m, component, *across[m, component], column)
         for m, component in np.argwhere(self._drop & ~elsewhere).tolist():
-            weights, others, beside = self._follow(m, component)
+            others, weights, beside = self._follow(m, component, self._drop)
             if not beside and self._all_held(m, component):
                 self._lost.append((m, component))
-            of = np.full((2, len(others)), ((m,), (component,)))
-            self._entries.append((*of, column[others, component], weights))
-        for piece in new + slopes(numbering, self._drop, self._entries, self._prescribed, new):
+            rows = {j: across[j, component] for j in others if (j, component) in across}
+            self._add_row(m, component, *_through(others, weights, rows), column)
+        for piece in new + slopes(
+            numbering, self._drop, gone, self._entries, self._prescribed, new
+        ):
             self._add_replacement(piece)
         return self._numbered()
 
@@ -371,23 +366,28 @@ class _Assembly:
             rank[tie == t] = np.searchsorted(ends, numbering.dof[m[tie == t]], side="right")
         self._columns.append(np.stack((self._group[tie], rank, m, component, own), axis=1))
 
-    def _follow(self, m: int, component: int):
-        """Weights and numbers of the multipliers that λ follows, and True if they are beside it."""
-        numbering, drop = self._numbering, self._drop[:, component]
+    def _add_row(self, m: int, component: int, others, weights, column):
+        of = np.full((2, len(others)), ((m,), (component,)))
+        self._entries.append((*of, column[others, component], weights))
+
+    def _follow(self, m: int, component: int, drop):
+        """Numbers and weights of the multipliers that λ follows, and True if they are beside it."""
+        numbering, drop = self._numbering, drop[:, component]
         lists, local = numbering.local(m)
         start = numbering.starts[numbering.tie[m]]
         weights, others, beside = lists.follow(local, drop[start : start + len(lists.dofs)])
         if len(others):
-            return weights, start + others, beside
+            return start + others, weights, beside
         # Its own tie has none left there, but another one of the same piece
         if component not in self._piece_of:
-            self._piece_of[component] = pieces(numbering, self._label, drop)
+            dropped = self._drop[:, component]
+            self._piece_of[component] = pieces(numbering, self._label, dropped, self._follows)
         piece = self._piece_of[component]
         mine = np.flatnonzero((piece == piece[m]) & ~drop)
         if len(mine):
             nearest = np.linalg.norm(numbering.x(mine) - lists.x[local], axis=1).argmin()
-            return np.ones(1), mine[nearest : nearest + 1], beside
-        return weights, others, beside
+            return mine[nearest : nearest + 1], np.ones(1), beside
+        return others, weights, beside
 
     def _all_held(self, m: int, component: int) -> bool:
         """True if all dofs of the facets at a multiplier are prescribed."""
@@ -432,6 +432,7 @@ class _Assembly:
         each = range(len(numbering.ties))
         # A tie is complete if all its multipliers exist, and none is shared with another tie
         whole = (np.bincount(self._label)[self._label] == 1) & ~self._drop.any(axis=1)
+        whole[list(self._follows)] = False
         return Choice(
             groups,
             [Columns(rank[order[a:b]], own[order[a:b]]) for a, b in pairwise(starts)],

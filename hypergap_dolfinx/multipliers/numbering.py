@@ -27,6 +27,9 @@ from hypergap_dolfinx.multipliers.tolerances import CONSISTENT, INDEPENDENT_ROWS
 Pair = tuple[int, int]
 """Two bodies, or a body and a dof (block) of it."""
 
+Follows = dict[int, tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]]
+"""Multipliers, and weights at others that make λ there."""
+
 
 def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArray:
     """Values at global dofs (blocks) on every rank. Collective.
@@ -103,14 +106,24 @@ class Numbering:
             self._bodies[t, side] = self.bodies[t][side], found
         return self._bodies[t, side]
 
+    def pair(self, t: int) -> tuple:
+        """Such bodies of a tie's Γ0 and Γ1. Collective when new."""
+        return self.body(t, 0), self.body(t, 1)
+
     def between(self, t: int) -> frozenset:
         """Such bodies of a tie. Collective when new."""
-        return frozenset((self.body(t, 0), self.body(t, 1)))
+        return frozenset(self.pair(t))
 
     @cached_property
     def tied(self) -> set[frozenset]:
         """Pairs of such bodies that ties tie to each other. Collective."""
         return set(map(self.between, range(len(self.ties))))
+
+    def are_alike(self, s: int, t: int) -> bool:
+        """True if λ of two ties may be one."""
+        ties = self.ties[s], self.ties[t]
+        first, second = ((tie.closes_gap, tie.motion and tie.motion.key) for tie in ties)
+        return first == second and not any(tie.free_interior or tie.discontinuous for tie in ties)
 
     def place(self, m: int) -> Pair:
         """Body of Γ1 and dof (block) under a multiplier."""
@@ -267,7 +280,7 @@ def _rows(tie: Interface, side: int, multipliers) -> tuple[npt.NDArray, npt.NDAr
     return columns, B
 
 
-def pieces(numbering: Numbering, label, drop) -> npt.NDArray[np.int32]:
+def pieces(numbering: Numbering, label, drop, follows: Follows) -> npt.NDArray[np.int32]:
     """Piece of each multiplier: patches of ties that share a multiplier that exists.
 
     ``label`` is the class of each, those of one class are one; ``drop`` is the mask of those that
@@ -279,7 +292,9 @@ def pieces(numbering: Numbering, label, drop) -> npt.NDArray[np.int32]:
     kept = np.flatnonzero(~drop)[::-1]
     first[label[kept]] = kept  # some multiplier of each class
     joined = patch[first[label[kept]]]
-    return components(int(patch.max()) + 1, patch[kept], joined)[patch]
+    across = [(m, others[0]) for m, (others, _) in follows.items() if not drop[m]]
+    i, j = patch[np.array(across, dtype=np.intp).reshape(-1, 2)].T
+    return components(int(patch.max()) + 1, np.append(patch[kept], i), np.append(joined, j))[patch]
 
 
 def _gathered(numbering: Numbering, numbers, prescribed, component: int):
@@ -304,10 +319,10 @@ def _gathered(numbering: Numbering, numbers, prescribed, component: int):
     return list(columns), np.array(free, dtype=bool), B
 
 
-def ties_with_too_few(numbering: Numbering, label, drop) -> npt.NDArray[np.bool_]:
+def ties_with_too_few(numbering: Numbering, label, drop, follows: Follows) -> npt.NDArray[np.bool_]:
     """Mask of ties with pieces that are left with too few multipliers, or with ones on lines."""
     few = np.zeros(len(numbering.ties), dtype=bool)
-    for _, numbers, *_ in _short_pieces(numbering, label, drop):
+    for _, numbers, *_ in _short_pieces(numbering, label, drop, follows):
         few[numbering.tie[numbers]] = True
     for t, lists in enumerate(numbering.lists):
         mine = drop[slice(*numbering.starts[t : t + 2])]
@@ -315,28 +330,33 @@ def ties_with_too_few(numbering: Numbering, label, drop) -> npt.NDArray[np.bool_
     return few
 
 
-def _short_pieces(numbering: Numbering, label, drop):
-    """Component, multipliers, their classes and number wanted of pieces that are left with less."""
+def _short_pieces(numbering: Numbering, label, drop, follows):
+    """Pieces that are left with too few multipliers.
+
+    Yields:
+        Component, multipliers, those that are left, classes of all, and number wanted.
+    """
     n = numbering.ties[0].surfaces[1].gdim
     for component in range(drop.shape[1]):
-        piece = pieces(numbering, label, drop[:, component])
+        piece = pieces(numbering, label, drop[:, component], follows)
         order = np.argsort(piece, kind="stable")
         for numbers in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):
             classes = np.unique(label[numbers])
             degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
             polynomials = degree if n == 2 else degree * (degree + 1) // 2
             wanted = min(len(classes), max(n, polynomials))
-            if len(np.unique(label[numbers[~drop[numbers, component]]])) < wanted:
-                yield component, numbers, classes, wanted
+            left = numbers[~drop[numbers, component] & ~np.isin(numbers, list(follows))]
+            if len(np.unique(label[left])) < wanted:
+                yield component, numbers, left, classes, wanted
 
 
-def _short_patches(numbering: Numbering, label, drop, prescribed) -> list[Replacement]:
+def _short_patches(numbering: Numbering, label, drop, prescribed, follows) -> list[Replacement]:
     """Pieces that are left with too few multipliers. Collective."""
     found = []
-    for component, numbers, classes, wanted in _short_pieces(numbering, label, drop):
+    for component, numbers, left, classes, wanted in _short_pieces(numbering, label, drop, follows):
         columns, free, B = _gathered(numbering, numbers, prescribed, component)
         units = (label[numbers] == classes[:, None]).astype(float)
-        kept = np.isin(classes, label[numbers[~drop[numbers, component]]])
+        kept = np.isin(classes, label[left])
         degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
         values = _polynomials(numbering.x(numbers), degree) + [
             (unit, INDEPENDENT_ROWS) for unit in units[kept]
@@ -353,7 +373,9 @@ def _take_in_turn(patches: Sequence[Replacement], accepted: defaultdict[int, Row
                 patch.add(accepted[patch.component], *patch.values.pop(0))
 
 
-def replacements(numbering: Numbering, label, held, drop, prescribed) -> list[Replacement]:
+def replacements(
+    numbering: Numbering, label, held, drop, prescribed, follows: Follows
+) -> list[Replacement]:
     """Choose other multipliers for pieces with too few; drops these. Collective.
 
     Args:
@@ -362,8 +384,9 @@ def replacements(numbering: Numbering, label, held, drop, prescribed) -> list[Re
         held: Mask of prescribed components of their dofs, ``(num_multipliers, block_size)``.
         drop: Mask of components that are dropped, of the same shape; changed here.
         prescribed: Mask of each body's owned dofs that are prescribed.
+        follows: Those that follow others, and have no row of their own.
     """
-    patches = _short_patches(numbering, label, drop, prescribed)
+    patches = _short_patches(numbering, label, drop, prescribed, follows)
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
     _take_in_turn(patches, accepted)
     # Rows that are tried one by one: the cost grows with the cube of their number. 3 and 10⁹ change
@@ -384,7 +407,7 @@ def replacements(numbering: Numbering, label, held, drop, prescribed) -> list[Re
 
 
 def slopes(
-    numbering: Numbering, drop, entries, prescribed, instead: Sequence[Replacement]
+    numbering: Numbering, drop, gone, entries, prescribed, instead: Sequence[Replacement]
 ) -> list[Replacement]:
     """Additional multipliers of narrow pieces whose own ones lie on lines. Collective.
 
@@ -396,7 +419,7 @@ def slopes(
     """
     found = []
     for component, t in product(range(drop.shape[1]), range(len(numbering.lists))):
-        found += _across(numbering, t, component, drop, entries, prescribed)
+        found += _across(numbering, t, component, drop, gone, entries, prescribed)
     accepted: defaultdict[int, Rows] = defaultdict(Rows)
     # All others have dofs of Γ1 that answer to them
     known = [(piece, piece.taken) for piece in instead] + [(piece, piece.units) for piece in found]
@@ -408,7 +431,7 @@ def slopes(
 
 
 def _across(
-    numbering: Numbering, t: int, component: int, drop, entries, prescribed
+    numbering: Numbering, t: int, component: int, drop, gone, entries, prescribed
 ) -> list[Replacement]:
     """Slopes to try on one tie, if its multipliers lie on lines. Collective."""
     lists, mine = numbering.lists[t], slice(*numbering.starts[t : t + 2])
@@ -426,7 +449,7 @@ def _across(
     own, at = np.unique(column[use], return_inverse=True)
     E = np.zeros((len(numbers), len(own)))
     E[row, at] = weights
-    stands = ~drop[m, component]  # for itself: where a column's value is λ
+    stands = ~gone[m, component]  # for itself: where a column's value is λ
     place = np.zeros(len(own), dtype=np.intp)
     place[at[stands]] = row[stands]
     values = []

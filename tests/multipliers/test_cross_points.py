@@ -299,6 +299,7 @@ def test_two_facets_in_circles_of_ties(tied):
 
 
 @pytest.mark.serial
-def test_interfaces_that_end_on_a_smooth_surface():
-    """They keep their multipliers: else both corners there come apart, and this is 1.22."""
-    assert any_assemblies.run(250, 2, np.inf)["h1"] < 1.05
+@pytest.mark.parametrize(("scene", "dim", "most"), ((250, 2, 1.05), (9, 3, 1.15)))
+def test_interfaces_that_end_on_a_smooth_surface(scene, dim, most):
+    """They keep their multipliers: else both bodies come apart there, and these are 1.18, 1.35."""
+    assert any_assemblies.run(scene, dim, np.inf)["h1"] < most
