@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Elastic
-from helpers import close, raises, two_ranks
+from helpers import close, raises, thorough, two_ranks
 
 import meshes
 from dolfinx import default_scalar_type, fem
@@ -50,7 +50,7 @@ def hairpin(s):
     return np.column_stack((x - off * np.sin(angle), -off * np.cos(angle), s[:, 2:]))
 
 
-@two_ranks()
+@two_ranks(degree=[1, 2] if thorough else [1])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_hairpin(degree):
     """Legs that meet, friction between them: with the bend, and with all of the outline."""

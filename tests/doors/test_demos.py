@@ -462,7 +462,8 @@ LONG = (
 )
 """Run on one rank alone: what is distributed in them is so in others too."""
 AS_OTHERS = (
-    *("bearing", "benchmarks", "bouncing", "contact_patch", "friction", "gap_domain", "heat"),
+    *("bearing", "benchmarks", "bouncing", "cad_assemblies", "contact_patch", "friction"),
+    *("gap_domain", "heat"),
     *("hertz_published", "incompressible", "ironing", "kernel_speed", "large_contact"),
     "modal_analysis",
     "periodic_cell",
