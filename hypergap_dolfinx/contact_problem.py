@@ -357,7 +357,7 @@ class ContactProblem(ContactSystem):
             s = min(done + size, 1.0)
             self._path.interpolate(s)
             try:
-                self._newton()
+                self._newton(damps=self._halvings > 0)
                 self._accept(s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)

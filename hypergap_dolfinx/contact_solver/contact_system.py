@@ -306,8 +306,11 @@ class ContactSystem(NonlinearSystem):
         """
         self._restore(start.towards(end, share))
 
-    def _newton(self) -> int:
+    def _newton(self, *, damps: bool = False) -> int:
         """Newton's iteration for the present values of the load. Collective.
+
+        Args:
+            damps: True if steps in cycles are halved.
 
         Returns:
             The number of its steps.
@@ -325,7 +328,8 @@ class ContactSystem(NonlinearSystem):
         for stress in self._stresses:
             stress.start()
         self._reach = np.inf
-        continuation = Continuation(self._comm, min(rows.closed for rows in self._rows))
+        least = min(rows.closed for rows in self._rows)
+        continuation = Continuation(self._comm, least, damps=damps)
         self._largest, self._largest_terms = 0.0, np.zeros(1)
         self._num_rays, polished = 0, False
         self._holding: npt.NDArray[np.bool_] | None = None

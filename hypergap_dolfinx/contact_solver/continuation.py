@@ -15,7 +15,8 @@ halved. Steps that creep on, as from stiffness added to a tangent that isn't pos
 lengthened.
 
 Around a kink steps can also go in cycles that aren't along one line. Then none of them is shorter
-than the shortest so far, and they are halved until one is.
+than the shortest so far. Once that has failed, and the load step was halved for it, they are halved
+until one is shorter.
 """
 
 from collections.abc import Sequence
@@ -31,15 +32,16 @@ from hypergap_dolfinx.contact_solver.tolerances import IN_LINE, OSCILLATES, PATI
 class Continuation:
     """Observer of Newton's iteration in one load step: decides on the lengths of steps."""
 
-    def __init__(self, comm: MPI.Comm, least: float):
+    def __init__(self, comm: MPI.Comm, least: float, *, damps: bool = True):
         """Start.
 
         Args:
             comm: Communicator of the bodies.
             least: Displacement treated as zero: shorter steps have no direction.
+            damps: True if steps in cycles are halved.
         """
         self._comm, self._num_back, self._square = comm, 0, 0.0
-        self._least = least
+        self._least, self._damps = least, damps
         self._num_in_line, self._share = 0, 1.0
         self._shortest, self._num_longer = np.inf, 0
         self._last: Sequence[npt.NDArray[np.float64]] | None = None
@@ -66,7 +68,7 @@ class Continuation:
         elif moves_on and self._num_in_line > PATIENCE:
             falls = 1 / self._share - product / before  # over a whole step
             share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
-        elif moves_on:
+        elif moves_on and self._damps:
             share = 0.5 ** self._cycles(square)
         self._last, self._square = [share * part for part in moves], share**2 * square
         self._share = share

@@ -74,9 +74,10 @@ tangent's work is negative; steps in a row along one line, before the next goes 
 steps in a row that aren't shorter than the shortest before, until the next is halved; steps in a
 row of which the problem has no solution, before a body is said to leave.
 Measured: backwards, flat die, μ = 0.5: 81 Newton steps in 24 load steps with 1 and 3, 143 and two
-halvings without; along a line, slender_contact: 448, with one fewer 490 and a halving; halved, 16
-random scenes of the plane that take many steps: 11 solved, with one fewer 8, without 7; without a
-solution, 127 tests of contact_solver: 515, with 6 554; with 1 one of them fails."""
+halvings without; along a line, slender_contact: 448, with one fewer 490 and a halving; halved from
+a load step's start on, 16 random scenes of the plane that take many steps: 11 solved, with one
+fewer 8, without 7; without a solution, 127 tests of contact_solver: 515, with 6 554; with 1 one of
+them fails."""
 
 SHORTENED = 0.25
 """Factor by which a step is shortened at whose end the residual is no number, and by whose inverse
