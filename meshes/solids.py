@@ -53,7 +53,8 @@ def _tetrahedra(comm: MPI.Comm, h, build: Callable, kernel: str = "occ") -> dolf
             if callable(h):
                 gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
                 gmsh.option.setNumber("Mesh.Algorithm", 6)
-                gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)
+                if "Netgen" in gmsh.option.getString("General.BuildOptions"):  # not in Debian's
+                    gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)
                 gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, size: h(x, y, z))
             else:
                 gmsh.option.setNumber("Mesh.MeshSizeMin", np.min(h))

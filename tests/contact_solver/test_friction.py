@@ -302,12 +302,10 @@ def test_steps_in_line(slope):
 
 def test_steps_in_cycles(monkeypatch):
     """Around kinks steps go in cycles that aren't along a line; halved ones end at the solution."""
-    normals, along = (
-        [[-0.2, -1.7], [-0.6, -0.7], [0.4, 0.5]],
-        [[-0.1, -1.1], [-0.1, 0.1], [0.9, 0.7]],
-    )
-    n, m, limits = np.array(normals), np.array(along), np.array([-0.3, -0.2, -0.3])
-    k, K = np.array([7.2, 18.7, 9.8]), np.array([[1.0, -2.4], [2.4, 1.0]])
+    n = np.array([[-0.6, 0.6], [-0.3, -0.7], [0.8, 0.5]])
+    m = np.array([[-0.7, 1.1], [-1.4, -0.4], [1.4, -0.2]])
+    limits, k = np.array([-0.41, -0.01, -0.4]), np.array([8.5, 16.9, 16.1])
+    K = np.array([[1.0, -2.8], [2.8, 1.0]])
 
     def after(num):
         x, continuation = np.array([2.0, 1.0]), Continuation(MPI.COMM_SELF, 1e-12)
@@ -318,7 +316,7 @@ def test_steps_in_cycles(monkeypatch):
             x = x + continuation.share([step], 1.0) * step
         return np.linalg.norm(F)
 
-    assert after(12) <= 1e-12
+    assert after(10) <= 1e-12
     monkeypatch.setattr(Continuation, "_cycles", lambda self, square: 0)
     assert after(60) > 0.1
 

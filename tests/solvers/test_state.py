@@ -236,11 +236,11 @@ def test_back():
     force, energy = made.force(problem), made.dissipation(problem)
     newton, ends = problem._newton, []
 
-    def fails_once():
+    def fails_once(**options):
         if len(ends) % 2 == 0:
             ends.append(None)
             raise SolveError("not yet")
-        return newton()
+        return newton(**options)
 
     for _ in range(2):
         scene.move(2)
