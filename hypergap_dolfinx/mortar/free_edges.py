@@ -90,6 +90,9 @@ class SurfacePressure:
         rooted = _near_free_edges(state)
         s = np.where(state.p > 0, state.p, 0) ** 2
         near = rooted[state.surface.facets].any(axis=1)
+        if near.any():  # but where nothing presses: touching without load
+            rooted &= _means(state, state.surface.facets[near])[0] > 0
+            near = rooted[state.surface.facets].any(axis=1)
         if rooted.any():
             s = _RootFit(state, rooted, near).solve(s)
         return cls(state.surface, state.p, s, near)

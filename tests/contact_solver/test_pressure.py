@@ -195,6 +195,21 @@ def test_no_root(kind):
         assert not found.near.any()
 
 
+@pytest.mark.parametrize("kind", ("edges", "triangles"))
+def test_touching_without_load(kind):
+    """A second region whose pressures are all zero has none, and the first one's stay numbers."""
+    side = top_of(kind, 2)
+    x = side.reference.x[:, 0]
+    active, none = (x < 0.3) | (x > 0.8), np.zeros((len(side.dofs), side.reference.gdim))
+    exists = np.ones_like(active)
+    given = ContactState(
+        side, side.reference, 1.0 * (x < 0.3), active, exists, np.where(active, 0, x), none
+    )
+    found = SurfacePressure.of(given)
+    assert found.near.any() and np.isfinite(found.s).all()
+    assert not found.s[x > 0.8].any()
+
+
 @pytest.mark.parametrize("edge", (0.5, 0.55, 0.66, 0.7))
 def test_edge_by_gaps(edge):
     """Gaps that are means over hat functions of d^1.5 give the edge, between nodes as on them."""
