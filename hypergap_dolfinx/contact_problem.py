@@ -117,10 +117,9 @@ class ContactProblem(ContactSystem):
                 of :meth:`state`.
             solver: ``"direct"`` factorises. ``"iterative"`` is multigrid with an iteration in the
                 space of displacements that close the active gaps: much faster, with less memory,
-                from about 40 000 displacements in 3D on, for symmetric positive definite
-                stiffness. If it fails, a factorisation replaces it, with a message in the log. With
-                friction it may need more Newton steps and halved load steps. By default the problem
-                chooses; with friction ``"direct"``.
+                from about 20 000 displacements in 3D on, for symmetric positive definite
+                stiffness. If it fails, a factorisation replaces it, with a message in the log. By
+                default the problem chooses; with friction ``"direct"``.
             petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
             petsc_options: Options of the KSP of the Newton steps (with ``"direct"`` its matrix is
                 an AIJ). Without a type they use MUMPS: LDLᵀ, or LU with friction or where LDLᵀ

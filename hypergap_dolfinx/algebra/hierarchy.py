@@ -219,8 +219,11 @@ class Hierarchy:
     def _set_up(self, pc: PETSc.PC, finest: PETSc.Mat, number: int):
         """Set up multigrid, with the largest eigenvalue for the smoother of the finest level."""
         prefix, database, name = pc.getOptionsPrefix(), PETSc.Options(), "ksp_chebyshev_eigenvalues"
-        one = f"{prefix}mg_levels_{number}_{name}"
-        if f"{prefix}mg_levels_{name}" in database or one in database:
+        one, esteig = f"{prefix}mg_levels_{number}_{name}", "ksp_chebyshev_esteig"
+        levels = [f"{prefix}mg_levels_{of}" for of in ("", f"{number}_")]
+        given = any(of + option in database for of in levels for option in (name, esteig))
+        kinds = {database.getString(of + "pc_type", "jacobi") for of in levels}
+        if given or kinds != {"jacobi"}:  # its eigenvalues, or those with another preconditioner
             pc.setUp()
             return
         if self._largest is None:

@@ -89,4 +89,4 @@ a/5, 3.6e-3, from 16 on 3.2e-3."""
 
 STEPS_ROOT = 30
 """Most steps of Levenberg and Marquardt's method for roots.
-Measured: 4 to 12 in Hertz's contact, plane and space."""
+Measured: Hertz, edges on nodes: 20 to 31; errors change by less than 1 % from 15 on."""

@@ -27,6 +27,7 @@ class SmoothPieces:
         """Those of the ties' bodies."""
         self._numbering = numbering
         self._found: dict[int, dict[Pair, npt.NDArray[np.int32]]] = {}
+        self._middles: dict[int, npt.NDArray[np.float64]] = {}  # of facets of Γ0
 
     def of(self, t: int, side: int) -> npt.NDArray[np.int32]:
         """Piece of each facet of a tie's side, numbered across all ties of its body."""
@@ -43,8 +44,10 @@ class SmoothPieces:
         t, (multipliers, local) = self._numbering.tie[m], self._numbering.local(m)
         facets = multipliers.facets_of(local)[0]
         if side == 0:
-            x = self._numbering.ties[t].domain.surfaces[0].nodes.mean(axis=1)
-            facets = np.linalg.norm(x - multipliers.x[local], axis=1).argmin(keepdims=True)
+            if t not in self._middles:
+                self._middles[t] = self._numbering.ties[t].domain.surfaces[0].nodes.mean(axis=1)
+            away = self._middles[t] - multipliers.x[local]
+            facets = np.einsum("fi,fi->f", away, away).argmin(keepdims=True)
         return set(self.of(t, side)[facets])
 
 
