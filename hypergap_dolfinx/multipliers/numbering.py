@@ -336,7 +336,8 @@ def _short_pieces(numbering: Numbering, label, drop, follows):
     Yields:
         Component, multipliers, those that are left, classes of all, and number wanted.
     """
-    n = numbering.ties[0].surfaces[1].gdim
+    n, gone = numbering.ties[0].surfaces[1].gdim, drop.copy()
+    gone[list(follows)] = True
     for component in range(drop.shape[1]):
         piece = pieces(numbering, label, drop[:, component], follows)
         order = np.argsort(piece, kind="stable")
@@ -345,7 +346,7 @@ def _short_pieces(numbering: Numbering, label, drop, follows):
             degree = numbering.lists[numbering.tie[numbers[0]]].surface.element.degree
             polynomials = degree if n == 2 else degree * (degree + 1) // 2
             wanted = min(len(classes), max(n, polynomials))
-            left = numbers[~drop[numbers, component] & ~np.isin(numbers, list(follows))]
+            left = numbers[~gone[numbers, component]]
             if len(np.unique(label[left])) < wanted:
                 yield component, numbers, left, classes, wanted
 
