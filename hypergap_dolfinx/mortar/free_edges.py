@@ -28,8 +28,8 @@ singular there); where a surface ends nothing is open beside it: neither has a r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 from petsc4py import PETSc
 
@@ -49,6 +49,7 @@ from hypergap_dolfinx.surface.moving import MovingSurface, Sparse, joined
 from hypergap_dolfinx.surface.trace import Surface, lengths, tabulate
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -71,6 +72,11 @@ class ContactState:
     forces: Floats
     """Forces of the pressures at :attr:`side`'s dofs, ``(num_dofs, n)``."""
 
+    @cached_property
+    def vertices(self) -> npt.NDArray[np.intp]:
+        """Dof of :attr:`side` at each vertex, ``(num_vertices,)``."""
+        return np.searchsorted(self.side.dofs, self.side.vertex_dofs)
+
 
 @dataclass(frozen=True)
 class SurfacePressure:
@@ -89,12 +95,11 @@ class SurfacePressure:
         """The pressure of a contact."""
         rooted = _near_free_edges(state)
         s = np.where(state.p > 0, state.p, 0) ** 2
+        mean, part = _parts(state, rooted[state.surface.facets].any(axis=1))
+        rooted &= mean[state.vertices] > 0  # not in a part that touches without load
         near = rooted[state.surface.facets].any(axis=1)
-        if near.any():  # but where nothing presses: touching without load
-            rooted &= _means(state, state.surface.facets[near])[0] > 0
-            near = rooted[state.surface.facets].any(axis=1)
         if rooted.any():
-            s = _RootFit(state, rooted, near).solve(s)
+            s = _RootFit(state, rooted, near, mean, part).solve(s)
         return cls(state.surface, state.p, s, near)
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
@@ -204,13 +209,15 @@ def _near_free_edges(state: ContactState) -> Mask:
 class _RootFit:
     """Least squares for s at the vertices near free edges."""
 
-    def __init__(self, state: ContactState, free: Mask, near: Mask):
+    def __init__(self, state: ContactState, free: Mask, near: Mask, mean: Floats, part: Integers):
         """Set up quadrature, moments and jumps.
 
         Args:
             state: The contact.
             free: Vertices at which s is sought, ``(num_vertices,)``.
             near: Facets with any of these, ``(num_facets,)``.
+            mean: Largest pressure on a dof's part of these facets, ``(num_dofs,)``.
+            part: Number of the part, ``(num_dofs,)``.
         """
         self.state, self.free = state, free
         surface, side = state.surface, state.side
@@ -234,36 +241,31 @@ class _RootFit:
         along /= np.maximum(lengths(along), 1e-300)[:, None]
         # ∫ φ_j p over facets, of p at their points
         self.moments = np.einsum("fqd,fqi,fdi->fqd", functions, normals, along[at])
-        mean, part = _means(state, surface.facets[self.facets])
-        self.mean = np.where(free, mean, 1)
+        self.mean = np.where(free, mean[state.vertices], 1)
         rest = -np.einsum("ji,ji->j", state.forces, along)
         own = near[around]
         linear = state.p[surface.facets[around[~own]]] @ self.hats.T
         np.add.at(rest, at[~own], -np.einsum("fqd,fq->fd", self.moments[~own], linear))
         self.moments, self.at, self.rest = self.moments[own], at[own], rest
-        first = surface.facets[self.facets, 0]
-        of_dofs, part_of_dofs = np.zeros(len(side.dofs)), np.zeros(len(side.dofs), dtype=np.int64)
-        of_dofs[self.at] = mean[first, None]
-        part_of_dofs[self.at] = part[first, None]
-        self.sums = self._sums(scale * of_dofs, part_of_dofs)
+        self.totals = len(self.facets) + part  # rows of sums, for each dof
+        self.sums = self._sums(scale * mean)
         jumps = self._jumps()
         roots = self._roots() if surface.gdim == 2 else Sparse.empty()
-        after = jumps.i.max(initial=-1) + 1
-        self.jumps = joined(jumps, Sparse(after + roots.i, roots.j, roots.values))
+        first = self.sums.i.max() + 1
+        after = first + jumps.i.max(initial=-1) + 1
+        i = np.append(first + jumps.i, after + roots.i)
+        self.jumps = replace(joined(jumps, roots), i=i).summed
 
-    def _sums(self, scale: Floats, part: npt.NDArray[np.int64]) -> Sparse:
+    def _sums(self, scale: Floats) -> Sparse:
         """Sums of forces over facets and over parts of the region, over their sizes.
 
         Args:
             scale: Sizes of forces, zero where no pressure is sought, ``(num_dofs,)``.
-            part: Of the region, ``(num_dofs,)``.
         """
-        side, every = self.state.side, np.flatnonzero(scale)
-        at = self.at
-        if side.reference.num_parts > 1:  # a facet with two of an edge's three dofs
-            vertices = np.searchsorted(side.dofs, side.vertex_dofs)
-            at = vertices[side.reference.facets[self.facets]]
-        i = np.append(np.repeat(np.arange(len(at)), at.shape[1]), len(at) + part[every])
+        surface, every, at = self.state.surface, np.flatnonzero(scale), self.at
+        if surface.num_parts > 1:  # a facet with two of an edge's three dofs
+            at = self.state.vertices[surface.facets[self.facets]]
+        i = np.append(np.repeat(np.arange(len(at)), at.shape[1]), self.totals[every])
         j = np.append(at.ravel(), every)
         weight = np.where(i < len(at), 1, TOTAL_ROOT) / np.bincount(i, scale[j])[i]
         return Sparse(i, j, weight)
@@ -305,18 +307,47 @@ class _RootFit:
         i = np.broadcast_to(at[:, :, None], by.shape).ravel()
         j = np.broadcast_to(corners[:, None], by.shape).ravel()
         J = self.sums @ Sparse(i, j.astype(np.int64), by.ravel())
-        error = np.bincount(self.sums.i, self.sums.values * error[self.sums.j])
-        jumps = np.bincount(self.jumps.i, self.jumps.values * s[self.jumps.j])
-        K = Sparse(len(error) + self.jumps.i, self.jumps.j, self.jumps.values)
-        every = joined(J, K).some(self.free[np.append(J.j, K.j)])
-        values = every.values * self.mean[every.j] ** 2
-        return np.append(error, jumps), Sparse(every.i, every.j, values).summed
+        every = joined(J, self.jumps).some(self.free[np.append(J.j, self.jumps.j)])
+        values = np.append(
+            self.sums.values * error[self.sums.j], self.jumps.values * s[self.jumps.j]
+        )
+        error = np.bincount(np.append(self.sums.i, self.jumps.i), values)
+        return error, replace(every, values=every.values * self.mean[every.j] ** 2)
 
     def _continued(self, s: Floats) -> Floats:
         """Values of s with slopes that go on beyond the edge: from s = 0 no step finds its sign."""
         jumps = self.jumps
         left = np.bincount(jumps.i, jumps.values * s[jumps.j])
-        return s - _least(jumps, left, self.free & ~self.state.active, 0.0)
+        return s - self._least(jumps, left, self.free & ~self.state.active, 0.0)
+
+    def _least(self, J: Sparse, error: Floats, free: Mask, damping: float) -> Floats:
+        """Solve for x with (JᵀJ + damping · its diagonal) x = Jᵀ error, on each rank by itself.
+
+        The row of a part's total force makes its JᵀJ dense. It is left out, and added to the
+        solution by the formula of Sherman and Morrison, for all parts at once.
+
+        Args:
+            J: Without duplicates, ``(num_errors, num_vertices)``.
+            error: ``(num_errors,)``.
+            free: Where x may differ from zero, ``(num_vertices,)``.
+            damping: Factor of the diagonal.
+        """
+        every, number = np.arange(free.sum()), np.cumsum(free) - 1
+        J = J.some(free[J.j])
+        J, num, result = replace(J, j=number[J.j]), len(every), np.zeros(len(free))
+        if not num:
+            return result
+        diagonal = np.bincount(J.j, J.values**2, num)
+        b = np.bincount(J.j, J.values * error[J.i], num)
+        row = self.totals[self.state.vertices[free]]
+        long = J.i == row[J.j]
+        total, J = J.some(long), J.some(~long)
+        more = Sparse(every, every, damping * diagonal + 1e-12 * diagonal.max())
+        v = np.bincount(total.j, total.values, num)
+        y, w = _solved(joined(J.T @ J, more), np.stack((b, v)))
+        of_y, of_w = (np.bincount(row, v * x)[row] for x in (y, w))
+        result[free] = y - w * of_y / (1 + of_w)
+        return result
 
     def solve(self, s: Floats) -> Floats:
         """Find s at all vertices, by the method of Levenberg and Marquardt.
@@ -328,7 +359,7 @@ class _RootFit:
         error, J = self._errors(s)
         damping, least = 1e-3, error @ error
         for _ in range(STEPS_ROOT):
-            step = self.mean**2 * _least(J, error, self.free, damping)
+            step = self.mean**2 * self._least(J, error, self.free, damping)
             new, new_J = self._errors(s - step)
             if new @ new < least:
                 done = least - new @ new < 1e-6 * least
@@ -383,13 +414,22 @@ def _mean_gaps(at: Floats, edge: Floats) -> Floats:
     return np.diff(slopes, axis=0) / (at[2:] - at[:-2])
 
 
-def _means(state: ContactState, facets) -> tuple[Floats, npt.NDArray[np.int32]]:
-    """Largest pressures on parts of a region of facets, and parts' numbers, at vertices."""
-    first = np.repeat(facets[:, 0], facets.shape[1] - 1)
-    part = components(len(state.p), first, facets[:, 1:].ravel())
+def _parts(state: ContactState, near: Mask) -> tuple[Floats, Integers]:
+    """Parts of a region of facets, which have no dofs in common.
+
+    Args:
+        state: The contact.
+        near: Facets of the region, ``(num_facets,)``.
+
+    Returns:
+        Largest pressure on a dof's part, 0 outside of the region, and its number, ``(num_dofs,)``.
+    """
+    at, p = state.side.at_facets[near], state.p[state.surface.facets[near]]
+    first = np.repeat(at[:, 0], at.shape[1] - 1)
+    part = components(len(state.side.dofs), first, at[:, 1:].ravel())
     most = np.zeros(part.max() + 1)
-    np.maximum.at(most, part[facets], state.p[facets])
-    return most[part], part
+    np.maximum.at(most, part[at[:, 0]], p.max(axis=1))
+    return most[part], part.astype(np.int64)
 
 
 def _normals(surface: Surface, facets, X: Floats) -> Floats:
@@ -468,38 +508,23 @@ def around_corners(num: int) -> Sequence[int]:
     return [0, 1, 3, 2] if num == 4 else list(range(num))
 
 
-def _least(J: Sparse, error: Floats, free: Mask, damping: float) -> Floats:
-    """Solve for x with (JᵀJ + damping · its diagonal) x = Jᵀ error, on each rank by itself.
-
-    Args:
-        J: ``(num_errors, num)``.
-        error: ``(num_errors,)``.
-        free: Where x may differ from zero, ``(num,)``.
-        damping: Factor of the diagonal.
-    """
-    J, number = J.some(free[J.j]), np.cumsum(free) - 1
-    result = np.zeros(len(free))
-    A = J.T @ J
-    A = Sparse(number[A.i], number[A.j], A.values)
-    b = np.bincount(J.j, J.values * error[J.i], len(free))[free]
-    if not len(b):
-        return result
-    every = np.arange(len(b))
-    diagonal = np.bincount(A.i[A.i == A.j], A.values[A.i == A.j], len(b))
-    more = Sparse(every, every, damping * diagonal + 1e-12 * diagonal.max(initial=1))
-    A = joined(A, more).summed
+def _solved(A: Sparse, b: Floats) -> Floats:
+    """Solutions of A x = b for some b, ``(num_b, num)``, on each rank by itself."""
+    A = A.summed
     order = np.lexsort((A.j, A.i))
-    starts = np.searchsorted(A.i[order], np.arange(len(b) + 1)).astype(PETSc.IntType)
+    starts = np.searchsorted(A.i[order], np.arange(b.shape[1] + 1)).astype(PETSc.IntType)
     csr = starts, A.j[order].astype(PETSc.IntType), A.values[order]
-    matrix = PETSc.Mat().createAIJ((len(b), len(b)), csr=csr, comm=PETSc.COMM_SELF)
+    matrix = PETSc.Mat().createAIJ((b.shape[1],) * 2, csr=csr, comm=PETSc.COMM_SELF)
     ksp = PETSc.KSP().create(PETSc.COMM_SELF)
     ksp.setOperators(matrix)
     ksp.setType("preonly")
     ksp.getPC().setType("lu")
     right, x = matrix.createVecs()
-    right.array[:] = b
-    ksp.solve(right, x)
-    result[free] = x.array.real
+    found = np.empty(b.shape)
+    for k, given in enumerate(b):
+        right.array[:] = given
+        ksp.solve(right, x)
+        found[k] = x.array.real
     for part in (ksp, matrix, right, x):
         part.destroy()
-    return result
+    return found

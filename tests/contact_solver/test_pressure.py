@@ -27,6 +27,9 @@ from hypergap_dolfinx.mortar.free_edges import (
     SurfacePressure,
     _near_free_edges,
     _normals,
+    _parts,
+    _RootFit,
+    _solved,
     edges_by_gaps,
     hats,
     simplices,
@@ -125,14 +128,14 @@ def integral(f):
     return comm.allreduce(fem.assemble_scalar(fem.form(f * ufl.dx)), MPI.SUM)
 
 
-def top_of(kind, degree):
+def top_of(kind, degree, n=(7, 6)):
     """The top of a square or cube, with multipliers at the nodes of the degree."""
     if kind == "edges":
         body = rectangle((9, 2), (0, 0), (1, 1), degree=degree)
         V, facets = body.V, body.facets(meshes.TOP)
     else:
         cell = CellType.tetrahedron if kind == "triangles" else CellType.hexahedron
-        mesh = create_box(comm, [(0, 0, 0), (1, 1, 1)], (7, 6, 1), cell)
+        mesh = create_box(comm, [(0, 0, 0), (1, 1, 1)], (*n, 1), cell)
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
         facets = locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 1))
     surface = create_surface(V, facets, "Γ1")
@@ -208,6 +211,38 @@ def test_touching_without_load(kind):
     found = SurfacePressure.of(given)
     assert found.near.any() and np.isfinite(found.s).all()
     assert not found.s[x > 0.8].any()
+
+
+@pytest.mark.parametrize("apart", (False, True))
+@pytest.mark.parametrize("degree", (1, 2))
+def test_steps_are_sparse(monkeypatch, degree, apart):
+    """Rough contact, in one or many parts: steps with total forces as those of a dense matrix."""
+    side = top_of("quadrilaterals", degree, (24, 24))
+    x, entries = side.reference.x, []
+    s = np.cos(13 * x[:, 0]) * np.cos(13 * x[:, 1]) + (-0.7 if apart else 0.1)
+    active, forces = s > 0, np.zeros((len(side.dofs), 3))
+    p = np.sqrt(np.maximum(s, 0))
+    state = ContactState(side, side.reference, p, active, s < 9, 0 * s, forces)
+    free = _near_free_edges(state)
+    near = free[side.reference.facets].any(axis=1)
+    mean, part = _parts(state, near)
+    assert (len(np.unique(part[mean > 0])) > 1) == apart
+    fit = _RootFit(state, free, near, mean, part)
+    error, J = fit._errors(s)
+
+    def solved(A, b):
+        entries.append(len(A.summed.i))
+        return _solved(A, b)
+
+    monkeypatch.setattr("hypergap_dolfinx.mortar.free_edges._solved", solved)
+    found = fit._least(J, error, free, 1e-3)
+    dense = np.zeros((len(error), len(s)))
+    dense[J.i, J.j] = J.values
+    A = (dense.T @ dense)[np.ix_(free, free)]
+    A += np.diag(1e-3 * A.diagonal() + 1e-12 * A.diagonal().max())
+    step = np.linalg.solve(A, error @ dense[:, free])
+    assert np.abs(found[free] - step).max() <= 1e-12 * np.abs(step).max()
+    assert entries[0] <= 30 * free.sum() <= 0.2 * free.sum() ** 2
 
 
 @pytest.mark.parametrize("edge", (0.5, 0.55, 0.66, 0.7))
