@@ -35,10 +35,10 @@ Measured: 60 random scenes of the plane: 57 solved, 1163 Newton steps; (.05, .2)
 
 COSINES_SPACE = 0.5, 0.8
 """The same in space: along rays that meet a wall at less, distances are many times those across it.
-Measured: blocks pressed into wider ones of other cells, all free facets given: with (.1, .4) 2 of 10
-scenes have the force that facing facets alone give, with (.3, .6) and (.5, .8) all; pressed by .2
-with (.3, .6) no equilibrium, with (.5, .8) that force in 5 Newton steps; any_contacts --dim 3, scene
-18: more than 200 Newton steps with (.3, .6), solved with (.5, .8)."""
+Measured: blocks pressed into wider ones of other cells, all free facets given: with (.1, .4) 2 of
+10 scenes have the force that facing facets alone give, with (.3, .6) and (.5, .8) all; pressed by
+.2 with (.3, .6) no equilibrium, with (.5, .8) that force in 5 Newton steps; any_contacts --dim 3,
+scene 18: more than 200 Newton steps with (.3, .6), solved with (.5, .8)."""
 
 FADING_DEGREE = 15
 """Least degree of quadrature along edges, but where straight ones face each other fully.
