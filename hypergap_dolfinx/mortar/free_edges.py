@@ -342,7 +342,7 @@ class _RootFit:
         row = self.totals[self.state.vertices[free]]
         long = J.i == row[J.j]
         total, J = J.some(long), J.some(~long)
-        more = Sparse(every, every, damping * diagonal + 1e-12 * diagonal.max())
+        more = Sparse(every, every, damping * diagonal + 1e-12 * diagonal.max(initial=1))
         v = np.bincount(total.j, total.values, num)
         y, w = _solved(joined(J.T @ J, more), np.stack((b, v)))
         of_y, of_w = (np.bincount(row, v * x)[row] for x in (y, w))

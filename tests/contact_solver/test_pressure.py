@@ -213,6 +213,19 @@ def test_touching_without_load(kind):
     assert not found.s[x > 0.8].any()
 
 
+def test_scattered_pressures():
+    """Parts of an edge beyond which nothing says how slopes go on: s stays there as it is."""
+    rng, side = np.random.default_rng(0), top_of("quadrilaterals", 1)
+    x, none = side.reference.x[:, 0], np.zeros((len(side.dofs), 3))
+    active = x < 0.6
+    for _ in range(20):
+        p = rng.uniform(0.1, 1, len(x)) * active
+        found = SurfacePressure.of(
+            ContactState(side, side.reference, p, active, x < 2, np.where(active, 0, x), none)
+        )
+        assert np.isfinite(found.s).all()
+
+
 @pytest.mark.parametrize("apart", (False, True))
 @pytest.mark.parametrize("degree", (1, 2))
 def test_steps_are_sparse(monkeypatch, degree, apart):
