@@ -98,8 +98,11 @@ class TiedProblem(TiedSystem):
             solver: ``"direct"`` factorises the whole system. ``"bodies"`` factorises each body and
                 iterates over the ties. ``"iterative"`` is conjugate gradients with algebraic
                 multigrid, for symmetric positive definite forms on large meshes, best of degree 1.
-                The default is ``"bodies"`` for large bodies in 3D, else ``"direct"``. Mixed spaces,
-                free interior nodes, compliances, conductances and couplings need ``"direct"``.
+                The default for large bodies in 3D is ``"bodies"``, or ``"iterative"`` where ties
+                don't let bodies be solved one after the other, else it is ``"direct"``. It falls
+                back to ``"direct"`` if it fails or takes more than 100 iterations with one matrix;
+                :attr:`solver_name` says which one is in use. Mixed spaces, free interior nodes,
+                compliances, conductances and couplings need ``"direct"``.
             petsc_options_prefix: Prefix of PETSc options, ending with ``_``.
             petsc_options: Options of the KSP, in addition to those of the solver. They replace
                 those of ``"direct"`` if they name a ``ksp_type`` or ``pc_type``. Its matrix is a

@@ -190,6 +190,11 @@ class ContactSystem(NonlinearSystem):
         sizes = len(self._points), self._num_ties
         return Tangent(self._A, fields, self._rows, self._prefix, found, *sizes)
 
+    @property
+    def solver_name(self) -> str:
+        """Name of the solver in use, also of one that the default chose or fell back to."""
+        return self._tangent.name
+
     def _assign(self, x: PETSc.Vec):
         """Copy a vector into u, and move the nodes of rigid bodies. Collective."""
         super()._assign(x)

@@ -142,6 +142,9 @@ class MultigridTangent:
     negative = None
     """Number of negative pivots, which is unknown."""
 
+    name = "iterative"
+    """Its name for users."""
+
     def __init__(
         self,
         system: System,

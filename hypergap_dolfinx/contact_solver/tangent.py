@@ -207,6 +207,9 @@ def _is_same(a: npt.NDArray, b: npt.NDArray) -> bool:
 class Tangent:
     """[K Bᵀ; B −C] of bodies and ties with the equations of contacts. All is collective."""
 
+    name = "direct"
+    """Its name for users."""
+
     def __init__(
         self,
         A: PETSc.Mat,

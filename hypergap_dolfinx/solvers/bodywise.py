@@ -70,7 +70,10 @@ class Bodies(IterativeSolver):
         if reason:
             return reason
         if order_of_bodies(len(spaces), _directions(constraints)) is None:
-            return "the ties lead round in a circle, or from a body to itself"
+            return (
+                "from Γ0's body to Γ1's the ties lead round in a circle (exchange the sides of "
+                "one), or from a body to itself"
+            )
         ties, wrong = range(len(constraints.bodies)), 0
         for body, V in enumerate(spaces):
             mine = [t for t in ties if constraints.bodies[t][1] == body]

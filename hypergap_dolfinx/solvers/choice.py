@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Choice of the solver: by name, or by the system if none is named."""
 
+import logging
+
 from petsc4py import PETSc
 
 from hypergap_dolfinx.solvers.bodywise import Bodies
@@ -14,7 +16,9 @@ from hypergap_dolfinx.solvers.solver import (
     System,
     names_types,
 )
-from hypergap_dolfinx.solvers.tolerances import LARGE_SYSTEM
+from hypergap_dolfinx.solvers.tolerances import BUDGET, LARGE_CIRCLE, LARGE_SYSTEM
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 SOLVERS: dict[str, type[KSPSolver]] = {cls.name: cls for cls in (Direct, Bodies, Multigrid)}
 """Solvers by their names for users."""
@@ -39,6 +43,8 @@ def create(
         solver = "direct"
     if solver is None:
         first = default(system)
+        if system.A.comm.rank == 0:
+            LOG.info('the default solver is "%s"', first.name)
         if first is Direct:
             return Direct(system, prefix, options)
         return FallingBack(system, first, prefix, options)
@@ -51,27 +57,41 @@ def create(
     return (DirectStep if newton and cls is Direct else cls)(system, prefix, options)
 
 
+class Budgeted(Multigrid):
+    """Multigrid that takes no more iterations than factors would be worth."""
+
+    OPTIONS = {**Multigrid.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
+
+
 def default(system: System) -> type[KSPSolver]:
     """The default solver. Collective.
 
     In the plane, and for small bodies, factors of the whole system cost no more than those of the
     parts and an iteration. In space they soon do: with 56 000 displacements of degree 2 the whole
-    takes 1.4 × 10¹¹ operations, one fused mesh 0.95 × 10¹¹, the bodies 0.3 × 10¹¹.
+    takes 1.4 × 10¹¹ operations, one fused mesh 0.95 × 10¹¹, the bodies 0.3 × 10¹¹. Where there is
+    no order of the bodies, multigrid takes less than the whole, from larger bodies on.
     """
     size = sum(K.getSize()[0] for K in system.K)
-    in_space = system.spaces[0].mesh.topology.dim == 3
-    large = system.constraints.bodies and in_space and size >= LARGE_SYSTEM
-    return Bodies if large and Bodies.why_not(system) is None else Direct
+    if not system.constraints.bodies or system.spaces[0].mesh.topology.dim < 3:
+        return Direct
+    large = ((Bodies, LARGE_SYSTEM), (Budgeted, LARGE_CIRCLE))
+    fit = (cls for cls, least in large if size >= least and cls.why_not(system) is None)
+    return next(fit, Direct)
 
 
 class FallingBack(Solver):
-    """A solver that is replaced by ``"direct"`` for good if it fails: Γ1 is much the stiffer."""
+    """A solver that is replaced by ``"direct"`` for good, if it fails or factors are cheaper.
+
+    ``"bodies"`` fails if Γ1 is much the stiffer. Multigrid has a number of iterations for each
+    matrix, be it one solve that converges slowly, or the steps of a time loop.
+    """
 
     def __init__(self, system: System, first: type[KSPSolver], prefix: str, options: dict | None):
         """Create the first solver, for which alone the user's options are. Collective."""
         self._system, self._prefix = system, prefix
         self._solver: KSPSolver = first(system, prefix, options)
         self._given_up: PETSc.KSP | None = None
+        self._state, self._spent = -1, 0  # iterations with A of this state
 
     @property
     def options(self):
@@ -88,18 +108,41 @@ class FallingBack(Solver):
         """Number of iterations of the last solve."""
         return self._solver.iterations
 
+    @property
+    def name(self):
+        """The name of the one that is in use."""
+        return self._solver.name
+
     def update(self):
-        """Take the present values of K. Collective."""
+        """Take the present values of K, or make factors if those are cheaper. Collective."""
+        state = self._system.A.stateGet()
+        if state != self._state:
+            self._state, self._spent = state, 0
+        if isinstance(self._solver, Budgeted) and self._spent >= BUDGET:
+            self._fall_back(f"{self._spent} iterations with one matrix cost as much as its factors")
         self._solver.update()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec):
         """Solve, if need be directly. Collective."""
         self._solver.solve(b, x)
-        if self._solver.failure() and self._given_up is None:
-            self._given_up = self._solver.retire()
-            self._solver = Direct(self._system, self._prefix)
+        self._spent += self._solver.iterations
+        failure = self._solver.failure()
+        if failure and self._given_up is None:
+            self._fall_back(failure.partition(";")[0].removesuffix("."))
             self._solver.update()
             self._solver.solve(b, x)
+
+    def _fall_back(self, reason: str):
+        """Solve directly from now on. Collective."""
+        if self._system.A.comm.rank == 0:
+            LOG.warning(
+                'the default solver, "%s", is given up for "direct": %s; name solver="direct" to '
+                "save that.",
+                self.name,
+                reason,
+            )
+        self._given_up = self._solver.retire()
+        self._solver = Direct(self._system, self._prefix)
 
     def failure(self) -> str | None:
         """Failure of the last solve, or None. Collective."""

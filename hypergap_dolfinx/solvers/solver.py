@@ -125,6 +125,8 @@ class Solver(ABC):
     Options that PETSc refuses raise a SolveError at once.
     """
 
+    name: str
+    """Its name for users."""
     options: Options
     """PETSc options, for calls of PETSc from outside."""
 
@@ -189,8 +191,6 @@ class _Shell:
 class KSPSolver(Solver):
     """Solver with one KSP that takes PETSc options; base class of all named solvers."""
 
-    name: ClassVar[str]
-    """Its name for users."""
     OPTIONS: ClassVar[dict[str, Any]]
     """PETSc options of the KSP and of its parts."""
     ADVICE: ClassVar[str] = ""

@@ -312,6 +312,11 @@ class TiedSystem(collective.Owner):
         return self._pieces.of_piece(tie, self._constraints.multipliers(t, x))
 
     @property
+    def solver_name(self) -> str:
+        """Name of the solver in use, also of one that the default chose or fell back to."""
+        return self._solver.name
+
+    @property
     def A(self) -> PETSc.Mat:
         """The saddle-point matrix, a MatNest."""
         return self._A

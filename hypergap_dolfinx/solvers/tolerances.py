@@ -34,6 +34,16 @@ LARGE_SYSTEM = 5000
 """Displacements in 3D from which `"bodies"` is the default.
 Measured: pays from there on."""
 
+LARGE_CIRCLE = 30000
+"""Displacements in 3D from which `"iterative"` is the default where `"bodies"` isn't possible.
+Measured: three boxes, processor seconds, degree 1: 17 000 displacements 1.6 (direct 1.7), 27 000
+2.2 (2.9), 42 000 3.3 (6.7); ν = .3: 27 000 2.7 (2.5), degree 2 29 000 5.9 (6.3)."""
+
+BUDGET = 100
+"""Iterations of multigrid with one matrix by default, after which it is factorised.
+Measured: three boxes, degree 1: factors take as long as 40 iterations with 27 000 displacements, 65
+with 42 000, 90 with 85 000. A solve takes 22 to 51, ν = .49 100, ν = .499 302, cells 1:8 95."""
+
 SLENDER = 10.0
 """Extent of a body over its thickness, above which its geometric stiffness has predicted stress.
 Measured: scenes of slender_contact, of 28 to 151: 957 Newton steps and 10 halvings without, 448

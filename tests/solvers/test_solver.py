@@ -537,6 +537,69 @@ def test_the_default_falls_back(monkeypatch):
     problem.solve()
 
 
+def circle():
+    """Two boxes on a third one, each Γ1 of one tie and Γ0 of another; parts of a problem."""
+    boxes = ((0, 0), (2, 1), 4), ((0, 1), (1, 2), 3), ((1, 1), (2, 2), 5)  # x, z; cells across
+    V, a, L, bcs = [], [], [], []
+    for i, ((x0, z0), (x1, z1), n) in enumerate(boxes):
+        size, at = np.array((x1 - x0, 1, z1 - z0)), np.array((x0, 0, z0))
+        mesh, ft = meshes.block(
+            comm, (n, n, 2), lambda x, size=size, at=at: at + x * size, cell="hexahedron"
+        )
+        V.append(fem.functionspace(mesh, ("Lagrange", 1)))
+        u, v = ufl.TrialFunction(V[-1]), ufl.TestFunction(V[-1])
+        modulus, load = (fem.Constant(mesh, default_scalar_type(k)) for k in (1, i))
+        a.append(modulus * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+        L.append(ufl.inner(load, v) * ufl.dx)
+        if i == 0:
+            dofs = fem.locate_dofs_topological(V[0], 2, ft.find(meshes.BACK))
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V[0]))
+
+    def side(i, axis):
+        return V[i], dolfinx.mesh.locate_entities_boundary(
+            V[i].mesh, 2, lambda x: np.isclose(x[axis], 1)
+        )
+
+    ties = [Tie(side(i, axis), side(j, axis)) for i, j, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 2))]
+    return modulus, (a, L), {"bcs": bcs, "ties": ties}
+
+
+@two_ranks()
+def test_the_default_in_circles(monkeypatch):
+    """Multigrid for large bodies, as long as its iterations are cheaper than factors."""
+    modulus, forms, parts = circle()
+    direct = TiedProblem(*forms, **parts)
+    direct.solve()
+    assert direct.solver_name == "direct"
+    monkeypatch.setattr(choice, "LARGE_CIRCLE", 100)
+    problem = TiedProblem(*forms, **parts)
+    problem.solve()
+    assert problem.solver_name == "iterative" and problem.iterations > 5
+    assert difference(problem, direct) <= 1e-8
+    monkeypatch.setattr(choice, "BUDGET", 2 * problem.iterations)
+    for value in (1.0, 2.0, 3.0):  # other matrices: none is solved with often
+        modulus.value = value
+        problem.solve()
+    problem.solve_system()
+    assert problem.solver_name == "iterative"
+    problem.solve_system()
+    assert problem.solver_name == "direct" and problem.iterations <= 2
+    direct.solve()
+    assert difference(problem, direct) <= 1e-10
+
+
+@pytest.mark.ranks(2)
+def test_the_default_gives_up(monkeypatch, caplog):
+    """Of an iteration that converges slowly it says what to do."""
+    monkeypatch.setattr(choice, "LARGE_CIRCLE", 100)
+    monkeypatch.setattr(choice.Budgeted, "OPTIONS", {**choice.Budgeted.OPTIONS, "ksp_max_it": 3})
+    _, forms, parts = circle()
+    problem = TiedProblem(*forms, **parts)
+    problem.solve()
+    assert problem.solver_name == "direct"
+    assert comm.rank or 'is given up for "direct"' in caplog.text
+
+
 @pytest.mark.ranks(2)
 def test_what_is_not_possible():
     a, L, bcs, ties = pile(2)
