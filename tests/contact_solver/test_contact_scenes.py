@@ -223,20 +223,39 @@ def test_pressure_far_away(caplog, monkeypatch):
     assert contact.active.any() and (told or comm.rank > 0)
 
 
-def lowered(places, cells, down, shrink=0.0):
+def lowered(places, cells, down, shrink=0.0, every=False, swap=False, **elastic):
     """A block lowered onto another one, both mapped; its top shrinks around x = 0."""
     u, F, bcs, sides = [], [], [], []
     for i, (n, place) in enumerate(zip(cells, places, strict=True)):
         mesh, ft = meshes.block(comm, n, place, cell="quadrilateral")
         V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        body, value = Elastic.on(V), fem.Function(V)
+        body, value = Elastic.on(V, **elastic), fem.Function(V)
         u.append(body.u)
         F.append(body.F)
         value.interpolate(lambda x, i=i: i * np.stack((-shrink * x[0], -down + 0 * x[0])))
         away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
         bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, away)))
-        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
-    return solve(F, u, bcs, sides, False)
+        free = ft.indices[ft.values != (meshes.BOTTOM, meshes.TOP)[i]]
+        sides.append((V, free if every else ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    return solve(F, u, bcs, sides, swap)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("finer", (1, 2))
+def test_walls_beside_a_punch(finer, caplog):
+    """Gaps up to its side walls count in means: coarse facets are told, others have its force."""
+    places = lambda x: x * [1.5, 0.5] - [0.75, 0.5], lambda x: x * [1, 0.5] - [0.5, 0]
+    cells, forces = ((4 * finer, 2 * finer), (6 * finer, 2 * finer)), []
+    for every in (False, True):
+        caplog.clear()
+        with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+            contact, problem = lowered(
+                places, cells, 0.1, every=every, swap=True, constants=(1.0, 1.0), large=True
+            )
+        forces.append(contact.force(problem)[1])
+        told = [record.message for record in caplog.records if "facets apart" in record.message]
+        assert len(told) == (every and finer == 1 and comm.rank == 0)
+    assert finer == 1 or abs(forces[1] / forces[0] - 1) <= 1e-9
 
 
 @pytest.mark.ranks(2)
