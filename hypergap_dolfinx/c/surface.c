@@ -64,7 +64,7 @@ int has_corner(int num, int size, const int *behind, const double *normals, doub
 }
 
 typedef struct {
-  double t[3], turn; // unit vector along it, and by what normals turn there
+  double t[3], turn; // unit vector along it, and by what the surface turns there
   int a, b;          // its ends
   int beyond[4];     // the next vertices of the facet on one side and on the other
   int is_kink;
@@ -72,11 +72,10 @@ typedef struct {
 
 // The turns at inner edges, of facets with lower numbers than those behind them. Returns the largest.
 //
-// which       (num, size): number of the turn, −1 of other edges
+// angles      by what the surface turns at each
 // shortest    of the longest edges of all facets
 static double find_turns(int num, int size, const int *facets, const int *behind, const double *x,
-                         const double *normals, Turn *turns, int *which, int *num_turns,
-                         double *shortest)
+                         const double *angles, Turn *turns, int *num_turns, double *shortest)
 {
   double most = 0, least = INFINITY;
   *num_turns = 0;
@@ -93,12 +92,8 @@ static double find_turns(int num, int size, const int *facets, const int *behind
     for (int k = 0; k < size; ++k)
     {
       int g = behind[size * f + k];
-      which[size * f + k] = g > f ? *num_turns : -1;
       if (g <= f)
         continue;
-      const double *m = normals + 3 * f, *n = normals + 3 * g;
-      const double cross[3] = {m[1] * n[2] - m[2] * n[1], m[2] * n[0] - m[0] * n[2],
-                               m[0] * n[1] - m[1] * n[0]};
       Turn *own = turns + (*num_turns)++;
       own->a = facets[size * f + k], own->b = facets[size * f + (k + 1) % size];
       own->is_kink = 0;
@@ -110,7 +105,7 @@ static double find_turns(int num, int size, const int *facets, const int *behind
         own->beyond[i] = facets[size * f + (k + (i ? size - 1 : 2)) % size];
         own->beyond[2 + i] = facets[size * g + (l + (i ? size - 1 : 2)) % size];
       }
-      own->turn = atan2(sqrt(dot(cross, cross)), dot(m, n));
+      own->turn = angles[*num_turns - 1];
       minus(x + 3 * own->b, x + 3 * own->a, own->t);
       double length = sqrt(dot(own->t, own->t));
       for (int i = 0; i < 3; ++i)
@@ -167,14 +162,14 @@ static int goes_on(const Turn *turns, const int *offset, const int *at, const ch
 // num, size   facets, and corners of each
 // facets      (num, size), around the facets
 // behind      (num, size): the facet behind each edge, −1 at the boundary
-// normals     unit normals of the facets
+// angles      (num_edges): by what the surface turns at inner edges, in the order of their first facets
 // limit       turn that is treated as zero
 // noise       error of coordinates' differences, which adds to that
 // corner      turn that is a corner whatever is beside it
 // stands_out  times the turn beside it from which a turn is one
-// kinks       (num, size): 1 for these edges, on one of their two facets
+// kinks       (num_edges): 1 for these edges
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double noise, double corner,
+               const double *angles, double limit, double noise, double corner,
                double stands_out, int *kinks)
 {
   int num_turns, status = NO_MEMORY;
@@ -183,13 +178,12 @@ int find_kinks(int n, const double *x, int num, int size, const int *facets, con
   char *boundary = calloc(n + 1, 1);
   if (!turns || !offset || !boundary)
     goto finish;
-  // ``kinks`` has the turns' numbers first
   double shortest;
-  double most = find_turns(num, size, facets, behind, x, normals, turns, kinks, &num_turns, &shortest);
+  double most = find_turns(num, size, facets, behind, x, angles, turns, &num_turns, &shortest);
   limit += noise / shortest;
   if (most <= limit)
   {
-    memset(kinks, 0, (size_t)num * size * sizeof(int));
+    memset(kinks, 0, (size_t)num_turns * sizeof(int));
     status = DONE;
     goto finish;
   }
@@ -211,8 +205,8 @@ int find_kinks(int n, const double *x, int num, int size, const int *facets, con
           && (turns[i].turn > corner || !goes_on(turns, offset, at, boundary, turns + i, stands_out)))
         turns[i].is_kink = again = 1;
   }
-  for (int i = 0; i < num * size; ++i)
-    kinks[i] = kinks[i] >= 0 && turns[kinks[i]].is_kink;
+  for (int i = 0; i < num_turns; ++i)
+    kinks[i] = turns[i].is_kink;
   status = DONE;
 finish:
   free(turns), free(ends), free(at), free(offset), free(boundary);

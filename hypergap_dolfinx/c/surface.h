@@ -23,7 +23,7 @@ typedef struct {
 int find_neighbours(int n, int num, int size, const int *facets, int *behind);
 int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
-               const double *normals, double limit, double noise, double corner,
+               const double *angles, double limit, double noise, double corner,
                double stands_out, int *kinks);
 int find_nearest(int num, const double *points, int n, const double *x, int *node, int *edge,
                  double *s);

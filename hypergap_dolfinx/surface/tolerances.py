@@ -61,8 +61,8 @@ Measured: tests' tori of 5 facets around a tube turn by 72°; normals at outline
 
 CURVES = 0.5
 """Share of the turn between straight facets that remains between curved ones at a kink.
-Measured: tests' tori of 5 facets around a tube; 0.05 and 5 change nothing in test_curved and
-test_quadrilaterals."""
+Measured: tests' tori of 5 facets around a tube; of 107 bent boxes of degree 2 (random assemblies)
+two have a face in pieces, with 0 101."""
 
 OUTSIDE = 1e-4
 """Negative weight from which a point isn't in the triangle where its walk ended.

@@ -73,24 +73,27 @@ def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
     """Edges at which a surface has a kink: it turns there, and hardly beside it.
 
     Facets that approximate a smooth surface turn about as much at the next parallel edges. Curved
-    ones turn inside, not where they meet. ``behind`` are the facets' neighbours.
+    ones turn inside: what counts is the angle between them where they meet. ``behind`` are the
+    facets' neighbours.
 
     Returns:
         One of the two facets of each such edge, and the edge's local number there.
     """
-    kink = np.empty(behind.shape, dtype=np.int32)
-    facets = *behind.shape, ints(surface.polygons), ints(behind), doubles(surface.normals)
+    f, k = np.nonzero(behind > np.arange(len(behind))[:, None])
+    g = behind[f, k]
+    turn = _angles(surface.normals[f], surface.normals[g])
+    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
+    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
+    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
+    smooth = np.zeros(len(f), dtype=bool)
+    smooth[bent] = left <= CURVES * turn[bent]
+    turn[bent] = left
+    kink = np.empty(len(f), dtype=np.int32)
+    facets = *behind.shape, ints(surface.polygons), ints(behind), turn
     limits = TURN, NOISE * np.abs(surface.x).max(), CORNER, STANDS_OUT
     if call("find_kinks", len(surface.x), doubles(surface.x), *facets, *limits, kink):
         raise MemoryError("no memory for a surface's corners")
-    f, k = np.nonzero(kink)
-    g = behind[f, k]
-    bent = np.flatnonzero(surface.curved[f] | surface.curved[g])
-    edges, beyond = (f[bent], k[bent]), (g[bent], (behind[g] == f[:, None]).argmax(axis=1)[bent])
-    turn = _angles(surface.normals[edges[0]], surface.normals[beyond[0]])
-    left = _angles(*(_normals_at_edges(surface, *each) for each in (edges, beyond)))
-    keep = np.ones(len(f), dtype=bool)
-    keep[bent] = left > CURVES * turn
+    keep = (kink > 0) & ~smooth
     return f[keep], k[keep]
 
 

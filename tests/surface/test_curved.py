@@ -3,7 +3,7 @@
 """A smooth field across curved interfaces: the tie costs no more than the bodies' own error."""
 
 import runpy
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,14 @@ from helpers import comm, sweep
 
 import basix.ufl
 import dolfinx
+import meshes
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx import Tie, TiedProblem
 from hypergap_dolfinx.core import compat
+from hypergap_dolfinx.mortar.constraint import smooth_pieces
+from hypergap_dolfinx.surface.trace import create_surface
 
 DEPTH = 0.35
 """Thickness of both bodies, relative to the distance from the surface's middle."""
@@ -116,3 +119,19 @@ def test_ellipsoid(surfaces, degree, finer):
     ratios = list(compared(bodies, degree))
     print(ratios)
     assert max(ratios) <= 1.1
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_faces_of_bent_boxes_are_pieces(cell):
+    """Facets that turn inside hide no corner beside them: λ of two faces isn't one."""
+
+    def bend(x):
+        x = (0.8, 0, 0) + x * (0.2, 0.4, 1)
+        return x + 0.12 * np.sin(2.5 * (x.sum(axis=1, keepdims=True) - x) + (5, 2, 3))
+
+    mesh, tags = meshes.block(comm, (2, 2, 5), bend, cell=cell, degree=2)
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    for faces in combinations(range(1, 7), 2):
+        facets = np.flatnonzero(np.isin(tags.values, faces))
+        surface = create_surface(V, tags.indices[facets], "two faces")
+        assert len(np.unique(smooth_pieces([surface])[0])) == 2, faces
