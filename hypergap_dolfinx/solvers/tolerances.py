@@ -37,7 +37,8 @@ Measured: pays from there on."""
 LARGE_CIRCLE = 30000
 """Displacements in 3D from which `"iterative"` is the default where `"bodies"` isn't possible.
 Measured: three boxes, processor seconds, degree 1: 17 000 displacements 1.6 (direct 1.7), 27 000
-2.2 (2.9), 42 000 3.3 (6.7); ν = .3: 27 000 2.7 (2.5), degree 2 29 000 5.9 (6.3)."""
+2.2 (2.9), 42 000 3.3 (6.7), 85 000 8.7 (15.2); degree 2: 44 000 9.5 (9.3), 63 000 12.5 to 15.4
+(14.0 to 15.5), with a third of the memory."""
 
 BUDGET = 100
 """Iterations of multigrid with one matrix by default, after which it is factorised.
