@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.mortar.constraint import Multipliers, smooth_pieces
 from hypergap_dolfinx.multipliers.numbering import Follows, Numbering, Pair
+from hypergap_dolfinx.multipliers.tolerances import BESIDE_END
 from hypergap_dolfinx.surface.trace import tabulate
 
 
@@ -93,7 +94,7 @@ def find_ends(numbering: Numbering, users, mine, smooth: SmoothPieces) -> Ends:
 
 
 def _value_at(multipliers: Multipliers, x: npt.NDArray):
-    """Multipliers and weights for λ at a point; None if Γ1 is farther away than a facet's size."""
+    """Multipliers and weights for λ at a point; None if Γ1 is farther than :data:`BESIDE_END`."""
     surface = multipliers.surface
     element, dim = surface.element, surface.gdim - 1
     nearest = np.linalg.norm(multipliers.x - x, axis=1).argmin()
@@ -116,6 +117,6 @@ def _value_at(multipliers: Multipliers, x: npt.NDArray):
             X /= np.maximum(X.sum(axis=1, keepdims=True), 1)
     apart = np.linalg.norm(x - surface.points(facets, X), axis=1)
     best = apart.argmin()
-    if apart[best] > surface.size[facets[best]]:
+    if apart[best] > BESIDE_END * surface.size[facets[best]]:
         return None
     return multipliers.on_facets[facets[best]], tabulate(element, X[best : best + 1])[0]

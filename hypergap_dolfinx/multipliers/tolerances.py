@@ -25,3 +25,8 @@ CONSISTENT = 0.03
 """Sine from which a row that a patch test needs is independent.
 Measured: 0.003 and 0.3 change nothing in test_pieces, test_cross_points, test_ends and
 test_property."""
+
+BESIDE_END = 1.0
+"""Distance, in facet sizes, up to which the body across an interface that ends is beside a place.
+Measured: scenes 9, 54 of random assemblies in space: H¹ 1.16, 1.13 of the interpolant's with 0.3,
+1.09, 1.12 with 1 and 10; λ's error of scene 44 is 0.41 with 10 for 0.26."""
