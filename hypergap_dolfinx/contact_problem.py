@@ -34,7 +34,7 @@ from hypergap_dolfinx.solvers.records import times
 from hypergap_dolfinx.surface.component import Component, lagrange_components
 from hypergap_dolfinx.surface.trace import is_mixed
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, STIFF
+from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, LEANING, STIFF
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -548,6 +548,7 @@ class ContactProblem(ContactSystem):
         kinds = (
             (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
             (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets"),
+            (LEANING, "gaps of {:.2f} facets up to walls beside it take forces away"),
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if (c, k) not in self._told_far]

@@ -75,3 +75,9 @@ FAR_PRESSURE = 1.0
 """Distance of surfaces on which a pressure acts, and twice their overlap, from which it is told, in
 facet sizes of Γ1.
 Measured: 300 random scenes of the plane, with sharp corners on coarse facets: told in 53."""
+
+LEANING = 0.01
+"""Mean by force of gaps up to edges that lean, in facet sizes of Γ1, from which it is told.
+Measured: a punch pressed into coarse facets, 10, 9, 7, 4, 2 and 13 % less force than on fine ones:
+.013, .017, .019, .019, .018, .044; on finer facets, by at most 3 %: .002. Of 200 random scenes of
+the plane it tells 30 of which nothing else is told."""

@@ -35,6 +35,7 @@ typedef struct {
   Jet share;               // of the edge's end; NULL: 0 or 1
   Jet volume;              // width · Σ visible height
   Jet covered;             // width · Σ visible
+  double heights[MOST_SHEETS]; // of sheets, times the length of the chord
   Jet visible[MOST_SHEETS]; // weight of a sheet times what others leave of it; NULL: 1
   Jet arcs[MOST_SHEETS];   // of bodies of revolution, in the middle of the ray; NULL: 1
   double arc;              // the same on Γ1
@@ -436,6 +437,7 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
     }
     ray.visible[k] = part;
     part = part ? product(tape, part, ray.width) : ray.width;
+    ray.heights[k] = height[0];
     height = product(tape, part, height);
     if (sigma->angle > 0)
     {
@@ -513,6 +515,41 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Ent
       areas[row] += part[0] * sqrt(ray.square[0]) * ray.arc;
       add_row(&local, row, volume, C);
       add_row(&local, row, scaled(&tape, 2, part), by_covered);
+    }
+  }
+  can = can && !tape.failed;
+  close_tape(&tape);
+  return can ? DONE : NO_MEMORY;
+}
+
+// What of the gaps of halves is in front of Γ1, up to edges that lean.
+//
+// volumes  (num_edges₁, 2)
+int find_leaning(const Sigma *sigma, double *volumes)
+{
+  const double range[] = {sigma->cosines[1], 2 * sigma->cosines[1]};
+  Local local;
+  Tape tape = {0};
+  int can = 1;
+  Ray ray;
+  memset(volumes, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
+  for (int p = 0; can && p < sigma->num_points; ++p)
+  {
+    const Point *point = sigma->points + p;
+    can = next_ray(&tape, 0, sigma, point, &local, &ray);
+    for (int k = 0; can && k < point->num; ++k)
+    {
+      Jet cos = cosine_of(&tape, &ray, ray.curves + k, sigma->sides->num_dofs, local.of_sheet[k],
+                          ray.r[k]);
+      Jet volume = constant(&tape, (1 - *step_of(&tape, cos, range)) * larger(ray.heights[k], 0));
+      volume = product(&tape, ray.width, volume);
+      if (ray.visible[k])
+        volume = product(&tape, ray.visible[k], volume);
+      if (sigma->angle > 0)
+        volume = product(&tape, ray.arcs[k], volume);
+      for (int e = 0; e < 2; ++e)
+        if (point->part != 1 - e)
+          volumes[2 * point->edge + e] += *shared(&tape, &ray, volume, e);
     }
   }
   can = can && !tape.failed;

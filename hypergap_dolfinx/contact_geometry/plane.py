@@ -102,11 +102,10 @@ class PlaneSegments(Segments):
         return found
 
     @override
-    def reaches(
-        self, u: Displacements, least: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         gaps = self._at(u)
-        far, deep = np.zeros((2, self.num_multipliers))
+        far, deep, leaning = found = np.zeros((3, self.num_multipliers))
+        np.add.at(leaning, gaps.facets.ravel(), gaps.rays.leaning())
         x, halves = gaps.rays.columns()
         vertices = gaps.facets.ravel()[halves]
         apart = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
@@ -115,7 +114,7 @@ class PlaneSegments(Segments):
         np.fmax.at(far, vertices, apart[on])
         for k in range(4):  # two corners of a column on Γ1, two on Γ0
             np.fmax.at(deep, vertices, gaps.rays.depths(k // 2, x[:, k]))
-        return far, deep
+        return found
 
     @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:

@@ -187,20 +187,19 @@ class Segments(ABC):
         """
         return self._at(u).slip_curvature(target, q)
 
-    def reaches(
-        self, u: Displacements, least: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Largest distance and largest overlap of the sides within each vertex's part of Γ1.
+
+        Third, what of its weighted gap is in front of Γ1, up to edges that lean.
 
         Args:
             u: Displacements.
             least: Lengths from which these are looked for, ``(num_multipliers,)``.
 
         Returns:
-            Largest distances and largest overlaps, ``(num_multipliers,)`` each; 0 where they are
-            shorter, or not known.
+            All three, ``(3, num_multipliers)``; 0 where they are shorter, or not known.
         """
-        return np.zeros(self.num_multipliers), np.zeros(self.num_multipliers)
+        return np.zeros((3, self.num_multipliers))
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for plots: the force of p, with less scatter between nodes.

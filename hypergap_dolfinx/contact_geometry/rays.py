@@ -170,6 +170,12 @@ class PlaneRays:
         halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
         return x[on], halves[on].astype(np.intp)
 
+    def leaning(self) -> npt.NDArray[np.float64]:
+        """What of the halves' gaps is in front, up to edges that lean, ``(num_halves,)``."""
+        volumes = np.empty(self.num_halves)
+        check(call("find_leaning", self.sigma, volumes))
+        return volumes
+
     def depths(self, side: int, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Depths of points, ``(num, 2)``, in a side's body by its nearest edge, < 0 outside."""
         depths = np.empty(len(x))

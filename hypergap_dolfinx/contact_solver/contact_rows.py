@@ -503,7 +503,7 @@ class ContactRows:
         """Largest distance over which a pressure acts, and largest overlap; and where they are.
 
         A gap is a mean over the facets around a vertex. There a corner may touch or overlap while
-        the rest is far away.
+        the rest is far away. Third, the mean by force of gaps up to edges that lean.
 
         Args:
             least: Length below which neither is searched for; all are in facet sizes of Γ1.
@@ -513,10 +513,13 @@ class ContactRows:
             return []
         facets, size = self.sides[1].reference.facets, np.zeros(len(at))
         np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
-        far, deep = self.state.opening.reaches(self.u, least * size)
-        acts = self.spread(np.where(self.state.active, self.state.p, 0)) > 0
-        found = [part / np.where(size > 0, size, 1) for part in (np.where(acts, far, 0), deep)]
-        return [(float(part.max(initial=0)), at[int(part.argmax())]) for part in found]
+        far, deep, leaning = self.state.opening.reaches(self.u, least * size)
+        p = self.spread(np.where(self.state.active, self.state.p, 0)).clip(min=0)
+        found = [part / np.where(size > 0, size, 1) for part in (np.where(p > 0, far, 0), deep)]
+        told = [(float(part.max(initial=0)), at[int(part.argmax())]) for part in found]
+        pressed = float((p * self.m * size).sum())
+        mean = float((p * leaning).sum()) / pressed if pressed else 0.0
+        return [*told, (mean, at[int((p * leaning).argmax())])]
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

@@ -257,6 +257,20 @@ def test_walls_beside_a_punch(depth, caplog):
 
 
 @pytest.mark.ranks(2)
+def test_walls_beside_coarse_facets(caplog):
+    """Gaps up to a punch's walls that are shorter than a facet: a tenth of the force, told."""
+    places = lambda x: x * [1.5, 0.5] - [0.75, 0.5], lambda x: x * [1, 0.5] - [0.5, 0]
+    for every in (False, True):
+        caplog.clear()
+        with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+            lowered(
+                places, ((4, 2), (6, 2)), 0.1, every=every, swap=True, constants=(1, 1), large=True
+            )
+        told = [record.message for record in caplog.records if "forces away" in record.message]
+        assert len(told) == (every and comm.rank == 0)
+
+
+@pytest.mark.ranks(2)
 def test_overlap_of_a_corner(caplog):
     """A ridge inside a facet, whose vertices have positive mean gaps: told without a pressure."""
     places = (
