@@ -428,17 +428,19 @@ class ContactRows:
         """Make all multipliers of the working set slip; false without friction."""
         return False
 
-    def start_set(self, stiffness: float, zero: float):
-        """Choose the working set: active multipliers, and those that are closed or overlap.
+    def start_set(self, stiffness: float, zero: float, *, holds: bool):
+        """Start with the last active multipliers; the linearised problem finds those that come.
 
         Args:
             stiffness: Stiffness of the bodies' nodes, which makes forces of lengths.
             zero: Pressure treated as zero.
+            holds: True if only contact holds a body: what touches may, and is closed at first.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
         now = self.state
-        now.active = self.valid & (now.active | (self.distance <= EXACT * self._size))
+        touches = holds & (self.distance <= EXACT * self._size)
+        now.active = self.valid & (now.active | touches)
         now.p = np.where(now.active, now.p, 0)
 
     # Geometry

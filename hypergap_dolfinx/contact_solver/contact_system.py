@@ -66,8 +66,7 @@ class ContactSystem(NonlinearSystem):
     2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The linearised
        contact problem, with its inequalities and the tangent at the last pressures, is solved
        exactly. Displacements change by its solution; pressures and active sets are its own. The
-       last sets, with what overlaps, are only the first guess. They are enlarged where nothing
-       else holds a body.
+       last sets are only the first guess. They are enlarged where nothing else holds a body.
     3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
        ``ContactProblem.solve``)::
 
@@ -356,7 +355,7 @@ class ContactSystem(NonlinearSystem):
                 self._assemble_what_moved()
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
-                rows.start_set(stiffness, zero)
+                rows.start_set(stiffness, zero, holds=self._num_free > 0)
             if self._num_free:
                 self._hold()
             is_balanced = self._balances()

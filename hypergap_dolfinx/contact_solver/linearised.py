@@ -105,6 +105,8 @@ class LinearisedContact:
         self._comm = rows[0].spaces[0].mesh.comm
         self._on = np.concatenate([part.is_in for part in rows])
         self._ends = np.cumsum([0, *(part.num_unknowns for part in rows)])
+        normal = [np.arange(part.num_unknowns) < len(part.g) for part in rows]
+        self._is_normal = np.concatenate(normal)
 
     def solve(
         self,
@@ -222,18 +224,22 @@ class LinearisedContact:
     def _lcp(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns without friction: pressures outside of the working set, slacks in it."""
         on = self._on[of]
-        least = np.concatenate([p.least() for p in self._rows])[of]
+        least = np.concatenate([np.resize(p.least(), p.num_unknowns) for p in self._rows])[of]
         M, b = np.where(on[:, None], A[of], B[of]), np.where(on, f0[of], y0[of])
         return complementarity.solved(M, b, least)
 
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.
 
-        If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
-        With a large compliance there is one solution.
+        If Newton's method fails, it is repeated from the solution without changes of tractions, and
+        then with a compliance of the rows that falls to zero. With a large one there is one
+        solution.
         """
+        whole = y0, f0, A, B, of
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
+        if found is None:
+            found = self._newton(y0, f0, A, B, of, self._pressed(*whole))
         if found is not None:
             return found
         for share in (*give * SHORTENED ** np.arange(-1.0, 2 * TRIALS), 0.0):
@@ -241,6 +247,13 @@ class LinearisedContact:
             if found is None:
                 return None
             z = found
+        return z
+
+    def _pressed(self, y0, f0, A, B, of) -> Array:
+        """The unknowns if tractions didn't change; zero without a solution."""
+        z, on = np.zeros(len(of)), self._is_normal[of]
+        found = self._lcp(y0, f0, A[:, on], B[:, on], of[on], z[on])
+        z[on] = 0 if found is None else found
         return z
 
     def _newton(self, y0, f0, A, B, of, z) -> Array | None:

@@ -24,6 +24,7 @@ from hypergap_dolfinx.surface.trace import create_surface
 
 comm = MPI.COMM_WORLD
 SPANS = (((0, 0, -0.5), (2, 2, 0)), ((0.5, 0.5, 0), (1.5, 1.5, 0.5)))
+NARROWER = ((0.2, 0.2, -0.5), (1.8, 1.8, 0)), SPANS[1]
 
 
 def boundary(mesh, axis, *places):
@@ -128,22 +129,31 @@ def test_corner_comes_across_a_quadrilateral(past):
     assert np.linalg.norm(left) <= 10 * past * np.linalg.norm(rows[reached])
 
 
-def test_corners_slide_across_quadrilaterals():
-    """A block whose ends lie above middles of facets, pressed and slid with friction at once."""
-    cells, friction, F, u, bcs, sides = (5, 4), 0.3, [], [], [], []
-    spans = SPANS[0], ((0, 0, 0), (1, 1, 0.5))
-    for i, (low, high) in enumerate(spans):
+@pytest.mark.parametrize(
+    ("cells", "spans", "degrees", "friction", "large"),
+    (
+        ((5, 4), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.3, True),
+        ((4, 6), NARROWER, 20.0, 0.3, True),
+        ((7, 7), NARROWER, 39.0, 0.1, False),
+    ),
+)
+def test_blocks_that_touch_exactly(cells, spans, degrees, friction, large):
+    """A block is pressed and slid at once: some rows repeat others at the corners where it ends."""
+    F, u, bcs, sides = [], [], [], []
+    for i, (start, end) in enumerate(spans):
         mesh = meshing.create_box(
-            comm, [low, high], (cells[i], cells[i], 1), meshing.CellType.hexahedron
+            comm, [start, end], (cells[i], cells[i], 1), meshing.CellType.hexahedron
         )
         V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-        body = Elastic.on(V, (1.0, 1.0), large=True)
-        moved = default_scalar_type((0.01 * i, 0, 0.01 * (1 - 2 * i)))
-        dofs = fem.locate_dofs_topological(V, 2, boundary(mesh, 2, (low, high)[i][2]))
-        bcs.append(fem.dirichletbc(moved, dofs, V))
+        body = Elastic.on(V, (1.0, 1.0), large=large)
+        moved = default_scalar_type((0.02 * i, 0, -0.02 * i))
+        back, face = (boundary(mesh, 2, z) for z in ((start, end)[i][2], 0))
+        bcs.append(fem.dirichletbc(moved, fem.locate_dofs_topological(V, 2, back), V))
+        c, s = np.cos(np.radians(i * degrees)), np.sin(np.radians(i * degrees))
+        mesh.geometry.x[:, :2] = (mesh.geometry.x[:, :2] - 1) @ [[c, s], [-s, c]] + 1
         F.append(body.F)
         u.append(body.u)
-        sides.append((V, boundary(mesh, 2, 0)))
+        sides.append((V, face))
     contact = Contact(*sides[::-1], friction=friction)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     problem.solve()
