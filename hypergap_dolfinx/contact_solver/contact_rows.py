@@ -428,19 +428,23 @@ class ContactRows:
         """Make all multipliers of the working set slip; false without friction."""
         return False
 
-    def start_set(self, stiffness: float, zero: float, *, holds: bool):
-        """Start with the last active multipliers; the linearised problem finds those that come.
+    def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
+        """Choose the working set: the last active multipliers, and those that touch or overlap.
 
         Args:
             stiffness: Stiffness of the bodies' nodes, which makes forces of lengths.
             zero: Pressure treated as zero.
-            holds: True if only contact holds a body: what touches may, and is closed at first.
+            touches: False to start again, with the last active multipliers alone.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
         now = self.state
-        touches = holds & (self.distance <= EXACT * self._size)
-        now.active = self.valid & (now.active | touches)
+        if touches:
+            self._last = now.active
+            now.active = now.active | (self.distance <= EXACT * self._size)
+        else:
+            now.active = self._last
+        now.active = self.valid & now.active
         now.p = np.where(now.active, now.p, 0)
 
     # Geometry

@@ -66,7 +66,8 @@ class ContactSystem(NonlinearSystem):
     2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The linearised
        contact problem, with its inequalities and the tangent at the last pressures, is solved
        exactly. Displacements change by its solution; pressures and active sets are its own. The
-       last sets are only the first guess. They are enlarged where nothing else holds a body.
+       last sets, with what touches or overlaps, are only the first guess; without a solution it is
+       solved again from the last sets alone. They are enlarged where nothing else holds a body.
     3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
        ``ContactProblem.solve``)::
 
@@ -355,7 +356,7 @@ class ContactSystem(NonlinearSystem):
                 self._assemble_what_moved()
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
-                rows.start_set(stiffness, zero, holds=self._num_free > 0)
+                rows.start_set(stiffness, zero)
             if self._num_free:
                 self._hold()
             is_balanced = self._balances()
@@ -420,9 +421,9 @@ class ContactSystem(NonlinearSystem):
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
         num_tied += sum(field.num_others for field in self._fields)  # pressures, as a rule
-        nearness, guesses = self._nearness if self._num_free else None, self._tangent.guesses()
+        nearness = self._nearness if self._num_free else None
 
-        def solve() -> Solution:
+        def solve(guesses) -> Solution:
             equations = [rows.equations(jump if moves else None) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
             return problem.solve(
@@ -431,20 +432,38 @@ class ContactSystem(NonlinearSystem):
 
         floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
         self._tangent.floor = floor
-        while True:
-            found = self._falling_back(solve)
-            if not found.is_guess:
-                break
-            guesses.take(sum(int(part.sum()) for part in found.changed))
-            for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
-                rows.guess(*solution)
+
+        def solved() -> Solution:
+            guesses = self._tangent.guesses()
+            while True:
+                found = self._falling_back(lambda: solve(guesses))
+                if not found.is_guess:
+                    break
+                guesses.take(sum(int(part.sum()) for part in found.changed))
+                for rows, *solution in zip(
+                    self._rows, found.y, found.f, found.changed, strict=True
+                ):
+                    rows.guess(*solution)
+                if self._num_free:
+                    self._hold()
+            if not found.is_solved and any([rows.slide() for rows in self._rows]):
+                # A base that sticks can be all but singular: where the motion along it is held, too
+                if self._num_free:
+                    self._hold()
+                again = self._falling_back(lambda: solve(guesses))
+                found = again if again.is_solved else found
+            return found
+
+        found = solved()
+        if not found.is_solved:
+            # Rows that touch can say the same: from the last sets, with those that the problem adds
+            self._restore(start)
+            zero = self._zero_pressure()
+            for rows in self._rows:
+                rows.start_set(stiffness, zero, touches=False)
             if self._num_free:
                 self._hold()
-        if not found.is_solved and any([rows.slide() for rows in self._rows]):
-            # A base that sticks can be all but singular: where the motion along it is held, too
-            if self._num_free:
-                self._hold()
-            again = self._falling_back(solve)
+            again = solved()
             found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == PATIENCE:

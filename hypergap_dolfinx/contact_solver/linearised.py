@@ -231,8 +231,8 @@ class LinearisedContact:
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.
 
-        If Newton's method fails, it is repeated from the solution without changes of tractions, and
-        then with a compliance of the rows that falls to zero. With a large one there is one
+        If Newton's method fails, it is repeated from the pressures with which new rows don't rub,
+        and then with a compliance of the rows that falls to zero. With a large one there is one
         solution.
         """
         whole = y0, f0, A, B, of
@@ -250,7 +250,7 @@ class LinearisedContact:
         return z
 
     def _pressed(self, y0, f0, A, B, of) -> Array:
-        """The unknowns if tractions didn't change; zero without a solution."""
+        """The unknowns if rows that come have no traction; zero without a solution."""
         z, on = np.zeros(len(of)), self._is_normal[of]
         found = self._lcp(y0, f0, A[:, on], B[:, on], of[on], z[on])
         z[on] = 0 if found is None else found

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Elastic
-from helpers import close, raises
+from helpers import close, raises, two_ranks
 
 import basix
 import meshes
@@ -129,26 +129,34 @@ def test_corner_comes_across_a_quadrilateral(past):
     assert np.linalg.norm(left) <= 10 * past * np.linalg.norm(rows[reached])
 
 
+@two_ranks()
 @pytest.mark.parametrize(
-    ("cells", "spans", "degrees", "friction", "large"),
+    ("cells", "spans", "degrees", "friction", "large", "loaded"),
     (
-        ((5, 4), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.3, True),
-        ((4, 6), NARROWER, 20.0, 0.3, True),
-        ((7, 7), NARROWER, 39.0, 0.1, False),
+        ((5, 4), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.3, True, False),
+        ((4, 6), NARROWER, 20.0, 0.3, True, False),
+        ((7, 7), NARROWER, 39.0, 0.1, False, False),
+        ((4, 6), NARROWER, 20.0, 0.3, True, True),
     ),
 )
-def test_blocks_that_touch_exactly(cells, spans, degrees, friction, large):
-    """A block is pressed and slid at once: some rows repeat others at the corners where it ends."""
+def test_blocks_that_touch_exactly(cells, spans, degrees, friction, large, loaded):
+    """A block is pressed and slid at once: some rows repeat others at the corners where it ends.
+
+    Or it is loaded, and only contact and friction hold it.
+    """
     F, u, bcs, sides = [], [], [], []
     for i, (start, end) in enumerate(spans):
         mesh = meshing.create_box(
             comm, [start, end], (cells[i], cells[i], 1), meshing.CellType.hexahedron
         )
         V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-        body = Elastic.on(V, (1.0, 1.0), large=large)
         moved = default_scalar_type((0.02 * i, 0, -0.02 * i))
         back, face = (boundary(mesh, 2, z) for z in ((start, end)[i][2], 0))
-        bcs.append(fem.dirichletbc(moved, fem.locate_dofs_topological(V, 2, back), V))
+        body = Elastic.on(V, (1.0, 1.0), large=large, loaded=back)
+        if loaded and i == 1:
+            body.load.value = 0.05
+        else:
+            bcs.append(fem.dirichletbc(moved, fem.locate_dofs_topological(V, 2, back), V))
         c, s = np.cos(np.radians(i * degrees)), np.sin(np.radians(i * degrees))
         mesh.geometry.x[:, :2] = (mesh.geometry.x[:, :2] - 1) @ [[c, s], [-s, c]] + 1
         F.append(body.F)
@@ -157,7 +165,9 @@ def test_blocks_that_touch_exactly(cells, spans, degrees, friction, large):
     contact = Contact(*sides[::-1], friction=friction)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     problem.solve()
-    assert problem.iterations <= 10
+    assert problem.iterations <= 10 and problem.halvings == 0
+    if loaded:
+        close(np.abs(contact.force(problem)), (0, 0, 0.05), 1e-7)
 
 
 @pytest.mark.parametrize("depth", (0.1, 0.2))
