@@ -423,7 +423,7 @@ class ContactSystem(NonlinearSystem):
         num_tied += sum(field.num_others for field in self._fields)  # pressures, as a rule
         nearness = self._nearness if self._num_free else None
 
-        def solve(guesses) -> Solution:
+        def solve(guesses: active_set.Guesses) -> Solution:
             equations = [rows.equations(jump if moves else None) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
             return problem.solve(
@@ -432,38 +432,9 @@ class ContactSystem(NonlinearSystem):
 
         floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
         self._tangent.floor = floor
-
-        def solved() -> Solution:
-            guesses = self._tangent.guesses()
-            while True:
-                found = self._falling_back(lambda: solve(guesses))
-                if not found.is_guess:
-                    break
-                guesses.take(sum(int(part.sum()) for part in found.changed))
-                for rows, *solution in zip(
-                    self._rows, found.y, found.f, found.changed, strict=True
-                ):
-                    rows.guess(*solution)
-                if self._num_free:
-                    self._hold()
-            if not found.is_solved and any([rows.slide() for rows in self._rows]):
-                # A base that sticks can be all but singular: where the motion along it is held, too
-                if self._num_free:
-                    self._hold()
-                again = self._falling_back(lambda: solve(guesses))
-                found = again if again.is_solved else found
-            return found
-
-        found = solved()
-        if not found.is_solved:
-            # Rows that touch can say the same: from the last sets, with those that the problem adds
-            self._restore(start)
-            zero = self._zero_pressure()
-            for rows in self._rows:
-                rows.start_set(stiffness, zero, touches=False)
-            if self._num_free:
-                self._hold()
-            again = solved()
+        found = self._solution(solve)
+        if not found.is_solved and self._leaves_what_touches(start, stiffness):
+            again = self._solution(solve)
             found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == PATIENCE:
@@ -481,6 +452,42 @@ class ContactSystem(NonlinearSystem):
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
         return (start, self._state()), work
+
+    def _solution(self, solve: Callable[[active_set.Guesses], Solution]) -> Solution:
+        """Solution of the linearised problem from the present working sets. Collective."""
+        guesses = self._tangent.guesses()
+        while True:
+            found = self._falling_back(lambda: solve(guesses))
+            if not found.is_guess:
+                break
+            guesses.take(sum(int(part.sum()) for part in found.changed))
+            for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
+                rows.guess(*solution)
+            if self._num_free:
+                self._hold()
+        if not found.is_solved and any([rows.slide() for rows in self._rows]):
+            # A base that sticks can be all but singular: where the motion along it is held, too
+            if self._num_free:
+                self._hold()
+            again = self._falling_back(lambda: solve(guesses))
+            found = again if again.is_solved else found
+        return found
+
+    def _leaves_what_touches(self, start: SystemState, stiffness: float) -> bool:
+        """Go back to the last sets: what touches can say the same twice. False if they are these.
+
+        Args:
+            start: The state with the sets that led to no solution.
+            stiffness: As for :meth:`_step`.
+        """
+        self._restore(start)
+        zero = self._zero_pressure()
+        for rows in self._rows:
+            rows.start_set(stiffness, zero, touches=False)
+        if self._num_free:
+            self._hold()
+        pairs = zip(self._rows, start.contacts, strict=True)
+        return any((rows.state.active != before.active).any() for rows, before in pairs)
 
     def _check_turns(self, changes: Sequence[npt.NDArray]):
         """Raise if a step turns a rigid body by more than a turn: then nothing holds it."""

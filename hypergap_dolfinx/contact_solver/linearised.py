@@ -105,8 +105,6 @@ class LinearisedContact:
         self._comm = rows[0].spaces[0].mesh.comm
         self._on = np.concatenate([part.is_in for part in rows])
         self._ends = np.cumsum([0, *(part.num_unknowns for part in rows)])
-        normal = [np.arange(part.num_unknowns) < len(part.g) for part in rows]
-        self._is_normal = np.concatenate(normal)
 
     def solve(
         self,
@@ -251,7 +249,8 @@ class LinearisedContact:
 
     def _pressed(self, y0, f0, A, B, of) -> Array:
         """The unknowns if rows that come have no traction; zero without a solution."""
-        z, on = np.zeros(len(of)), self._is_normal[of]
+        normal = [np.arange(part.num_unknowns) < len(part.g) for part in self._rows]
+        z, on = np.zeros(len(of)), np.concatenate(normal)[of]
         found = self._lcp(y0, f0, A[:, on], B[:, on], of[on], z[on])
         z[on] = 0 if found is None else found
         return z
