@@ -514,8 +514,9 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
 def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
     """Draw cells and their edges, with their curvature."""
     dim = cells.get_cell(0).dimension if cells.n_cells else 2
+    place = 6 - 2 * dim  # sides before bodies
     if dim == 1:  # a side's traction in the plane
-        plotter.add_mesh(cells, lighting=False, line_width=8, **options)
+        _before(plotter.add_mesh(cells, lighting=False, line_width=8, **options), place)
         return
     skin = _skin(cells)
     lit: Any = {"lighting": False}
@@ -523,10 +524,19 @@ def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str =
         lit = {"ambient": 0.4, "diffuse": 0.6}
         if not cells.get_cell(0).is_linear:
             lit |= {"smooth_shading": True, "split_sharp_edges": True}
-    plotter.add_mesh(skin, **lit, **options)
-    lines = plotter.add_mesh(_outlines(skin), color=edges, line_width=1.5, lighting=False)
-    lines.mapper.SetResolveCoincidentTopologyToPolygonOffset()  # before the cells, not among them
-    lines.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -20)
+    _before(plotter.add_mesh(skin, **lit, **options), place)
+    lines = _outlines(skin)
+    num_facets = len(np.unique(skin["vtkOriginalCellIds"]))
+    lines.field_data["facet"] = [np.sqrt(skin.area / max(1, num_facets))]
+    _before(plotter.add_mesh(lines, color=edges, line_width=1.5, lighting=False), place + 1)
+
+
+def _before(actor: pyvista.Actor, place: int):
+    """Draw what lies in one place in an order, the last before all others."""
+    mapper = actor.mapper
+    mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0, -20 * place)
+    mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -20 * place)
 
 
 def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
@@ -578,6 +588,12 @@ def _finish(plotter, dim: int, filename, window: bool, look_from=(1, 1, 1), up=(
     else:
         plotter.view_vector(look_from, up)
     plotter.camera.SetWindowCenter(1 - beside, 0)
+    pixels = plotter.window_size[1] / (2 * plotter.camera.parallel_scale)  # for a length of one
+    for actor in plotter.actors.values():
+        if isinstance(actor, pyvista.Actor) and "facet" in actor.mapper.dataset.field_data:
+            # Edges of fine cells would hide them: they take at most a fifth of the colour
+            size = pixels * actor.mapper.dataset.field_data["facet"][0]
+            actor.prop.opacity = min(1, 0.2 * size / (2 * 1.5))
     if filename is not None:
         Path(filename).parent.mkdir(parents=True, exist_ok=True)
         plotter.screenshot(filename)

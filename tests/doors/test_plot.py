@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import meshes
+from dolfinx import fem
 
 pytest.importorskip("pyvista")
 
@@ -33,3 +34,23 @@ def test_curved_cells(cell, num_edges):
     assert np.abs(r[outer] - 2).max() <= 0.01
     lines = plot._outlines(skin)
     assert lines.n_cells == num_edges * 8
+
+
+def test_fine_cells():
+    """Edges of fine cells don't hide colours, those of a body not the values on its side."""
+    from dolfinx.mesh import create_submesh, create_unit_square, locate_entities_boundary
+    from hypergap_dolfinx import plot
+
+    pictures = []
+    for n in (4, 100):
+        mesh = create_unit_square(MPI.COMM_SELF, n, n)
+        top = locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 1))
+        side = create_submesh(mesh, 1, top)[0]
+        fs = [fem.Function(fem.functionspace(m, ("Lagrange", 1))) for m in (mesh, side)]
+        fs[0].interpolate(lambda x: 1 - x[0])
+        fs[1].interpolate(lambda x: x[0])
+        pictures.append(np.asarray(plot.field(fs).screenshot(None, return_img=True), dtype=float))
+    rows, columns = (np.flatnonzero((pictures[0] < 255).any(axis=(i, 2))) for i in (1, 0))
+    apart = np.abs(pictures[0] - pictures[1])[rows][:, columns[:700]].mean(axis=(1, 2))
+    assert apart[8:].mean() < 22  # of 255; 34 with edges as dark as those of large cells
+    assert apart[:8].max() < 2  # the side's line of eight pixels; 28 behind the body's edges
