@@ -548,7 +548,11 @@ class ContactProblem(ContactSystem):
         kinds = (
             (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
             (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets"),
-            (LEANING, "gaps of {:.2f} facets up to walls beside it take forces away"),
+            (
+                LEANING,
+                "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
+                "facets in the mean, makes the contact force some per cent too small",
+            ),
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if (c, k) not in self._told_far]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from hypergap_dolfinx.algebra.checks import label
 from hypergap_dolfinx.core import graph
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.intersection import axes_across, common_part
@@ -71,14 +72,15 @@ class Touching(_Sides):
             setattr(pair, name, value)
         return pair
 
+    @property
+    def names(self) -> list[str]:
+        """Names of both spaces in messages."""
+        return [f"spaces[{i}]{label(V.mesh)}" for i, (V, _) in zip(self.numbers, self, strict=True)]
+
     def row(self) -> str:
         """A line of the table."""
-        names = (
-            f"spaces[{i}]" + (f" ({V.mesh.name})" if V.mesh.name not in ("", "mesh") else "")
-            for i, (V, _) in zip(self.numbers, self, strict=True)
-        )
         first, second = (
-            f"{name}: {count} facets" for name, count in zip(names, self.counts, strict=True)
+            f"{name}: {count} facets" for name, count in zip(self.names, self.counts, strict=True)
         )
         return f"{first:<28} {second:<28} {self.area:9.3g} {self.apart:10.2e}  {self.explained}"
 
@@ -265,16 +267,16 @@ def _tell(pairs: TouchingPairs) -> None:
     """Log touching pairs; warn of facets left out that may touch."""
     for pair in pairs:
         LOG.info(
-            "spaces[%d] and spaces[%d] touch with %d and %d facets, up to %.3g apart (%s)",
-            *(*pair.numbers, *pair.counts, pair.apart, pair.explained),
+            "%s and %s touch with %d and %d facets, up to %.3g apart (%s)",
+            *(*pair.names, *pair.counts, pair.apart, pair.explained),
         )
     for left in pairs.left_out:
         if left.explained == UNEXPLAINED:
             LOG.warning(
-                "find_touching leaves out %d facets of spaces[%d] and %d of spaces[%d] that face "
-                "each other, up to %.3g apart, since their turns don't explain that. If they "
-                "touch, make them finer or give a distance.",
-                *(left.counts[0], left.numbers[0], left.counts[1], left.numbers[1], left.apart),
+                "find_touching leaves out %d facets of %s and %d of %s that face each other, up to "
+                "%.3g apart: more than the surfaces' curvature explains. If they touch, make them "
+                "finer or give a distance.",
+                *(left.counts[0], left.names[0], left.counts[1], left.names[1], left.apart),
             )
 
 
@@ -359,7 +361,7 @@ def _pair(sides, facing: "_Facing", explained: str | None = None):
         )
         explained = FLAT if flat else CURVED if curved else DISTANCE
     return sides, {
-        "apart": float(facing.apart[k]),
+        "apart": float(facing.apart[k]) + 0.0,  # not -0
         "explained": explained,
         "area": float(facing.area.sum()),
         "numbers": tuple(i for i, _ in sides),

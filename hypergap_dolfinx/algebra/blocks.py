@@ -116,6 +116,10 @@ class ConstraintBlocks:
         for owner in (self.compliances, *self.jump_fields, *(rows for rows, *_ in self.coupled)):
             owner.destroy()
 
+    def name(self, g: int) -> str:
+        """Name of an interface in messages: those of its ties."""
+        return " with ".join(self._names[t] for t in self._interfaces[g])
+
     @property
     def conducts(self) -> bool:
         """True if a tie has a conductance, which may be 0."""

@@ -159,7 +159,7 @@ class RigidBodyDiagnostics:
         slid = ": it fell or slid away, its load may be more than friction can hold"
         return (
             f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
-            f"by nothing, not even by contact{slid if friction else ' without friction'}: "
+            f"by nothing, not even by contact{slid if friction else ', which has no friction'}: "
             f"{self.moving(u, holds)}; hold them by {self.remedy}."
         )
 

@@ -496,8 +496,9 @@ class ContactSystem(NonlinearSystem):
             turn = body.turn_by(change)
             if not turn <= 2 * np.pi:
                 raise SolveError(
-                    f"{name} turns by {np.degrees(turn):.3g}° in a Newton step: its "
-                    "load is more than contact, friction and springs can hold."
+                    f"{name} turns by {np.degrees(turn):.3g}° in a Newton step: neither contact"
+                    f"{' nor friction' * bool(self._frictional)} nor springs balance its torque; "
+                    "hold it by held=."
                 )
 
     def _nearness(self) -> float:
@@ -545,7 +546,7 @@ class ContactSystem(NonlinearSystem):
         c = int(np.argmin([part.min(initial=0) for part in pulls]))
         rows, k = self._rows[c], int(pulls[c].argmin())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
-        if self._num_free and self._frictional:
+        if self._num_free and isinstance(rows, FrictionRows):
             return (
                 f"the linearised contact problem has no solution: {self._strays.of(rows.bodies)}, "
                 "that nothing else holds, slides, tips or is drawn away; its load may be more than "

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.algebra.rigid_motions import rigid_modes
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.graph import parts
@@ -69,22 +70,26 @@ class Bodies(IterativeSolver):
         reason = super().why_not(system)
         if reason:
             return reason
-        if order_of_bodies(len(spaces), _directions(constraints)) is None:
-            return (
-                "from Γ0's body to Γ1's the ties lead round in a circle (exchange the sides of "
-                "one), or from a body to itself"
-            )
-        ties, wrong = range(len(constraints.bodies)), 0
+        circle = find_circle(_directions(constraints))
+        if circle:
+            return _why_circle(constraints, spaces, circle)
+        ties, wrong = range(len(constraints.bodies)), np.zeros(len(spaces), dtype=int)
         for body, V in enumerate(spaces):
             mine = [t for t in ties if constraints.bodies[t][1] == body]
             start = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
             own = np.concatenate([[], *(constraints.own[t] for t in mine)]).astype(np.intp)
             rows = [constraints.free[t][body].getLocalSize()[0] for t in mine]  # type: ignore[union-attr]
-            wrong += [len(constraints.own[t]) for t in mine] != rows
-            wrong += len(np.unique(own)) != len(own)
-            wrong += bool(constraints.prescribed[body][own - start].any())
-        none = "some multipliers have no free dof of Γ1 of their own"
-        return none if spaces[0].mesh.comm.allreduce(wrong) else None
+            wrong[body] += [len(constraints.own[t]) for t in mine] != rows
+            wrong[body] += len(np.unique(own)) != len(own)
+            wrong[body] += bool(constraints.prescribed[body][own - start].any())
+        wrong = spaces[0].mesh.comm.allreduce(wrong)
+        if not wrong.any():
+            return None
+        body = int(wrong.argmax())
+        return (
+            f"on {name_of_body(body, spaces[body])} some multipliers have no free dof of Γ1 of "
+            "their own"
+        )
 
     def _create(self) -> Substitute:
         return BodywiseSystem(self._system)
@@ -96,10 +101,30 @@ class Bodies(IterativeSolver):
         return f"; iterations grow with the bodies tied in a row, and there are {num}{self.ADVICE}"
 
 
-def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int]]:
-    """Pairs of bodies: one that an interface moves, and that of its Γ1."""
-    pairs = zip(constraints.moved, constraints.bodies, strict=True)
-    return [(i, i1) for moved, (_, i1) in pairs for i in moved]
+def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int, int]]:
+    """A body that an interface moves, that of its Γ1, and the interface; those of Γ0 first."""
+    pairs = enumerate(zip(constraints.moved, constraints.bodies, strict=True))
+    found = [(i, i1, g, i0) for g, (moved, (i0, i1)) in pairs for i in moved]
+    return [each[:3] for each in sorted(found, key=lambda each: each[0] != each[3])]
+
+
+def _why_circle(constraints: ConstraintBlocks, spaces, circle: Sequence[Sequence[int]]) -> str:
+    """Reason why bodies have no order, and what gives them one."""
+    names = [constraints.name(g) for *_, g in circle]
+    if len(circle) == 1:
+        return f"{names[0]} ties a body to itself"
+    for (i, _, g), name in zip(circle, names, strict=True):
+        i0, i1 = constraints.bodies[g]
+        if i != i0:
+            third, body0, body1 = (name_of_body(k, spaces[k]) for k in (i, i0, i1))
+            return (
+                f"{name} moves {third}, too, since an interface ends on the smooth Γ0 of {body0} "
+                f"there (give Γ1 to {body0} in its ties with {body1} and {third})"
+            )
+    return (
+        f"{', '.join(names[:-1])} and {names[-1]} lead round in a circle, from Γ0's body to Γ1's "
+        "(exchange the sides of one)"
+    )
 
 
 class BodywiseSystem(Substitute):
@@ -171,24 +196,38 @@ class BodywiseSystem(Substitute):
             part.array[:] = scale * value
 
 
-def order_of_bodies(num_bodies: int, bodies: Sequence[tuple[int, int]]) -> list[int] | None:
+def order_of_bodies(num_bodies: int, bodies: Sequence[Sequence[int]]) -> list[int]:
     """Order bodies such that those with Γ1 of a tie come before those with its Γ0.
 
     Args:
         num_bodies: Number of bodies.
-        bodies: Γ0's and Γ1's body of each tie.
-
-    Returns:
-        The bodies, or None if the ties lead round in a circle.
+        bodies: Γ0's and Γ1's body of each tie, which don't lead round in a circle.
     """
     left, order = list(range(num_bodies)), []
     while left:
-        ready = [i for i in left if not any(i == i0 and i1 in left for i0, i1 in bodies)]
-        if not ready:
-            return None
+        ready = [i for i in left if not any(i == i0 and i1 in left for i0, i1, *_ in bodies)]
+        assert ready, "in a circle"
         order += ready
         left = [i for i in left if i not in ready]
     return order
+
+
+def find_circle(bodies: Sequence[Sequence[int]]) -> list[Sequence[int]]:
+    """Entries that lead round in a circle, each from its first body to its second; none if none do.
+
+    Args:
+        bodies: Γ0's and Γ1's body of each tie, and what else belongs to it.
+    """
+    left = list(bodies)
+    while any(ends := [all(one[1] != other[0] for other in left) for one in left]):
+        left = [one for one, is_end in zip(left, ends, strict=True) if not is_end]
+    way = left[:1]
+    while way:  # each leads to another one
+        following = next(one for one in left if one[0] == way[-1][1])
+        if following in way:
+            return way[way.index(following) :]
+        way.append(following)
+    return []
 
 
 class Body:
@@ -343,9 +382,7 @@ class Substructures:
         # The bodies that each interface moves besides Γ1's, and Γ1's
         moved = zip(constraints.moved, constraints.bodies, strict=True)
         self._sides = [(others, i1) for others, (_, i1) in moved]
-        order = order_of_bodies(len(self._K), _directions(constraints))
-        assert order is not None
-        self._order = order
+        self._order = order_of_bodies(len(self._K), _directions(constraints))
         spaces = zip(system.spaces, constraints.prescribed, strict=True)
         self._modes = [rigid_modes(V, held, *parts(V)) for V, held in spaces]
         sizes = [k.getLocalSize()[0] for k in self._K] + [len(own) for own in self._own]

@@ -42,9 +42,9 @@ def create(
     if solver is None and (newton or names_types(options)):
         solver = "direct"
     if solver is None:
-        first = default(system)
+        first, why = default(system)
         if system.A.comm.rank == 0:
-            LOG.info('the default solver is "%s"', first.name)
+            LOG.info('the default solver is "%s": %s', first.name, why)
         if first is Direct:
             return Direct(system, prefix, options)
         return FallingBack(system, first, prefix, options)
@@ -63,8 +63,8 @@ class Budgeted(Multigrid):
     OPTIONS = {**Multigrid.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
 
 
-def default(system: System) -> type[KSPSolver]:
-    """The default solver. Collective.
+def default(system: System) -> tuple[type[KSPSolver], str]:
+    """The default solver, and the reason. Collective.
 
     In the plane, and for small bodies, factors of the whole system cost no more than those of the
     parts and an iteration. In space they soon do: with 56 000 displacements of degree 2 the whole
@@ -72,11 +72,17 @@ def default(system: System) -> type[KSPSolver]:
     no order of the bodies, multigrid takes less than the whole, from larger bodies on.
     """
     size = sum(K.getSize()[0] for K in system.K)
-    if not system.constraints.bodies or system.spaces[0].mesh.topology.dim < 3:
-        return Direct
-    large = ((Bodies, LARGE_SYSTEM), (Budgeted, LARGE_CIRCLE))
-    fit = (cls for cls, least in large if size >= least and cls.why_not(system) is None)
-    return next(fit, Direct)
+    if not system.constraints.bodies:
+        return Direct, "nothing is tied"
+    if system.spaces[0].mesh.topology.dim < 3:
+        return Direct, "bodies are in the plane"
+    reasons = [f"{size} unknowns in space"]
+    for cls, least in ((Bodies, LARGE_SYSTEM), (Budgeted, LARGE_CIRCLE)):
+        reason = f"from {least} on" if size < least else cls.why_not(system)
+        if reason is None:
+            return cls, "; ".join(reasons)
+        reasons.append(f'not "{cls.name}", {reason}')
+    return Direct, "; ".join(reasons)
 
 
 class FallingBack(Solver):

@@ -266,7 +266,7 @@ def test_walls_beside_coarse_facets(caplog):
             lowered(
                 places, ((4, 2), (6, 2)), 0.1, every=every, swap=True, constants=(1, 1), large=True
             )
-        told = [record.message for record in caplog.records if "forces away" in record.message]
+        told = [record.message for record in caplog.records if "tilt towards" in record.message]
         assert len(told) == (every and comm.rank == 0)
 
 

@@ -438,6 +438,11 @@ def test_table(caplog):
     assert rows[1].endswith("flat") and rows[4].endswith("clearance")
     assert str(find_touching(spaces[:1])).splitlines()[1] == "nothing touches"
     assert not caplog.records
+    with caplog.at_level("INFO", logger="hypergap_dolfinx"):
+        find_touching(spaces)
+    told = "spaces[0] and spaces[1] (layer) touch with 3 and 2 facets, up to 0 apart (flat)"
+    assert [record.getMessage() for record in caplog.records][:1] == [told][comm.rank :]
+    caplog.clear()
     bush = [ring(n, *radii, "triangle") for n, radii in ((12, (0.5, 1)), (17, (1.01, 3)))]
     (pair,) = found = find_touching(bush)
     assert found.left_out == [pair.left_out] and pair.left_out.explained == "unexplained"

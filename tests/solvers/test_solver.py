@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The ways to solve the saddle-point system agree, and each says when it can't."""
 
+import logging
+import re
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -15,7 +18,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.solvers import choice
-from hypergap_dolfinx.solvers.bodywise import order_of_bodies
+from hypergap_dolfinx.solvers.bodywise import find_circle, order_of_bodies
 
 comm = MPI.COMM_WORLD
 
@@ -537,8 +540,11 @@ def test_the_default_falls_back(monkeypatch):
     problem.solve()
 
 
-def circle():
-    """Two boxes on a third one, each Γ1 of one tie and Γ0 of another; parts of a problem."""
+def circle(turned=()):
+    """Two boxes on a third one, each Γ1 of one tie and Γ0 of another; parts of a problem.
+
+    Those of ``turned`` have exchanged their sides.
+    """
     boxes = ((0, 0), (2, 1), 4), ((0, 1), (1, 2), 3), ((1, 1), (2, 2), 5)  # x, z; cells across
     V, a, L, bcs = [], [], [], []
     for i, ((x0, z0), (x1, z1), n) in enumerate(boxes):
@@ -560,19 +566,23 @@ def circle():
             V[i].mesh, 2, lambda x: np.isclose(x[axis], 1)
         )
 
-    ties = [Tie(side(i, axis), side(j, axis)) for i, j, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 2))]
+    pairs = [(side(i, axis), side(j, axis)) for i, j, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 2))]
+    ties = [Tie(*(pair[::-1] if t in turned else pair)) for t, pair in enumerate(pairs)]
     return modulus, (a, L), {"bcs": bcs, "ties": ties}
 
 
 @two_ranks()
-def test_the_default_in_circles(monkeypatch):
+def test_the_default_in_circles(monkeypatch, caplog):
     """Multigrid for large bodies, as long as its iterations are cheaper than factors."""
     modulus, forms, parts = circle()
     direct = TiedProblem(*forms, **parts)
     direct.solve()
     assert direct.solver_name == "direct"
+    monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
     monkeypatch.setattr(choice, "LARGE_CIRCLE", 100)
-    problem = TiedProblem(*forms, **parts)
+    with caplog.at_level(logging.INFO):
+        problem = TiedProblem(*forms, **parts)
+    assert comm.rank or re.search('"iterative": .* not "bodies", tie 0 .* a circle', caplog.text)
     problem.solve()
     assert problem.solver_name == "iterative" and problem.iterations > 5
     assert difference(problem, direct) <= 1e-8
@@ -618,8 +628,27 @@ def facets_at(V, y):
 
 
 def test_order_of_bodies():
-    order = order_of_bodies
-    assert order(3, [(0, 1), (1, 2)]) == [2, 1, 0]
-    assert order(2, []) == [0, 1]
-    assert order(3, [(0, 1), (1, 2), (2, 0)]) is None
-    assert order(1, [(0, 0)]) is None
+    assert order_of_bodies(3, [(0, 1), (1, 2)]) == [2, 1, 0]
+    assert order_of_bodies(2, []) == [0, 1]
+    assert find_circle([(0, 1), (1, 2), (0, 2)]) == []
+    assert find_circle([(3, 0), (0, 1), (1, 2), (2, 0), (2, 4)]) == [(0, 1), (1, 2), (2, 0)]
+    assert find_circle([(0, 0)]) == [(0, 0)]
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize(
+    "turned, says",
+    (
+        ((), "tie 0 .* tie 1 .* and tie 2 .* lead round in a circle"),
+        ((2,), "tie 0 .* moves body 2, .* Γ0 of body 0 .* with body 1 and body 2"),
+        ((0,), None),
+    ),
+)
+def test_bodies_without_an_order(turned, says):
+    """The ties are named, and what helps: the last case is what the second is told to do."""
+    _, forms, parts = circle(turned)
+    if says is None:
+        TiedProblem(*forms, **parts, solver="bodies").solve()
+        return
+    with pytest.raises(ValueError, match=says):
+        TiedProblem(*forms, **parts, solver="bodies")
