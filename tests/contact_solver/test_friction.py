@@ -494,7 +494,7 @@ def test_falling_compliances(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("mu", "swap"), sweep([(0.3, False), (0.3, True), (1.0, True), (1.0, False)], 2)
+    ("mu", "swap"), sweep([(0.3, False), (0.3, True), (1.0, True), (1.0, False)], 4)
 )
 def test_ironing_in_space(mu, swap):
     """A stiff die is drawn there and back, friction falls, it is lifted: few steps, no halving."""

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Elastic
-from helpers import close, raises, thorough, two_ranks
+from helpers import close, raises, sweep, thorough, two_ranks
 
 import meshes
 from dolfinx import default_scalar_type, fem
@@ -51,7 +51,7 @@ def hairpin(s):
 
 
 @two_ranks(degree=[1, 2] if thorough else [1])
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("degree", sweep([1, 2], 2))
 def test_hairpin(degree):
     """Legs that meet, friction between them: with the bend, and with all of the outline."""
     mesh, tags = meshes.block(comm, (2, 48), hairpin, degree=degree)

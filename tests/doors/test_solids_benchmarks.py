@@ -24,7 +24,7 @@ def test_patch(name, kind):
     worst = 0.0
     cases = [case for case in patch_test_3d.cases() if case[1:3] == (name, kind)]
     cases = [case for case in cases if case[5] == (case[4][0] > case[4][1])]
-    for test, elements, mesh, shape, ratio, swap in sweep(cases, 4):
+    for test, elements, mesh, shape, ratio, swap in sweep(cases, 8):
         case = (patch_test_3d.pair(elements), mesh, shape, ratio, swap, test)
         worst = max(worst, *patch_test_3d.solve(comm, *case))
     print(worst)

@@ -143,7 +143,7 @@ def cube_in_cube(n, h):
 )
 def test_cube_inclusion(degree, swap):
     exact = quadratic if degree == (2, 2) else linear
-    for n, h in ((2, 0.25), (3, 0.4)):
+    for n, h in sweep(((2, 0.25), (3, 0.4)), 2):
         l2, s, _, tie = tied(cube_in_cube(n, h), exact, degree, swap=swap)
         print(l2, s)
         assert tie.domain.patch.max() == 5

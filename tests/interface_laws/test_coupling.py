@@ -3,14 +3,14 @@
 """Couplings of a surface with a point: exact solutions, balance, rigid sections, messages."""
 
 from contextlib import nullcontext
-from itertools import zip_longest
+from itertools import product, zip_longest
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 from assembly import NU, SOLVED, E, Elastic
-from helpers import close, interpolated, raises
+from helpers import close, interpolated, raises, sweep
 
 import meshes
 import ufl
@@ -32,6 +32,9 @@ comm = MPI.COMM_WORLD
 BALANCED = 1e-10  # of the loads
 pytestmark = pytest.mark.ranks(2)  # three: a linear, a nonlinear and a contact problem
 KINDS = "distributing", "rigid"
+CELLS = "triangle", "hexahedron", "tetrahedron"
+EACH = sweep([(2, "rigid"), (2, "distributing"), (3, "distributing"), (3, "rigid")], 2)
+"""Dimensions and kinds."""
 FIRST = {2: (meshes.LEFT, meshes.RIGHT), 3: (meshes.BACK, meshes.FRONT)}
 
 
@@ -64,10 +67,10 @@ def held(V, facets, value=None, component=None):
     return fem.dirichletbc(value or fem.Function(V), dofs)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("dim", "cell"), [(2, "triangle"), (3, "hexahedron"), (3, "tetrahedron")])
-def test_pulled(kind, dim, cell):
+@pytest.mark.parametrize(("kind", "cell"), sweep(product(KINDS, CELLS), 2))
+def test_pulled(kind, cell):
     """A bar with the same stress all along, by a force at any point and its torque."""
+    dim = 2 if cell == "triangle" else 3
     nu = NU if kind == "distributing" else 0.0  # a rigid section doesn't contract
     V, tags = bar(dim, cell=cell)
     along = 0 if dim == 2 else 2
@@ -164,8 +167,7 @@ def two_bars(dim, kind, held_parts=(), degree=1):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("dim", "kind"), EACH)
 def test_balance(kind, dim):
     """Forces and torques, reactions and springs are those of the tie below; work is symmetric."""
     names = {2: ("y", "rotation"), 3: ("y", "rx", "rz")}[dim]
@@ -418,8 +420,7 @@ def turning(axis, angle, dim):
     return found, (angle * np.asarray(axis, dtype=float))[2 if dim == 2 else slice(0, 3)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("dim", "kind"), EACH)
 def test_turned(kind, dim):
     """A bar that its coupling turns by 60° has no stress; then loads, balance, the tangent."""
     V, tags = bar(dim)
@@ -512,8 +513,7 @@ def pressed(dim, kind, friction=None, free=False):
     return problem, contact, grip, lid, up
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("dim", "kind"), EACH)
 def test_turned_in_contact(kind, dim):
     """Bodies in contact whose couplings turn them by 60°: forces turn along."""
     problem, contact, grip, lid, up = pressed(dim, kind)
@@ -537,8 +537,7 @@ def test_turned_in_contact(kind, dim):
     assert np.abs(before).max() > 0.03
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("dim", "kind"), EACH)
 def test_loaded_in_contact(kind, dim):
     """A block that friction and a lever hold: balance; a state goes on to the same digits."""
     problem, contact, grip, lid, up = pressed(dim, kind, friction=0.4, free=True)

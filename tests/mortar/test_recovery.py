@@ -269,7 +269,7 @@ def test_rates_on_a_circle():
         (1, (4, 6), False, 0.3),
         (1, (4, 6), True, 0.35),
         (1, (2, 3), True, 0.5),
-        (2, (4, 6), True, 0.25),
+        pytest.param(2, (4, 6), True, 0.25, marks=pytest.mark.slow),
         (2, (2, 3), True, 0.4),
         (2, (1, 8), True, 1.0),
     ),
