@@ -691,7 +691,8 @@ class Contact(Settable):
                 )
             if on is not None and len(sides) == 2:
                 raise ValueError(
-                    "both sides are on this body: give facets=, or no on= for the second side's."
+                    "both sides are on this body: give facets= of one, or leave out on= for the "
+                    "second side."
                 )
             side = second if on is None else sides[0]
             return [(side, np.ones(len(rows.sides[side].dofs), dtype=bool))]

@@ -732,7 +732,7 @@ class Tie(Settable, collective.Owner):
                 f"{'' if of_function else f', a function, not a {type(on).__name__}'}."
             )
         if len(found) == 2:
-            raise ValueError("both sides are on this body; without on= it is the second side's.")
+            raise ValueError("both sides are on this body: leave out on=, for the second side.")
         return found[0]
 
     def _multipliers(self, problem) -> npt.NDArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
+from helpers import sweep
 
 import basix
 from hypergap_dolfinx.surface.moving import MovingSurface
@@ -202,7 +203,8 @@ SCENES = {
         {"parts": (None, on_top), "moves": 0},
     ),
 }
-CASES = [(name, degree) for name in SCENES for degree in (1, 2)]
+CASES = sweep([(name, 1 + (k + j) % 2) for k, name in enumerate(SCENES) for j in (0, 1)], 2)
+"""Paths and degrees."""
 
 
 @cache

@@ -502,7 +502,7 @@ class ContactRows:
         if opposite.any() and (height < -self._contact.geometry.depth).all():
             raise InterfaceError(
                 f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "
-                "of each other, or the facets on those of the bodies."
+                "of each other, or facets are on the far side of one; check positions and tags."
             )
 
     def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:

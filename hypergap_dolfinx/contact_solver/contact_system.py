@@ -524,7 +524,7 @@ class ContactSystem(NonlinearSystem):
         where = next((part for parts in self._comm.allgather(at) for part in parts), None)
         if where is None:  # seen by points of the tangent only
             return "cells are inverted."
-        return f"cells{where} are inverted, or have no residual, however short Newton's step is."
+        return f"cells{where} are inverted, or F is no number there, however short the step is."
 
     def _stalled(self, step: int) -> str:
         """Message about an iteration without progress. Collective."""

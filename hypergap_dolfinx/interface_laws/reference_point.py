@@ -278,7 +278,9 @@ class ReferencePoint(Settable):
             AttributeError: A name that can't be set.
         """
         if name == "held":
-            raise ValueError(f"held is for good: make {self.motion.NAME} with held={value!r}.")
+            raise ValueError(
+                f"held can't be changed later: make {self.motion.NAME} with held={value!r}."
+            )
         super().__setattr__(name, value)
 
     @property

@@ -87,8 +87,8 @@ class Bodies(IterativeSolver):
             return None
         body = int(wrong.argmax())
         return (
-            f"on {name_of_body(body, spaces[body])} some multipliers have no free dof of Γ1 of "
-            "their own"
+            f"some multipliers on {name_of_body(body, spaces[body])} share dofs of Γ1, or have "
+            "prescribed ones"
         )
 
     def _create(self) -> Substitute:

@@ -304,7 +304,7 @@ def test_names():
             setattr(one, name, 5.0)
     with raises(AttributeError, "can't be set; anchors, force, prescribed, springs, torque can"):
         scene.body.hold = "x"
-    with raises(ValueError, "held is for good: make a rigid body with held='x'"):
+    with raises(ValueError, "held can't be changed later: make a rigid body with held='x'"):
         scene.body.held = "x"
 
     class Wheel(RigidBody):
