@@ -30,6 +30,11 @@ def two_ranks(**parameters):
     return pytest.mark.ranks(*() if thorough else (2,), **parameters)
 
 
+def ranks_at_last(**parameters):
+    """Marks what others show on ranks, too: with ``make test-all`` it runs there itself."""
+    return pytest.mark.ranks(3 if thorough else 1, **parameters)
+
+
 def close(actual, desired, tolerance=2e-13):
     """Assert that arrays agree, relative to the largest of what is desired.
 

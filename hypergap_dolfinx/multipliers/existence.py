@@ -169,7 +169,7 @@ def _at_cross_points(numbering: Numbering, users, mine, alone, breaks, ends: End
     return crossed
 
 
-def _covered(numbering: Numbering, label, members) -> npt.NDArray[np.bool_]:
+def _covered(numbering: Numbering, members) -> npt.NDArray[np.bool_]:
     """Mask of the multipliers with a facet that their interface covers enough, ``(num,)``."""
     parts = [m.on_any((m.covered > COVERED_FACET) & (m.least > KNOWN)) for m in numbering.lists]
     enough = np.concatenate(parts)
@@ -233,7 +233,7 @@ def _choose(ties: Sequence[Interface], bodies: Sequence[Pair], prescribed) -> Ch
             for tie, pair, lists, (determined, _) in parts
         ]
     )
-    covered, alone = _covered(numbering, label, members), np.zeros(num, dtype=bool)
+    covered, alone = _covered(numbering, members), np.zeros(num, dtype=bool)
     breaks, changed = numbering.breaks(users), True
     while changed:
         gone = _at_cross_points(numbering, users, mine, alone, breaks, ends) | ~covered

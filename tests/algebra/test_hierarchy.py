@@ -29,7 +29,7 @@ def springs_on(A, num=3):
     return coo_matrix(comm, (num, A.getLocalSize()[1]), i, j, rng.random(len(i)))
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(options=[{}])
 @pytest.mark.parametrize(
     ("options", "convection"),
     (

@@ -129,7 +129,7 @@ def test_corner_comes_across_a_quadrilateral(past):
     assert np.linalg.norm(left) <= 10 * past * np.linalg.norm(rows[reached])
 
 
-@two_ranks()
+@two_ranks(loaded=[True])
 @pytest.mark.parametrize(
     ("cells", "spans", "degrees", "friction", "large", "loaded"),
     (

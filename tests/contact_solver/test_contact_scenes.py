@@ -240,7 +240,7 @@ def lowered(places, cells, down, shrink=0.0, every=False, swap=False, **elastic)
     return solve(F, u, bcs, sides, swap)
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, depth=[0.15])
 @pytest.mark.parametrize("depth", (0.1, 0.15))
 def test_walls_beside_a_punch(depth, caplog):
     """Forces are those of facets that face each other, until gaps up to walls count: told."""

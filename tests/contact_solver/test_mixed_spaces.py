@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, raises, two_ranks
+from helpers import close, raises, ranks_at_last, two_ranks
 
 import basix.ufl
 import meshes
@@ -128,7 +128,7 @@ PATCHES = (
 )
 
 
-@pytest.mark.ranks(options=[PATCHES[4], PATCHES[5]])
+@pytest.mark.ranks(options=PATCHES[4:])
 @pytest.mark.parametrize("options", PATCHES)
 def test_patch(options):
     """One pressure, of incompressible bodies, beside bodies of displacements alone, in any unit."""
@@ -206,7 +206,7 @@ def test_unloaded():
     assert np.abs(contact.force(problem)).max() <= EXACT
 
 
-@two_ranks()
+@two_ranks(expands=[1e-6])
 @pytest.mark.parametrize("expands", (0.0, 1e-6))
 def test_temperatures(expands):
     """A field whose equation has no displacements in it: one-way coupled temperatures."""
@@ -304,7 +304,7 @@ def test_rubber():
     close(again.go(0.31), scene.go(0.31), 1e-12)
 
 
-@two_ranks()
+@ranks_at_last()
 def test_rubber_in_space():
     """A quarter of a block, pressed by a rigid sphere by 30 % of its height, without friction."""
 

@@ -465,7 +465,8 @@ LONG = (
 AS_OTHERS = (
     *("bearing", "benchmarks", "bouncing", "cad_assemblies", "contact_patch", "friction"),
     *("gap_domain", "heat"),
-    *("hertz_published", "incompressible", "ironing", "kernel_speed", "large_contact"),
+    *("hertz_published", "incompressible", "ironing", "ironing_far", "ironing_snaps"),
+    *("kernel_speed", "large_contact"),
     "modal_analysis",
     "periodic_cell",
     *("periodic_cell_3d", "pressurised_cylinder", "pressurised_sphere_hexahedra", "read_meshes"),

@@ -23,7 +23,7 @@ import hypergap_dolfinx
 FOLDER = Path(__file__).parents[2]
 DOCS = FOLDER / "docs"
 PAGES = [str(page.relative_to(DOCS)) for page in snippets.pages()]
-ON_RANKS = "index.md", "tutorial/contact-1.md", "tutorial/contact-2.md", "tutorial/ties-1.md"
+ON_RANKS = "index.md", "tutorial/contact-1.md", "tutorial/ties-1.md"
 
 
 TIES = "Tie", "TiedProblem", "NonlinearTiedProblem", "find_touching"
