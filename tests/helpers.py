@@ -12,8 +12,9 @@ import pytest
 import basix
 import meshes
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, la
 from hypergap_dolfinx import Tie
+from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.surface.trace import Surface
 
 comm = MPI.COMM_WORLD
@@ -172,6 +173,23 @@ def nodal_space(domain):
     """The space of the φ_a on Σ's mesh, and its dofs of the domain's cells."""
     V = fem.functionspace(domain.mesh, ("Lagrange", domain.element.degree))
     return V, V.dofmap.list[domain.in_mesh]
+
+
+def parts(domain, degree=8):
+    """∂φ_a/∂α at Gauss points ``(cell, point, node)``, and their weights ``(cell, point)``."""
+    tables = domain.quadrature(degree)
+    N, v = geometry_at_points(tables, domain.x, domain.alpha_vertices)
+    return alpha_derivatives(tables, v), tables.weights * np.linalg.norm(N, axis=2)
+
+
+def assembled(domain, values):
+    """Sums of ``(cell, node)`` at the nodes of this rank's cells."""
+    V, dofs = nodal_space(domain)
+    f = fem.Function(V)
+    np.add.at(f.x.array, dofs, values)
+    f.x.scatter_reverse(la.InsertMode.add)
+    f.x.scatter_forward()
+    return f.x.array
 
 
 def at_own_nodes(domain, values):

@@ -10,16 +10,15 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, comm, dense, interpolated, nodal_space, raises, residual
+from helpers import assembled, close, comm, dense, interpolated, parts, raises, residual
 
 import basix
 import dolfinx.mesh
 import meshes
-from dolfinx import fem, la
+from dolfinx import fem
 from hypergap_dolfinx import InterfaceError, Tie
 from hypergap_dolfinx.gap_mesh import front
 from hypergap_dolfinx.mortar import domain
-from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
 from hypergap_dolfinx.surface.projection import Triangles
 from hypergap_dolfinx.surface.trace import create_surface
 from hypergap_dolfinx.surface.triangulation import components, kinks, neighbours
@@ -57,23 +56,6 @@ SHAPES = {
     "paraboloid": graph(lambda y, z: -1.5 * ((y - 0.5) ** 2 + (z - 0.5) ** 2)),
     "ramp": graph(lambda y, z: 0.3 * np.sin(2 * np.pi * y)),
 }
-
-
-def parts(domain, degree=6):
-    """∂φ_a/∂α at Gauss points ``(cell, point, node)``, and their weights ``(cell, point)``."""
-    tables = domain.quadrature(degree)
-    N, v = geometry_at_points(tables, domain.x, domain.alpha_vertices)
-    return alpha_derivatives(tables, v), tables.weights * np.linalg.norm(N, axis=2)
-
-
-def assembled(domain, values):
-    """Sums of ``(cell, node)`` at the nodes of this rank's cells."""
-    V, dofs = nodal_space(domain)
-    f = fem.Function(V)
-    np.add.at(f.x.array, dofs, values)
-    f.x.scatter_reverse(la.InsertMode.add)
-    f.x.scatter_forward()
-    return f.x.array
 
 
 def base_integrals(domain, side):

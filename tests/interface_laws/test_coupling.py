@@ -103,6 +103,7 @@ def test_pulled(kind, cell):
     assert np.abs(end.angles).max() < SOLVED and not end.reaction.any()
 
 
+@pytest.mark.ranks(2, kind=["rigid"], by=["angle"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("by", ["torque", "angle"])
 def test_bent(kind, by):
@@ -190,6 +191,7 @@ def test_balance(kind, dim):
     assert np.abs(end.reaction).max() < 1e-9
 
 
+@pytest.mark.ranks(2, kind=["distributing"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_held_by_a_coupling(kind):
     """All of it held, rigid: as a condition at each node; distributing: mean motions only."""

@@ -8,34 +8,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, comm, nodal_space, skew, two_blocks, two_rings
+from helpers import assembled, close, comm, nodal_space, parts, skew, two_blocks, two_rings
 
 import dolfinx.mesh
 import meshes
 import ufl
-from dolfinx import default_scalar_type, fem, la
+from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Tie, TiedProblem
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.mortar.kernel import alpha_derivatives, geometry_at_points
 
 LENGTH = 2  # of the blocks' interface
-
-
-def parts(domain, degree=8):
-    """∂φ_a/∂α at Gauss points ``(cell, point, node)``, and their weights ``(cell, point)``."""
-    tables = domain.quadrature(degree)
-    N, v = geometry_at_points(tables, domain.x, domain.alpha_vertices)
-    return alpha_derivatives(tables, v), tables.weights * np.linalg.norm(N, axis=2)
-
-
-def assembled(domain, values):
-    """Sums of ``(cell, node)`` at the nodes of this rank's cells."""
-    V, dofs = nodal_space(domain)
-    f = fem.Function(V)
-    np.add.at(f.x.array, dofs, values)
-    f.x.scatter_reverse(la.InsertMode.add)
-    f.x.scatter_forward()
-    return f.x.array
 
 
 def base_integrals(domain, side):
