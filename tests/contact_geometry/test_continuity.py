@@ -202,7 +202,7 @@ def _over(x):
 
 
 CELLS = meshing.CellType.tetrahedron, meshing.CellType.hexahedron
-SOLIDS = [(cell, seed) for cell in CELLS for seed in (0, 1)]
+SOLIDS = helpers.sweep([(CELLS[i], seed) for i, seed in ((0, 0), (0, 1), (1, 1), (1, 0))], 2)
 
 
 @cache

@@ -43,7 +43,7 @@ RATES = {1: (1.95, 0.97, 0.9), 2: (2.9, 1.9, 1.75)}
 
 
 @pytest.mark.parametrize(
-    "degree, h, swap", sweep(((1, 0.1, False), (1, 0.1, True), (2, 0.2, False), (2, 0.2, True)), 3)
+    "degree, h, swap", sweep(((1, 0.1, False), (1, 0.1, True), (2, 0.2, False), (2, 0.2, True)), 4)
 )
 def test_sphere(degree, h, swap):
     row, *_ = sphere.run(comm, h, degree, swap)

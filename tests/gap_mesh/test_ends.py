@@ -53,7 +53,7 @@ def blocks(name, ratio):
 
 
 @pytest.mark.ranks(2, name=["P1-P2"])
-@pytest.mark.parametrize(("name", "ends"), sweep(product(NAMES, PAIRS), 2))
+@pytest.mark.parametrize(("name", "ends"), sweep(product(NAMES, PAIRS), 4))
 def test_ends(name, ends):
     """Non-zero displacements are prescribed, those of the patch test."""
     ratios = ((1, 1), (2, 3), (5, 1), (1, 5)) if comm.size == 1 else ((2, 3),)
@@ -73,8 +73,7 @@ def test_ends(name, ends):
 
 
 @two_ranks(name=["P1-P2"])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("swap", "name"), sweep(product((False, True), NAMES), 2))
 def test_clamp(name, swap):
     """Held at u = 0 beside the interface's end, by nothing else."""
     for end, ratio in product(("clamp0", "clamp1", "both"), ((1, 1), (2, 3), (4, 4))):

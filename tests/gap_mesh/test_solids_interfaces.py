@@ -202,7 +202,7 @@ def shell_alone(h, exact):
 @pytest.mark.parametrize(
     ("E_ball", "swap"),
     (
-        (1.0, False),
+        pytest.param(1.0, False, marks=pytest.mark.slow),  # test_sphere is quicker
         pytest.param(10.0, True, marks=pytest.mark.slow),
         pytest.param(1.0, True, marks=pytest.mark.slow),
         pytest.param(10.0, False, marks=pytest.mark.slow),
@@ -225,7 +225,7 @@ def test_ball_in_shell(E_ball, swap):
 
 
 @pytest.mark.ranks(2, degree=[1])
-@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("degree", sweep((1, 2), 2))
 def test_plate_with_square_hole(degree):
     bodies = []
     for h, z, tag, held in (

@@ -515,6 +515,7 @@ def pressed(dim, kind, friction=None, free=False):
     return problem, contact, grip, lid, up
 
 
+@pytest.mark.ranks(2, dim=[2])
 @pytest.mark.parametrize(("dim", "kind"), EACH)
 def test_turned_in_contact(kind, dim):
     """Bodies in contact whose couplings turn them by 60°: forces turn along."""

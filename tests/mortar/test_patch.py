@@ -17,7 +17,7 @@ def test_patch(name):
     """Both tests, shapes, size ratios and sides, to round-off (all of them with the demo)."""
     worst = 0.0
     cases = [case for case in demo.cases() if case[1] == name]
-    for test, _, shape, ratio, swap in sweep(cases, 5):
+    for test, _, shape, ratio, swap in sweep(cases, 9):
         errors = demo.solve(comm, demo.ELEMENTS[name], shape, ratio, swap, test)
         worst = max(worst, *errors)
     print(worst)

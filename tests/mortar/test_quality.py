@@ -7,7 +7,7 @@ import logging
 import any_assemblies
 import numpy as np
 import pytest
-from helpers import comm, two_blocks, two_rings
+from helpers import comm, ranks_at_last, two_blocks, two_rings
 
 import meshes
 from dolfinx import fem
@@ -194,7 +194,7 @@ def test_same_outline(caplog):
     assert not warnings(caplog, *two_rings())
 
 
-@pytest.mark.ranks(2)
+@ranks_at_last()
 def test_cells_made_straight_at_the_outline(caplog):
     """Two boxes of a bent cube, a coarse one and a narrow one: the tied area is off, and told."""
     scene = any_assemblies.Scene(49, 3)

@@ -74,7 +74,7 @@ def rows_of(p) -> np.ndarray:
 
 
 @pytest.mark.ranks(2, held=["below"], name=["P2"])
-@pytest.mark.parametrize(("held", "scene"), sweep(product(("outside", "below"), SCENES), 2))
+@pytest.mark.parametrize(("held", "scene"), sweep(product(("outside", "below"), SCENES), 3))
 @pytest.mark.parametrize("name", ("Q1", "P2", pytest.param("Q3", marks=pytest.mark.slow)))
 def test_no_row_follows_from_the_others(scene, name, held):
     """And there are no more of them than free dofs that can answer, each to one."""

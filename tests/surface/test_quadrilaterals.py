@@ -189,7 +189,7 @@ def test_unevenness(n):
 # Patch tests
 
 
-@pytest.mark.parametrize("case", sweep(patch_test_3d.cases("hexahedron"), 53))
+@pytest.mark.parametrize("case", sweep(patch_test_3d.cases("hexahedron"), 71))
 def test_patch(case):
     test, names, *rest = case
     errors = patch_test_3d.solve(comm, patch_test_3d.pair(names), *rest, test)
@@ -235,7 +235,7 @@ def test_cubic(degree):
     check_patch(blocks((2, 3), "distorted"), degree, False)
 
 
-@pytest.mark.parametrize("degree", ((1, 2), (2, 2)))
+@pytest.mark.parametrize("degree", sweep(((1, 2), (2, 2)), 2))
 def test_halves(degree, monkeypatch):
     """What cut facets are made of: exact with twice the degree."""
 

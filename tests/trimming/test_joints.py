@@ -139,7 +139,7 @@ def collar_on_a_rod(imprinted, degree, size, turn):
     return parts
 
 
-@pytest.mark.parametrize("scene", sweep(COLLARS, 9))
+@pytest.mark.parametrize("scene", sweep(COLLARS, 13))
 def test_collar(scene):
     """The whole cylinder's part is tied, and as exactly with imprinted edges."""
     field = waves if scene[0] else along  # beside the collar parts of facets are free

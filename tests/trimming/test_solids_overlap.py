@@ -113,7 +113,7 @@ CASES = list(product(CELLS, SCENES, (1, 2), (False, True)))
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("cells", "scene", "degree", "swap"), sweep(CASES, 9))
+@pytest.mark.parametrize(("cells", "scene", "degree", "swap"), sweep(CASES, 13))
 def test_patch(cells, scene, degree, swap):
     l2, s, traction = solve(SCENES[scene], degree, swap, cells, sheared)
     print(l2, s, traction)
@@ -134,7 +134,7 @@ NARROW = list(product(CUTS, (1, 2), (False, True), KINDS))
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("cut", "degree", "swap", "kind"), sweep(NARROW, 25))
+@pytest.mark.parametrize(("cut", "degree", "swap", "kind"), sweep(NARROW, 41))
 def test_narrow_cuts(cut, degree, swap, kind):
     """The block ends a part of a facet beside the plate's edges, or is turned by it."""
     scene, n = KINDS[kind](cut)
