@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, raises, two_ranks
+from helpers import close, raises, thorough, two_ranks
 
 import meshes
 import ufl
@@ -186,7 +186,7 @@ def run(comm, name, file, *, goes_on=False):
     return None if comm.rank else np.concatenate([part.ravel() for part in found])
 
 
-@two_ranks(name=["elastic slip", "three bodies", "time loop", "tie with a law"])
+@two_ranks(name=["elastic slip", "tie with a law", *["three bodies", "time loop"] * thorough])
 @pytest.mark.parametrize("name", SCENES)
 def test_goes_on(name, tmp_path):
     """Another problem goes on; on two ranks also what one rank began, and the reverse."""
