@@ -5,6 +5,7 @@
 from importlib import import_module
 from itertools import pairwise, product
 
+import any_assemblies
 import numpy as np
 import pytest
 from helpers import comm, sweep
@@ -246,3 +247,15 @@ def test_nearly_matching_rims(cell):
         off = np.abs(rim_moved(cell, 1, shift) - exact).max() / np.abs(exact).max()
         print(shift, off)
         assert off <= 2 * shift
+
+
+def test_bent_row_along_an_outline():
+    """A row of bent facets comes nearer to the other side's outline than their edges are bent."""
+    scene, pair = any_assemblies.Scene(5, 3), (2, 8)
+    scene.counts *= 2
+    spaces = [fem.functionspace(scene.mesh(i)[0], ("Lagrange", scene.degree)) for i in pair]
+    tie = Tie(*find_touching(spaces)[0])
+    axis, area = scene.faces()[pair]
+    q = tie.quadrature(2 * scene.degree + 2)
+    flux = scene.area(axis, q.x.reshape(-1, 3), q.weights.ravel(), q.normal.reshape(-1, 3))
+    assert abs(abs(flux) / area - 1) < 1e-4
