@@ -205,17 +205,16 @@ class Segments(ABC):
         """Pressures for plots: the force of p, with less scatter between nodes.
 
         Half of what each facet has of a vertex keeps the vertex' pressure, the other half has the
-        mean of the facet.
+        mean of the facet. On parts of facets pressures are means over what vertices' rows have.
 
         Args:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
         gaps = self._at(u)
-        p = gaps.pressures(p)
-        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
-            return p
-        p = p[gaps.facets]
+        if self.sides[1].reference.num_parts > 1:  # scatters less than facets' means are off
+            return gaps.mean_pressures(p)
+        p = gaps.pressures(p)[gaps.facets]
         size = gaps.areas.sum(axis=1, keepdims=True)
         force = (gaps.areas * p).sum(axis=1, keepdims=True)
         mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)

@@ -16,6 +16,7 @@ from helpers import close, raises, sweep
 
 import meshes
 from dolfinx import fem
+from dolfinx.mesh import CellType
 from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -79,9 +80,11 @@ def test_slip(options):
     close(turned[0], -opening.gap(u)[0], 1e-12)
 
 
-def test_slip_in_space(monkeypatch):
-    """Vertices have two directions, which are taken as they are."""
-    sides, u, rng = space.rough()
+@pytest.mark.parametrize("parts", (False, True))
+def test_slip_in_space(monkeypatch, parts):
+    """Vertices have two directions, which are taken as they are; of degree 2 no edge is crossed."""
+    cell, given = CellType.hexahedron, {"degree": 2, "cells": (1, 2), "split": True}
+    sides, u, rng = space.rough(cell=cell, **given) if parts else space.rough()
     opening = SpaceSegments.between(sides, u)
     fixed = columns.directions(opening._at(u).rays.frames)
     monkeypatch.setattr(columns, "directions", lambda *_: fixed)
