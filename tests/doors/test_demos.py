@@ -122,11 +122,9 @@ DEMOS = {
         needs=("gmsh", "matplotlib"),
         slow=True,
     ),
-    "cad_assemblies": Demo(
-        "--only dovetail --degree 2" + " 1" * thorough, {}, {"*.ratio": 1.2}, needs=("gmsh",)
-    ),
-    "cad_shaft": Demo(
-        "--only shaft --degree 1",
+    "cad_assemblies": Demo("--only shaft --degree 1", {}, {"*.ratio": 1.2}, needs=("gmsh",)),
+    "cad_dovetail": Demo(
+        "--only dovetail --degree 2 1",
         {},
         {"*.ratio": 1.2},
         needs=("gmsh",),
