@@ -162,9 +162,13 @@ def field(
         clim = (values.min(), values.max())
         if np.isclose(-clim[0], clim[1], rtol=1e-3):  # then the scale has a 0 in its middle
             clim = (-clim[1], clim[1])
-        for g in drawn:
-            bar = _bar(title)
-            _add(plotter, g, scalars="value", cmap="inferno", clim=clim, scalar_bar_args=bar)
+        for f, cells in zip(fs, grids, strict=True):
+            if cells is None:
+                continue
+            on, bar = f.function_space.mesh, _bar(title)
+            place = 2 * (on.topology.dim < on.geometry.dim)  # a side before its body
+            _add(plotter, cells, place=place, scalars="value", cmap="inferno", clim=clim,
+                 scalar_bar_args=bar)  # fmt: skip
     return _finish(plotter, mesh.geometry.dim, filename, window)
 
 
@@ -466,7 +470,7 @@ def _draw_gap_domains(
             if closed:
                 sigma = sigma.clip("y", crinkle=True)
             clim = (0, 1) if f is None else sigma.get_data_range("value")
-            options = {"scalars": "value", "cmap": "viridis", "clim": clim}
+            options: Any = {"scalars": "value", "cmap": "viridis", "clim": clim}
             _add(plotter, sigma, edges="white", scalar_bar_args=_bar(title), **options)
     up = mean * np.sign(mean[np.abs(mean).argmax()] or 1)  # upper bodies are drawn above others
     return _finish(plotter, dim, filename, window, (0, 1, 0.3) if closed else _beside(up), up)
@@ -511,10 +515,15 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
     return plotter
 
 
-def _add(plotter: pyvista.Plotter, cells: pyvista.UnstructuredGrid, edges: str = _EDGE, **options):
-    """Draw cells and their edges, with their curvature."""
+def _add(
+    plotter: pyvista.Plotter,
+    cells: pyvista.UnstructuredGrid,
+    edges: str = _EDGE,
+    place: int = 0,
+    **options,
+):
+    """Draw cells and their edges, with their curvature; before those of lower places."""
     dim = cells.get_cell(0).dimension if cells.n_cells else 2
-    place = 6 - 2 * dim  # sides before bodies
     if dim == 1:  # a side's traction in the plane
         _before(plotter.add_mesh(cells, lighting=False, line_width=8, **options), place)
         return
