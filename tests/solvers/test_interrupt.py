@@ -67,7 +67,9 @@ def interrupt():
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.parametrize("ranks", ([0], [comm.size - 1], list(range(comm.size))), ids=str)
+@pytest.mark.parametrize(
+    "ranks", ([0], [comm.size - 1], list(range(comm.size)))[: 1 if comm.size == 1 else 3], ids=str
+)
 @pytest.mark.parametrize("kind", ("contact", "friction", "tie"))
 def test_goes_on(kind, ranks, interrupt):
     """The state is the one before; then the solve has the same result, and the next one."""

@@ -90,7 +90,7 @@ def residual(problem):
     return r.norm() / problem.b.norm()
 
 
-@two_ranks(kind=sweep(("vector", "scalar"), 2))
+@two_ranks(kind=sweep(("vector", "scalar"), 2), dim=sweep((3, 2), 2))
 @pytest.mark.parametrize("kind", ("vector", "scalar"))
 @pytest.mark.parametrize("dim", (2, 3))
 @pytest.mark.parametrize("solver, tolerance", (("bodies", 1e-10), ("iterative", 1e-6)))
