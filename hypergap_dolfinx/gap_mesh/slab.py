@@ -223,23 +223,33 @@ def fill(sides: tuple[Side, Side]) -> Slab:
     return slab
 
 
+def _are_same(pairs: list[tuple[Side, Side]], others: list[tuple[Side, Side]]) -> bool:
+    """True if two cuts of the same pieces have the same triangles."""
+    arrays = [[a for pair in cut for side in pair for a in side.arrays] for cut in (pairs, others)]
+    return len(arrays[0]) == len(arrays[1]) and all(map(np.array_equal, *arrays))
+
+
 def fill_common(side0: Side, side1: Side) -> list[Slab]:
     """Cells between the common parts of two facing pieces, of Γ0 and of Γ1.
 
     Outlines that are hardly further apart than the tolerance leave edges as short as that, beside
     which the other side's nodes may lie anywhere. If no mesh is found for that reason, such
-    outlines are taken for one: the tolerance grows.
+    outlines are taken for one: the tolerance grows. The same cuts aren't tried twice.
 
     Raises:
         NotFacingError: The pieces have no common part.
         InterfaceError: There is no valid mesh.
     """
     first: InterfaceError | None = None
+    tried: list[list[tuple[Side, Side]]] = []
     for of_one_curve, k in product((True, False), range(TRIES)):
         whole = False
         try:
             pairs = clip(side0, side1, SNAP * COARSER**k, of_one_curve)
             whole = pairs[0][0] is side0
+            if any(_are_same(pairs, before) for before in tried):
+                continue
+            tried.append(pairs)
             return [fill(pair) for pair in pairs]
         except InterfaceError as error:
             first = first or error

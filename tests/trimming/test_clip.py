@@ -269,6 +269,21 @@ def test_nothing_in_common():
         clip(side("Γ0", *sides[0]), side("Γ1", sides[1][0], sides[1][1][:, ::-1]))
 
 
+def test_the_same_cuts_are_tried_once(monkeypatch):
+    """No tolerance changes cuts across facets: a refusal took six times as long."""
+    tried = []
+
+    def fill(pair):
+        tried.append(pair)
+        raise InterfaceError("no mesh")
+
+    monkeypatch.setattr(slab, "fill", fill)
+    one, other = square(3), square(4, placed(0, 1, (0.9, 0.6)))
+    with pytest.raises(InterfaceError, match="no mesh"):
+        slab.fill_common(side("Γ0", *one), side("Γ1", other[0], other[1][:, ::-1]))
+    assert len(tried) == 1
+
+
 def test_cutting():
     """Points on edges and inside, and segments between them, all at their places."""
     rng = np.random.default_rng(0)
