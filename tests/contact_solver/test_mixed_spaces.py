@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from helpers import close, raises, ranks_at_last, two_ranks
+from helpers import close, raises, two_ranks
 
 import basix.ufl
 import meshes
@@ -304,7 +304,8 @@ def test_rubber():
     close(again.go(0.31), scene.go(0.31), 1e-12)
 
 
-@ranks_at_last()
+@pytest.mark.slow
+@two_ranks()
 def test_rubber_in_space():
     """A quarter of a block, pressed by a rigid sphere by 30 % of its height, without friction."""
 
