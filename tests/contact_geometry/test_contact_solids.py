@@ -139,6 +139,7 @@ def test_corner_comes_across_a_quadrilateral(past):
         ((5, 4), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.3, True, False),
         ((4, 6), NARROWER, 20.0, 0.3, True, False),
         ((7, 7), NARROWER, 39.0, 0.1, False, False),
+        ((7, 7), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.6, True, False),
         ((4, 6), NARROWER, 20.0, 0.3, True, True),
     ),
 )
